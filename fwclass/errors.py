@@ -8,7 +8,7 @@ import os
 import shutil
 import signal
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from fwclass.redact import redacted
@@ -118,6 +118,11 @@ class QualityError(FwclassError):
     """A quality threshold was missed."""
 
     exit_code = QUALITY
+
+
+def first_few(words: Sequence[str], most: int, between: str = ", ") -> str:
+    """The first `most` of `words`, and how many there are beyond: ``a, b and 3 more``."""
+    return between.join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

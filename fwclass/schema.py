@@ -34,6 +34,11 @@ class Scale(NamedTuple):
         return self.size / 100.0
 
     @property
+    def millimetres(self) -> int:
+        """The scale in whole millimetres."""
+        return self.size * 10
+
+    @property
     def suffix(self) -> str:
         """The end of a feature's name: ``r100`` for a sphere of 1 m."""
         return "opt" if self.kind == "o" else f"{self.kind}{self.size}"

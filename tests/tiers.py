@@ -38,7 +38,7 @@ ABOVE_ROOMS = (
 )
 """What runs commands and whole surveys: its tests are another tier, whether or not they start a process."""
 
-DRAWING = ("fwclass.publish.waveplot", "fwclass.publish.figures")
+DRAWING = ("fwclass.publish.waveform_pictures", "fwclass.publish.figures")
 """What draws with matplotlib, at up to a second a picture."""
 
 ELSEWHERE = ("bench", "bounds", "faults", "frozen", "run", "security", "store", "uncompiled", "*fuzz*", "test_cli*")

@@ -88,14 +88,14 @@ def plan(
 def _dry_run(estimate: Any, count: int, root: Path) -> Any:
     """The plan again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
-    from fwclass.operate.estimate.trial import trial, trial_of
+    from fwclass.operate.estimate.trial import run_trial, trial_of
     from fwclass.operate.estimate.whole import make_plan
     from fwclass.store.atomic import staged
 
     trial_ = trial_of(estimate, count, root)
     with staged(root / "plan") as scratch:
         with open_runner(scratch, estimate.workers, None, estimate.config.run) as runner:
-            keys = trial(trial_, runner, count, estimate.halo)
+            keys = run_trial(trial_, runner, count, estimate.halo)
             failures, store = runner.failures, runner.store
         if failures:
             first = failures[0]

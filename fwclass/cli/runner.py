@@ -56,7 +56,7 @@ def open_runner(
     """A run locked for writing, with its executor; `location` is its directory, or a `Remote` place; `limits` is
     section `run` of the configuration, `report` where Dask's performance report goes."""
     from fwclass.compiling import notify
-    from fwclass.run.libraries import announce
+    from fwclass.run.libraries import library_remarks
     from fwclass.run.local import Loop, WhenNeeded
     from fwclass.run.progress import Display
     from fwclass.run.runner import Runner
@@ -96,7 +96,7 @@ def open_runner(
         with executor as running:
             runner = Runner(location, running, display, held=held, accept_libraries=limits.accept_libraries)
             runner.store.clear_staging()
-            for line in announce(runner.store, limits.accept_libraries):
+            for line in library_remarks(runner.store, limits.accept_libraries):
                 display.say(f"libraries        {line}")
             with running.reported(report, display.say) if report is not None else nullcontext():
                 yield runner

@@ -31,7 +31,7 @@ def cells(chunk: Chunk, scale: Scale, bases: tuple[str, ...]) -> dict[str, NDArr
     Cells are half-open and hang on the global origin. Sums are taken relative to the cell's lowest echo. A cell that
     owns a core row must lie in the chunk: a halo of one edge does it.
     """
-    order, start, own = _cells(chunk, scale.size * 10, scale.size * 10)
+    order, start, own = _cells(chunk, scale.millimetres, scale.millimetres)
     z = millimetres(chunk.table["z"])
     needed = needs(bases)
     attributes = Attributes.of(chunk.table, needed).arrays

@@ -20,10 +20,10 @@ from fwclass.stage import Chunk
 
 Columns = dict[str, NDArray[np.float32]]
 
-CLASS = 4.0
+WIDEST_RATIO = 4.0
 """Radii of one walk differ by at most this factor: a small sphere is not looked for among a large cylinder's echoes."""
 
-TWICE = 2.0
+MOST_OVER_AGAIN = 2.0
 """Radii are walked one by one, each with its sums at once, where that meets at most so many times the candidates of the
 largest: to put neighbours into the order of their shells costs more."""
 
@@ -41,7 +41,7 @@ def spheres(chunk: Chunk, request: Mapping[Scale, Sequence[str]], params: Featur
     plain = {scale: tuple(bases) for scale, bases in request.items() if scale.kind in "rc"}
     plain[normals] = tuple(dict.fromkeys((*plain.get(normals, ()), LINEAR, *NORMAL)))
     for kind in "rc":
-        for scales in size_classes({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
+        for scales in scale_groups({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
             columns |= _walk(chunk, {scale: plain[scale] for scale in scales})
     for scale, bases in request.items():
         if scale.kind == "o":
@@ -64,22 +64,22 @@ def optimal(chunk: Chunk, bases: Sequence[str], wants_radius: bool, params: Feat
     return {**values, "optimal_radius": chosen} if wants_radius else values
 
 
-def size_classes(request: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
+def scale_groups(request: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
     """Scales in groups that one walk takes, each of rising size."""
-    classes: list[list[Scale]] = []
+    groups: list[list[Scale]] = []
     for scale in sorted(request, key=lambda s: s.size):
-        if classes and scale.size <= CLASS * classes[-1][0].size:
-            classes[-1].append(scale)
+        if groups and scale.size <= WIDEST_RATIO * groups[-1][0].size:
+            groups[-1].append(scale)
         else:
-            classes.append([scale])
-    return [part for scales in classes for part in _apart(scales, request)]
+            groups.append([scale])
+    return [part for scales in groups for part in _apart(scales, request)]
 
 
 def _apart(scales: list[Scale], request: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
     """`scales` one by one where all sums can be taken at once and few echoes are met twice."""
     at_once = all(_at_once(request[scale]) for scale in scales)
     met = sum(scale.size**2 for scale in scales)
-    return [[scale] for scale in scales] if at_once and met <= TWICE * scales[-1].size ** 2 else [scales]
+    return [[scale] for scale in scales] if at_once and met <= MOST_OVER_AGAIN * scales[-1].size ** 2 else [scales]
 
 
 def _at_once(bases: Iterable[str]) -> bool:
@@ -90,7 +90,7 @@ def _at_once(bases: Iterable[str]) -> bool:
 def _walk(chunk: Chunk, request: Mapping[Scale, Sequence[str]]) -> Columns:
     scales = list(request)
     jobs = [(q, base) for q, scale in enumerate(scales) for base in request[scale]]
-    out, _ = _run(chunk, [scale.size * 10 for scale in scales], scales[0].kind, jobs, optimal=False)
+    out, _ = _run(chunk, [scale.millimetres for scale in scales], scales[0].kind, jobs, optimal=False)
     names = [base if base in NORMAL else f"{base}_{scales[q].suffix}" for q, base in jobs]
     return dict(zip(names, out, strict=True))
 

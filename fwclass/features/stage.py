@@ -82,5 +82,5 @@ def name_features(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDA
     return {f"{base}_{scale.suffix}": values for base, values in by_base.items()}
 
 
-FEATURES = Computation(name="features", version=7, writes=NORMAL)
-"""It reads and writes what a list of names asks for: `Asked.reads`, `Asked.reach`."""
+FEATURE_COMPUTATION = Computation(name="features", version=7, writes=NORMAL)
+"""It reads and writes what a list of names asks for: `Asked.reads`, within `Asked.halo`."""

@@ -25,7 +25,7 @@ from fwclass.classify.kept import Kept
 from fwclass.conf.model import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
-from fwclass.graph.kept import deciding_column, keeping
+from fwclass.graph.kept import deciding_column, kept_argument
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table
@@ -163,7 +163,7 @@ def _learned_around(plan: Plan, tile: Any) -> Mapping[str, Any]:
     return reach_around(plan, tile) if plan.config.survey.model is None else {}
 
 
-def _judging(plan: Plan) -> Mapping[str, Any]:
+def _judging_arguments(plan: Plan) -> Mapping[str, Any]:
     config = plan.config
     return {
         "names": feature_columns(plan),
@@ -182,7 +182,7 @@ COUNT_CONFUSION = Stage(
     "echo",
     count_tile,
     when=has_reference,
-    arguments=lambda plan: {**_judging(plan), **keeping(plan)},
+    arguments=lambda plan: {**_judging_arguments(plan), **kept_argument(plan)},
     each=_learned_around,
     own=lambda plan: (*IDENTITY_AND_PLACE, "z", *feature_columns(plan), *_ANSWERS, *deciding_column(plan)),
     after=(CORRECTIONS,),
@@ -197,7 +197,7 @@ ASSESS = Stage(
     "echo",
     assess_survey,
     when=has_reference,
-    arguments=lambda plan: {**_judging(plan), "quantiles": plan.config.assess.quantiles},
+    arguments=lambda plan: {**_judging_arguments(plan), "quantiles": plan.config.assess.quantiles},
     after=("confusion",),
     needs=lambda plan, part: [("confusion", t.key) for t in plan.layout.tiles],
     check=True,

@@ -37,7 +37,7 @@ LAYERS, EDGE = 32, 128
 """Voxels of a chunk of the delivered arrays: up, and to both sides; 2 MiB."""
 
 
-def sample_chunk(here: StageInputs, params: SampleParams, fit: DecomposeParams, block: float) -> Result:
+def sample_waves(here: StageInputs, params: SampleParams, fit: DecomposeParams, block: float) -> Result:
     """The samples of a chunk, freed of the pulse, by block of the fixed grid."""
     strip = strip_of(here.part)
     pulse, placement = pulse_of(strip, here.inputs), placement_of(strip, here.inputs)
@@ -62,7 +62,7 @@ def samples_in(here: StageInputs, box: Box, block: float) -> Table:
     return table.take(box.contains(table["x"], table["y"]))
 
 
-def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Result:
+def fill_voxels(here: StageInputs, params: VoxelParams, block: float) -> Result:
     """The voxels of a block."""
     window = owned(here.tile, params.size)
     echoes = around_block(here).table
@@ -80,7 +80,7 @@ def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Result:
     }
 
 
-def profile_block(here: StageInputs, params: ProfileParams, terrain_cell: float, block: float) -> Result:
+def fill_profiles(here: StageInputs, params: ProfileParams, terrain_cell: float, block: float) -> Result:
     """The vertical profiles of the cells of a block."""
     window = owned(here.tile, params.cell)
     samples = samples_in(here, window.box, block)
@@ -232,7 +232,7 @@ SAMPLE_WAVES = Stage(
     SAMPLES.version,
     "chunk",
     "pulse",
-    sample_chunk,
+    sample_waves,
     when=_any_product,
     parts=READ_SPAN.parts,
     waves=True,
@@ -249,7 +249,7 @@ FILL_VOXELS = Stage(
     1,
     "block",
     "echo",
-    voxel_block,
+    fill_voxels,
     when=lambda plan: plan.config.voxels.write,
     parts=_blocks,
     arguments=lambda plan: {"params": plan.config.voxels, "block": plan.config.terrain.block},
@@ -263,7 +263,7 @@ FILL_PROFILES = Stage(
     1,
     "block",
     "echo",
-    profile_block,
+    fill_profiles,
     when=lambda plan: plan.config.profile.write,
     parts=_blocks,
     arguments=lambda plan: {

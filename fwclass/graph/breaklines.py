@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
+from fwclass.graph.shape_files import read_as, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.graph.water import Points, read_as, source_of
+from fwclass.graph.water import Points
 from fwclass.grid import Box, quantise
 from fwclass.read.polygons import open_polygons, read_lines, reproject
 from fwclass.run.part import Name
@@ -17,7 +18,7 @@ BREAKLINES = "breaklines"
 FILE = "knots"
 
 
-def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Result:
+def read_breaklines(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Result:
     """Places every `step` [m] at most along the lines, with heights between those of their points."""
     path = here.file()
     shapes, z = read_lines(open_polygons(path, layer))
@@ -51,7 +52,7 @@ READ_BREAKLINES = Stage(
     1,
     "survey",
     "part",
-    breaklines_read,
+    read_breaklines,
     when=_is_wanted,
     arguments=lambda plan: {**read_as(plan.survey.breaklines, plan.survey.crs), "step": plan.config.terrain.thin},
     source=lambda plan, part: source_of(plan.survey.breaklines),

@@ -14,8 +14,8 @@ from fwclass.errors import InputError
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, find_files
 from fwclass.graph.layout import PolygonFile
+from fwclass.graph.shape_files import source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.graph.water import source_of
 from fwclass.grid import Box, TileGrid
 from fwclass.quality.check_points import facts_of, ground_heights
 from fwclass.read.text import read_text

@@ -13,7 +13,7 @@ from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.errors import InputError
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping, source_of
+from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument, source_classes
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -106,7 +106,7 @@ def classify_thinned_tile(
     near = np.searchsorted(rows, chunk.core)
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
-    table = with_kept(answer.take(near), source_of(here, kept), kept)
+    table = with_kept(answer.take(near), source_classes(here, kept), kept)
     facts = {"codes": codes_of(table), "filled": count_filled(X, used), "asked": int(own.sum())}
     return table, facts | outside_facts(outside)
 
@@ -125,7 +125,7 @@ def codes_of(table: Table) -> dict[str, int]:
 def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
     arguments = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
-    return {**arguments, **keeping(plan)}
+    return {**arguments, **kept_argument(plan)}
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:

@@ -14,6 +14,7 @@ from fwclass.contours.join import ContourLines, Pieces, join_lines
 from fwclass.contours.lines import lines
 from fwclass.contours.params import ContourParams
 from fwclass.contours.smooth import margin, smooth_terrain
+from fwclass.errors import first_few
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import crs_of
 from fwclass.graph.rasters import Mosaic
@@ -101,9 +102,9 @@ def _of_coarse(blocks: Sequence[str], params: ContourParams) -> list[str]:
     """What a user should know of blocks with too many lines."""
     if not blocks:
         return []
-    some = ", ".join(blocks[:NAMED]) + (f" and {len(blocks) - NAMED} more" if len(blocks) > NAMED else "")
     return [
-        f"contours every {params.interval:g} m are too many in {len(blocks)} terrain blocks ({some}), as on broken "
+        f"contours every {params.interval:g} m are too many in {len(blocks)} terrain blocks "
+        f"({first_few(blocks, NAMED)}), as on broken "
         "land: index contours alone are drawn there, and other lines end at their edges. Choose a larger "
         "contours.interval or contours.smooth"
     ]

@@ -29,13 +29,13 @@ ALL = "all"
 _ROUNDING = 0.001
 
 
-def echo_labels_read(here: StageInputs, size: float, reach: float, margin: float, field: str) -> Result:
+def cut_echo_labels(here: StageInputs, size: float, reach: float, margin: float, field: str) -> Result:
     """Labels of a file that are not taken back, cut by the tiles of `size` that an echo of theirs may lie in."""
     labels = read_echo_labels(here.file(), here.file(), field).standing()
     return _cut(here, labels, labels.code, size, reach, margin)
 
 
-def corrections_read(
+def cut_corrections(
     here: StageInputs, size: float, reach: float, margin: float, classes: tuple[ClassDef, ...]
 ) -> Result:
     """Corrections that are not taken back, cut by the tiles of `size` that lie within `margin` of them [m]."""
@@ -204,7 +204,7 @@ READ_ECHO_LABELS = Stage(
     1,
     "file",
     "part",
-    echo_labels_read,
+    cut_echo_labels,
     when=lambda plan: plan.config.survey.reference.kind == "echoes",
     parts=lambda plan: [_File(f"{number:03d}", *file) for number, file in enumerate(plan.survey.echo_labels)],
     arguments=lambda plan: {**_cutting(plan, 0.0), "field": plan.config.survey.reference.field or FIELD},
@@ -215,7 +215,7 @@ READ_CORRECTIONS = Stage(
     1,
     "file",
     "part",
-    corrections_read,
+    cut_corrections,
     when=lambda plan: plan.config.survey.reference.kind != "none",
     parts=_corrections,
     arguments=lambda plan: {**_cutting(plan, _hidden(plan)), "classes": plan.config.classes},

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes
-from fwclass.graph.water import read_shapes
+from fwclass.graph.shape_files import read_shapes
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import NONE, Polygons, owners
 from fwclass.publish.cog import STRIPE

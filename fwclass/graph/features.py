@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import NORMAL, Asked, FeaturesParams, is_feature
-from fwclass.features.stage import FEATURES, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import features_of_some, sampled_columns
 from fwclass.schema import Table
@@ -39,8 +39,8 @@ def tile_table(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:
 
 
 COMPUTE_FEATURES = Stage(
-    FEATURES.name,
-    FEATURES.version,
+    FEATURE_COMPUTATION.name,
+    FEATURE_COMPUTATION.version,
     "tile",
     "echo",
     compute_features,

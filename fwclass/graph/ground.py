@@ -88,10 +88,10 @@ def around_block(here: StageInputs) -> Surroundings:
 def filter_block(here: StageInputs, params: GroundParams) -> Result:
     """Ground and noise flags of a block's echoes, tile after tile."""
     around = around_block(here)
-    return of_flags(around, filter_ground(around.table, params))
+    return flags_of_block(around, filter_ground(around.table, params))
 
 
-def of_flags(around: Surroundings, flags: Flags) -> Result:
+def flags_of_block(around: Surroundings, flags: Flags) -> Result:
     """What a filter says of all echoes around a block, as the block's part: of its own ones alone."""
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
     return table, {
@@ -106,7 +106,7 @@ STACK = "stack"
 """The stage whose echoes, of several pulses together, are ground too."""
 
 
-def terrain_block(here: StageInputs, params: TerrainParams) -> Result:
+def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
     """Terrain rasters of a block, and the heights above ground of its echoes, tile after tile."""
     core = Window.covering(here.tile.box, params.cell)
     around = around_block(here)
@@ -338,7 +338,7 @@ MAKE_TERRAIN = Stage(
     TERRAIN.version,
     "block",
     "echo",
-    terrain_block,
+    make_terrain,
     edge=lambda plan: plan.config.terrain.block,
     margin=1,
     arguments=lambda plan: {"params": plan.config.terrain},

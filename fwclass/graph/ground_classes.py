@@ -12,7 +12,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
-from fwclass.graph.kept import deciding_column, keeping
+from fwclass.graph.kept import deciding_column, kept_argument
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.schema import Table
 
@@ -42,7 +42,7 @@ def without_classifier(config: Config) -> Config:
     return Config(**{**vars(config), **sections})
 
 
-def by_ground(here: StageInputs, kept: Kept | None = None) -> Result:
+def classify_by_ground(here: StageInputs, kept: Kept | None = None) -> Result:
     """Codes of a tile's echoes by the filter's flags: 2 ground, 7 or 18 noise below or above the terrain, 1 the rest.
 
     Noise without a terrain below counts as low. There is no confidence, and no entropy (NaN). `kept` echoes have the
@@ -62,9 +62,9 @@ CLASSIFY_GROUND = Stage(
     1,
     "tile",
     "echo",
-    by_ground,
+    classify_by_ground,
     when=lambda plan: not plan.names,  # a classifier decides by some features
-    arguments=keeping,
+    arguments=kept_argument,
     own=lambda plan: ("ground", "noise", "height_above_ground", *deciding_column(plan)),
     writes=CLASSIFY.writes,
 )

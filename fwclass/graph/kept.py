@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.classes import STANDARD, ClassDef, standard_name
 from fwclass.classify.kept import Kept
+from fwclass.errors import first_few
 from fwclass.graph.stage import Plan, StageInputs
 
 UNNAMED = frozenset({0, 1})
@@ -21,7 +22,7 @@ SHOWN = 6
 NO_SOURCE = np.empty(0, np.uint8)
 
 
-def keeping(plan: Plan) -> Mapping[str, Any]:
+def kept_argument(plan: Plan) -> Mapping[str, Any]:
     """Which echoes stay as they are, for a stage that classifies; nothing where all are classified."""
     kept = Kept.of(plan.config.classify)
     return {"kept": kept} if kept else {}
@@ -32,7 +33,7 @@ def deciding_column(plan: Plan) -> tuple[str, ...]:
     return ("source_class",) if Kept.of(plan.config.classify) else ()
 
 
-def source_of(here: StageInputs, kept: Kept | None) -> NDArray[np.uint8]:
+def source_classes(here: StageInputs, kept: Kept | None) -> NDArray[np.uint8]:
     """The class of the source of every echo of the tile, where any stays."""
     return here.own_rows()["source_class"] if kept else NO_SOURCE
 
@@ -85,5 +86,5 @@ def class_remarks(
 
 def _listing(by_code: Mapping[int, int]) -> str:
     most = sorted(by_code, key=lambda c: (-by_code[c], c))
-    words = [f"{f'{c} {STANDARD[c]}' if c in STANDARD else standard_name(c)}: {by_code[c]:,}" for c in most[:SHOWN]]
-    return ", ".join(words) + (f" and {len(most) - SHOWN} more" if len(most) > SHOWN else "")
+    words = [f"{f'{c} {STANDARD[c]}' if c in STANDARD else standard_name(c)}: {by_code[c]:,}" for c in most]
+    return first_few(words, SHOWN)

@@ -39,7 +39,7 @@ _OF_ECHOES = frozenset({"max_move"})
 """Settings that say nothing of labels of another kind; where there are corrections, it is among what a part gets."""
 
 
-def polygons_read(
+def read_reference_polygons(
     here: StageInputs,
     field: str,
     values: Mapping[str | int, str | int | None],
@@ -189,7 +189,7 @@ READ_POLYGONS = Stage(
     1,
     "file",
     "part",
-    polygons_read,
+    read_reference_polygons,
     when=_of_kind("polygons"),
     parts=lambda plan: [_Polygons(f"{number:03d}", file) for number, file in enumerate(plan.survey.polygons)],
     arguments=_field,

@@ -12,7 +12,7 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.errors import InputError
 from fwclass.features.params import is_feature
-from fwclass.features.stage import FEATURES
+from fwclass.features.stage import FEATURE_COMPUTATION
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.read.quantities import Quantities
 from fwclass.run.part import Name
@@ -169,7 +169,7 @@ def _of_features(name: str) -> str:
     """A feature of a neighbourhood that nobody asked for yet has the stage of those that are."""
     if not is_feature(name):
         raise KeyError(f"no stage writes {name!r}")
-    return FEATURES.name
+    return FEATURE_COMPUTATION.name
 
 
 def plain(params: Any) -> Any:

@@ -14,8 +14,8 @@ from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corrections_here, corrections_of, reach_here
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.machine_search import MACHINE_SEARCH, gather_trials, judge, searches, spatial, trials
-from fwclass.graph.model_fit import computed
+from fwclass.graph.machine_search import MACHINE_SEARCH, folds_of_squares, gather_trials, judge, searches, trials
+from fwclass.graph.model_fit import feature_parameters
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
@@ -76,7 +76,7 @@ def taught_rows(here: StageInputs, table: Table, judging: AreasSection | None, r
     return corrected_training_rows(table, corrections_of(here), judging, reach)
 
 
-def taught_here(plan: Plan, tile: Any) -> Mapping[str, Any]:
+def taught_argument(plan: Plan, tile: Any) -> Mapping[str, Any]:
     """What a stage that draws rows gets besides where echoes of its tile are corrected."""
     return {"judging": plan.config.areas, **reach_here(plan, tile)} if corrections_here(plan, tile) else {}
 
@@ -152,7 +152,7 @@ def deliver_forest(
     if params.importance_repeats:
         parts = [here.inputs.arrays("importance", b, DROPS)[0] for b in here.parts("importance")]
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
-    forest = stamp(train(survey_sample(here.inputs, names), trees, params, classes, lost), computed)
+    forest = with_feature_parameters(train(survey_sample(here.inputs, names), trees, params, classes, lost), computed)
     save_model(here.directory / MODEL, forest)
     return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
 
@@ -168,10 +168,12 @@ def train_baseline(
     gap: float,
 ) -> Result:
     """The classifier that ``train.method`` names where it is no forest, delivered as the run's model."""
-    sample, places = survey_sample(here.inputs, names), spatial(block, gap)
+    sample, places = survey_sample(here.inputs, names), folds_of_squares(block, gap)
     parts = here.parts(MACHINE_SEARCH)
     search = gather_trials(here.inputs, parts, sample, compare.rbf_svm, places) if parts else None
-    model: Model = stamp(train_other(sample, params, compare, classes, params.method, places, search), computed)
+    model: Model = with_feature_parameters(
+        train_other(sample, params, compare, classes, params.method, places, search), computed
+    )
     save_model(here.directory / MODEL, model)
     return {"card": dict(model.card), "trees": None}
 
@@ -188,12 +190,12 @@ def try_machine(
     trial: tuple[float, float, int],
 ) -> Result:
     """How often the machine of one (C, gamma, fold) is right."""
-    sample, places = survey_sample(here.inputs, names), spatial(block, gap)
+    sample, places = survey_sample(here.inputs, names), folds_of_squares(block, gap)
     weights = machine_weights(fewer(sample, machine.max_rows, places.edge), params, classes)
     return judge(here, sample, trial, machine, scaling, weights, places)
 
 
-def stamp(model: Any, computed: Mapping[str, Any]) -> Any:
+def with_feature_parameters(model: Any, computed: Mapping[str, Any]) -> Any:
     """`model` with what its features were computed with in its card."""
     return replace(model, card={**model.card, "computed": dict(computed)})
 
@@ -225,16 +227,16 @@ def _batches(plan: Plan) -> list[_Batch]:
     return [_Batch(f"{k:05d}", min(TREES_PER_PART, trees - k)) for k in range(0, trees, TREES_PER_PART)]
 
 
-def growing(plan: Plan) -> Mapping[str, Any]:
+def learning_arguments(plan: Plan) -> Mapping[str, Any]:
     """Arguments that all stages that learn share."""
     config = plan.config
     return {"names": config.features_asked, "params": config.train, "classes": config.classes}
 
 
 def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
-    """What the values of the features `names` depend on (`computed`)."""
+    """What the values of the features `names` depend on (`feature_parameters`)."""
     config = plan.config
-    return computed(names, config.features, config.ground.method, plan.layout.quantities)
+    return feature_parameters(names, config.features, config.ground.method, plan.layout.quantities)
 
 
 def _feature_settings(plan: Plan) -> Mapping[str, Any]:
@@ -257,8 +259,8 @@ DRAW_SAMPLE = Stage(
     draw_tile,
     when=trains,
     parts=training_tiles,
-    arguments=lambda plan: {**growing(plan), "areas": plan.config.areas.boxes("train")},
-    each=taught_here,
+    arguments=lambda plan: {**learning_arguments(plan), "areas": plan.config.areas.boxes("train")},
+    each=taught_argument,
     silent=NOT_OF_THE_SAMPLE,
     own=lambda plan: (*IDENTITY_AND_PLACE, "z", *plan.config.features_asked, *sampled_columns(plan), "reference"),
     after=(CORRECTIONS,),
@@ -272,7 +274,7 @@ MERGE_SAMPLE = Stage(
     "row",
     merge_samples,
     when=trains,
-    arguments=growing,
+    arguments=learning_arguments,
     silent=NOT_OF_THE_SAMPLE,
     after=("sample",),
     needs=lambda plan, part: [(TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)],
@@ -285,7 +287,7 @@ GROW_TREES = Stage(
     grow_part,
     when=forest_learns,
     parts=_batches,
-    arguments=growing,
+    arguments=learning_arguments,
     silent=_NOT_OF_A_TREE,
     each=lambda plan, batch: {"count": batch.count},
     after=("training",),
@@ -317,7 +319,7 @@ TRAIN_FOREST = Stage(
     deliver_forest,
     when=lambda plan: _one_layer(plan) and forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {**growing(plan), "computed": _feature_settings(plan)},
+    arguments=lambda plan: {**learning_arguments(plan), "computed": _feature_settings(plan)},
     after=("training", "trees", "importance"),
     needs=lambda plan, part: [
         ("training", "all"),
@@ -335,7 +337,7 @@ TRY_MACHINES = Stage(
     when=lambda plan: trains(plan) and searches(plan),
     parts=trials,
     arguments=lambda plan: {
-        **growing(plan),
+        **learning_arguments(plan),
         "machine": plan.config.compare.rbf_svm,
         "scaling": plan.config.compare.scaling,
         **_squares(plan),
@@ -354,7 +356,7 @@ TRAIN_BASELINE = Stage(
     when=lambda plan: _one_layer(plan) and not forest_learns(plan),
     parts=lambda plan: ("model",),
     arguments=lambda plan: {
-        **growing(plan),
+        **learning_arguments(plan),
         "compare": plan.config.compare,
         "computed": _feature_settings(plan),
         **_squares(plan),

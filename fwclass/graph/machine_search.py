@@ -39,7 +39,7 @@ def searches(plan: Plan) -> bool:
     return plan.config.train.method == "rbf-svm" and len(pairs_of(plan.config.compare.rbf_svm)) > 1
 
 
-def spatial(block: float, gap: float) -> Places:
+def folds_of_squares(block: float, gap: float) -> Places:
     """Squares of `block` [m], folds of which lie `gap` [m] apart."""
     return Places(block, partial(make_folds, block, gap))
 

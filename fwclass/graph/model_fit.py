@@ -14,7 +14,7 @@ from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.quantities import Quantities
 
 
-def computed(
+def feature_parameters(
     names: Iterable[str], params: FeaturesParams, ground: str | None = None, quantities: Quantities | None = None
 ) -> dict[str, Any]:
     """Of the section `features` what the values of `names` depend on, besides their own scales; plain data.
@@ -42,7 +42,7 @@ def computed(
 
 def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
     """`ConfigError` if the model learned from features that were computed in another way."""
-    ours = computed(model.features, params)
+    ours = feature_parameters(model.features, params)
     theirs = model.card.get("computed", {})
     for name, value in ours.items():
         if name not in theirs or theirs[name] != value:

@@ -16,7 +16,7 @@ _COUNTED = "strip_#"
 """Files named like this are numbered just as they say: strip_07 is strip 7."""
 
 
-def numbers(names: Iterable[str]) -> dict[str, int]:
+def assign_numbers(names: Iterable[str]) -> dict[str, int]:
     """A number of its own for every name, in [0, 65521).
 
     Names that differ only in their digits follow each other as the digits do (line_1203 comes right after line_1202).

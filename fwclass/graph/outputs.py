@@ -13,7 +13,7 @@ from pyproj import CRS
 from fwclass.classify.kept import Kept
 from fwclass.errors import StoreError
 from fwclass.graph.classify import classes_written
-from fwclass.graph.kept import deciding_column, keeping, kept_names
+from fwclass.graph.kept import deciding_column, kept_argument, kept_names
 from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
@@ -225,7 +225,7 @@ DELIVER_STRIP = Stage(
     "point",
     deliver_strip,
     parts=_strips,
-    arguments=lambda plan: {"params": plan.config.publish, **keeping(plan)},
+    arguments=lambda plan: {"params": plan.config.publish, **kept_argument(plan)},
     each=_legacy_codes,
     silent=NO_BYTE,
     after=("read", "decompose", "classify", "tile"),

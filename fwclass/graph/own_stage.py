@@ -16,7 +16,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import ConfigError, InputError
 from fwclass.features.params import MAX_REACH
 from fwclass.graph.classify import CLASSIFY_ECHOES
-from fwclass.graph.ground import FILTER_GROUND, around_block, of_flags
+from fwclass.graph.ground import FILTER_GROUND, around_block, flags_of_block
 from fwclass.graph.stage import Result, Stage, StageInputs, always, plain_values
 from fwclass.ground.filters import Flags
 from fwclass.schema import Column, Table, column
@@ -233,7 +233,7 @@ class OfBlock(Adapter):
                 ", ".join(f"{f.dtype} {f.shape}" for f in flags) or type(answer).__name__,
                 "return ground, noise",
             )
-        return of_flags(around, Flags(*flags))
+        return flags_of_block(around, Flags(*flags))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
-from fwclass.errors import QualityError
+from fwclass.errors import QualityError, first_few
 from fwclass.read import beam_source, pls_waves
 from fwclass.units import METRES_PER_NS
 
@@ -50,7 +50,7 @@ def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     return {name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}
 
 
-def of_strip(
+def strip_plausibility(
     name: str,
     returns: int,
     counts: Mapping[str, int],
@@ -81,8 +81,8 @@ def of_strip(
     }
 
 
-def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
-    """What is worth telling of `of_strip`s, in words; one line for each kind, whatever the number of strips."""
+def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
+    """What is worth telling of strips (`strip_plausibility`): one line for each kind, whatever their number."""
     lines = []
     if some := [s for s in strips if s["implausible"] > RARE * s["fitted"]]:
         n = {key: sum(s[key] for s in some) for key in ("implausible", "fitted", "below", "weak")}
@@ -241,8 +241,7 @@ def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> No
 
 
 def _names(strips: Sequence[Mapping[str, Any]]) -> str:
-    names = [str(s["name"]) for s in strips]
-    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    return first_few([str(s["name"]) for s in strips], NAMED)
 
 
 def _percent(share: float) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.publish.waveplot import ReceiverPicture, draw_pulse, draw_receiver
+from fwclass.publish.waveform_pictures import ReceiverPicture, draw_pulse, draw_receiver
 
 LEAST_REACH = 25.0
 """Time after the peak that is shown at least [ns]: ringing comes late."""

@@ -17,9 +17,9 @@ from fwclass.graph.coverage import area_coverage, read_area
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
+from fwclass.graph.shape_files import source_of
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Result, Stage, StageInputs
-from fwclass.graph.water import source_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
@@ -46,7 +46,7 @@ FACTS, PAGE, POLYGONS = "quality.json", "quality.html", "quality.gpkg"
 PIECES = tuple(Pieces.__dataclass_fields__)
 
 
-def quality_of_block(here: StageInputs, params: QualityParams) -> Result:
+def measure_quality(here: StageInputs, params: QualityParams) -> Result:
     """Counts by cell, pieces of strips and pairs of planes of one block."""
     box = here.tile.box
     quality = block_quality(here.inputs.inside(box, here.tile_size, here.columns, here.present), box, params)
@@ -233,7 +233,7 @@ MEASURE_QUALITY = Stage(
     1,
     "block",
     "echo",
-    quality_of_block,
+    measure_quality,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.quality},
     silent=THRESHOLDS | {"strips", "check_points", "area"},

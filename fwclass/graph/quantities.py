@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, first_few
 from fwclass.features.params import Asked, is_feature
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.quantities import FITTED, READ, UNITS, WORDS, Quantities
@@ -22,14 +22,14 @@ def quantities_by_feature(names: Iterable[str], quantities: Quantities) -> By:
     """For a model's card: the quantity that every one of its features is made of; features of neither are left out."""
     by_feature: By = {}
     for name in names:
-        kind = depends(name)
+        kind = quantity_of_feature(name)
         if kind:
             quantity = str(getattr(quantities, kind))
             by_feature[name] = {"of": kind, "quantity": quantity, "unit": UNITS[quantity]}
     return by_feature
 
 
-def depends(name: str) -> str:
+def quantity_of_feature(name: str) -> str:
     """``amplitude``, ``width`` or "": what a feature or column is made of."""
     reads = Asked.of([name]).reads if is_feature(name) else (name,)
     if any(column in _AMPLITUDE for column in reads):
@@ -37,15 +37,15 @@ def depends(name: str) -> str:
     return "width" if any(column in _WIDTH for column in reads) else ""
 
 
-def joint(files: Mapping[str, Quantities], names: Iterable[str], where: object) -> Quantities:
+def joint_quantities(files: Mapping[str, Quantities], names: Iterable[str], where: object) -> Quantities:
     """What the amplitudes and widths of a survey's files are; `ConfigError` where amplitudes differ and one of the
     features `names` is made of them. Where none is, those of the first file."""
     first, quantities = next(iter(files.items()))
-    hang = [n for n in names if depends(n) == "amplitude"]
+    hang = [n for n in names if quantity_of_feature(n) == "amplitude"]
     other = next((f for f, q in files.items() if q.amplitude != quantities.amplitude), None)
     if hang and other is not None:
         raise ConfigError(
-            f"the files have different kinds of amplitudes, and {_few(hang)} would mix them",
+            f"the files have different kinds of amplitudes, and {first_few(hang, _LISTED)} would mix them",
             where=where,
             expected="one kind in all files",
             got=f"{first}: {WORDS[quantities.amplitude]}; {other}: {WORDS[files[other].amplitude]}",
@@ -62,13 +62,13 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
     """
     learned: Any = card.get("computed", {}).get("quantities")
     if not isinstance(learned, Mapping):
-        hang = [n for n in card["features"] if depends(n)]
+        hang = [n for n in card["features"] if quantity_of_feature(n)]
         if not hang or not files:
             return []
         kinds = sorted({WORDS[q.amplitude] for q in files.values()})
         return [
-            f"the model's card does not say which quantity {_few(hang)} {_are(hang)} made of; here amplitudes are "
-            f"{' and '.join(kinds)}: train it again to be sure"
+            f"the model's card does not say which quantity {first_few(hang, _LISTED)} {_are(hang)} made of; "
+            f"here amplitudes are {' and '.join(kinds)}: train it again to be sure"
         ]
     notes = []
     for kind in ("amplitude", "width"):
@@ -85,15 +85,11 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
             raise ConfigError(
                 f"the model learned from another {'amplitude' if kind == 'amplitude' else 'echo width'}",
                 where=where,
-                expected=f"{WORDS.get(theirs, theirs)}, which {_few(other)} {_are(other)} made of",
+                expected=f"{WORDS.get(theirs, theirs)}, which {first_few(other, _LISTED)} {_are(other)} made of",
                 got=f"{name}: {WORDS[got]}",
                 do="use a model that was trained on such data, or train one without these features",
             )
     return list(dict.fromkeys(notes))
-
-
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
 
 
 def _are(names: list[str]) -> str:

@@ -69,7 +69,7 @@ def check_altitude(layout: Layout) -> None:
         )
 
 
-def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Result:
+def read_flight(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Result:
     """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
     path = here.file()
     table = in_survey_time(thin_trajectory(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
@@ -87,7 +87,7 @@ def flown_by(plan: Plan, receipts: Mapping[Name, Receipt]) -> Flown:
     return known
 
 
-def pointing(here: StageInputs, params: RadiometryParams) -> Result:
+def check_trajectories(here: StageInputs, params: RadiometryParams) -> Result:
     """Refuses a trajectory that the beams of some tiles do not come from."""
     echoes = Table.concat([here.inputs.table("tile", key, _POINTING) for key in here.parts("tile")])
     flights = here.parts("trajectory")
@@ -200,7 +200,7 @@ READ_TRAJECTORY = Stage(
     3,
     "file",
     "part",
-    flown,
+    read_flight,
     when=lambda plan: bool(plan.config.survey.trajectory.files),
     parts=lambda plan: [_Flight(path.stem, path, digests) for path, digests in plan.survey.trajectory],
     after=("tile",),
@@ -216,7 +216,7 @@ CHECK_POINTING = Stage(
     1,
     "survey",
     "part",
-    pointing,
+    check_trajectories,
     when=lambda plan: bool(plan.config.survey.trajectory.files) if plan.tiled is None else plan.pointing,
     arguments=_params,
     after=("tile", "trajectory"),

@@ -30,7 +30,7 @@ from fwclass.publish.shade import hillshade, slope
 from fwclass.run.inputs import PartInputs
 
 
-def class_block(here: StageInputs, params: PublishParams) -> Result:
+def map_classes(here: StageInputs, params: PublishParams) -> Result:
     """Class and confidence of the highest echo, and the echoes, of every cell of one block of the fixed grid."""
     window = Window.covering(here.tile.box, params.class_cell)
     points = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
@@ -201,7 +201,7 @@ MAP_CLASSES = Stage(
     2,
     "block",
     "cell",
-    class_block,
+    map_classes,
     parts=lambda plan: terrain_blocks(plan.layout),
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.publish},

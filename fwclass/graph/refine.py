@@ -16,13 +16,13 @@ from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
-from fwclass.features.stage import FEATURES, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
 from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping
+from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument
 from fwclass.graph.learn import (
     MODEL,
     NOT_OF_THE_SAMPLE,
@@ -33,12 +33,12 @@ from fwclass.graph.learn import (
     load_sample,
     parameters_of,
     places,
-    stamp,
-    taught_here,
+    taught_argument,
     taught_rows,
     trains,
+    with_feature_parameters,
 )
-from fwclass.graph.machine_search import spatial
+from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import RangeCounter
@@ -170,7 +170,7 @@ def train_fine(
     fine: Any = fit_layer(sample, params, compare, classes, block, gap)
     if without:
         fine.card["notes"].append(f"no training row has a value of {', '.join(without)}: left out")
-    fine = stamp(fine, computed)
+    fine = with_feature_parameters(fine, computed)
     card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
     both = TwoLayer(coarse, fine, {**card, "kind": TwoLayer.kind, "refine": refine.model_dump(mode="json")})
     both.check("a newly trained model")
@@ -191,12 +191,12 @@ def fit_layer(
 ) -> Any:
     """A classifier of any kind, by ``train.method``."""
     if params.method != "forest":
-        return train_other(sample, params, compare, classes, params.method, spatial(block, gap))
+        return train_other(sample, params, compare, classes, params.method, folds_of_squares(block, gap))
     review(sample, classes)
     return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
 
 
-def both_answered(
+def classify_refined(
     here: StageInputs,
     layer: FineLayer,
     names: tuple[str, ...],
@@ -276,7 +276,7 @@ ANSWER_COARSE = Stage(
 )
 DRAW_BOUNDARY = Stage(
     DRAWN,
-    1000 * FEATURES.version + TRAIN_SAMPLE.version,
+    1000 * FEATURE_COMPUTATION.version + TRAIN_SAMPLE.version,
     "tile",
     "echo",
     draw_fine_tile,
@@ -289,7 +289,7 @@ DRAW_BOUNDARY = Stage(
         "classes": _pair(plan),
         **_drawing_arguments(plan),
     },
-    each=taught_here,
+    each=taught_argument,
     silent=NOT_OF_THE_SAMPLE | {"also"},
     reads=_wide_reads,
     own=lambda plan: (
@@ -338,7 +338,7 @@ TRAIN_FINE = Stage(
 )
 WIDEN_BOUNDARY = Stage(
     REFINE.name,
-    1000 * FEATURES.version + REFINE.version,
+    1000 * FEATURE_COMPUTATION.version + REFINE.version,
     "tile",
     "echo",
     widen_features,
@@ -355,14 +355,14 @@ CLASSIFY_REFINED = Stage(
     CLASSIFY.version,
     "tile",
     "echo",
-    both_answered,
+    classify_refined,
     when=_has,
     arguments=lambda plan: {
         "layer": _layer(plan),
         "names": plan.names,
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
-        **keeping(plan),
+        **kept_argument(plan),
     },
     own=lambda plan: (
         *deciding_column(plan),

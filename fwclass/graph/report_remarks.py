@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.errors import visible
+from fwclass.errors import first_few, visible
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.contours import DELIVER_CONTOURS
@@ -43,8 +43,7 @@ def remarks_on_crowds(runner: Runner, config: Config) -> list[str]:
 def remarks_on_empty_files(files: Mapping[str, Any]) -> list[str]:
     """That source files have nothing in them."""
     names = [visible(f["path"]) for f in files["files"] if f["points"] == 0 and not f["pulses"]]
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return [f"files without any point: {', '.join(names[:SHOWN])}{more}"] if names else []
+    return [f"files without any point: {first_few(names, SHOWN)}"] if names else []
 
 
 def remarks_of_parts(runner: Runner) -> list[str]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from fwclass.errors import first_few
 from fwclass.store.url import Url
 
 SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
@@ -27,8 +28,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     balance = "all of them in tiles" if decomposed == in_tiles else f"{in_tiles:,} of them in the tiles of this run"
     lost = sorted({f["part"] for f in report["failed"] if f["stage"] in SOURCES})
     if lost:
-        more = f" and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
-        balance += f", without those of chunks that failed: {', '.join(lost[:SHOWN])}{more}"
+        balance += f", without those of chunks that failed: {first_few(lost, SHOWN)}"
     source = f"{counts['pulses']:,} pulses" if counts["pulses"] else f"{counts['returns']:,} returns"
     rows = [f"echoes      {decomposed:,} from {source}, {balance} ({counts['tiles']} tiles)"]
     if counts["returns_without_packet"]:

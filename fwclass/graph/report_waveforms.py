@@ -11,7 +11,7 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.decompose.plausible import add_counts
 from fwclass.graph.layout import Survey
-from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
+from fwclass.graph.plausibility import UNREADABLE, plausibility_remarks, receiver_facts, strip_plausibility
 from fwclass.graph.report_facts import receipts_of_run
 from fwclass.graph.sources import waveforms_of
 from fwclass.run.inputs import PartInputs
@@ -64,7 +64,7 @@ def plausibility_of_run(runner: Runner, survey: Survey, config: Config) -> dict[
         faults.setdefault(part, Counter()).update(receipt.meta["faults"])
     parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
     strips = [
-        of_strip(
+        strip_plausibility(
             name,
             returns[part],
             add_counts(counts[part]),
@@ -78,7 +78,11 @@ def plausibility_of_run(runner: Runner, survey: Survey, config: Config) -> dict[
     ]
     if not strips:
         return None
-    return {"strips": strips, "remarks": remarks(strips, config.decompose), "accepted": config.plausibility.accept}
+    return {
+        "strips": strips,
+        "remarks": plausibility_remarks(strips, config.decompose),
+        "accepted": config.plausibility.accept,
+    }
 
 
 def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:

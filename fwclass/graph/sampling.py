@@ -29,7 +29,7 @@ from fwclass.store.receipts import Receipt
 LABELS, SAMPLES = "label-counts", "sample-counts"
 
 
-def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...], reach: float = 0.0) -> Result:
+def count_labels(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...], reach: float = 0.0) -> Result:
     """How many of a tile's echoes are labelled as what, and where they lie."""
     table, train = here.rows(), areas.boxes("train")
     if not here.parts(CORRECTIONS):
@@ -39,7 +39,7 @@ def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassD
     return census(table, untaught_rows(table, corrections, areas, reach), train, classes, corrected)
 
 
-def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Result:
+def count_samples(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Result:
     """How many of a tile's echoes are in the survey's sample."""
     table = here.rows()
     arrays, _ = here.inputs.arrays("training", "all", SAMPLE, ("key",))
@@ -78,7 +78,7 @@ COUNT_LABELS = Stage(
     1,
     "tile",
     "echo",
-    labels_counted,
+    count_labels,
     when=_counts_labels,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
     each=reach_around,
@@ -92,7 +92,7 @@ COUNT_SAMPLES = Stage(
     1,
     "tile",
     "echo",
-    samples_counted,
+    count_samples,
     when=_counts_labels,
     parts=training_tiles,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},

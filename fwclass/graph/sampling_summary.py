@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.grid import TileGrid
-from fwclass.label.census import remarks, total, total_training
+from fwclass.label.census import label_remarks, total, total_training
 from fwclass.store.receipts import Receipt
 
 
@@ -36,7 +36,7 @@ def sampling(
     rows = total_training((r.meta for r in drawn), len(train), len(classes)) if drawn else None
     by_tile = {r.part: r.meta for r in drawn}
     ambiguous = sum(int(r.meta.get("ambiguous", 0)) for r in labelled)
-    notes = remarks(whole, rows, by_tile, classes, train, test, config.areas.gap)
+    notes = label_remarks(whole, rows, by_tile, classes, train, test, config.areas.gap)
     drawn_by_class = rows["train"] if rows else [0] * len(classes)
     drawn_by_box = rows["boxes"] if rows else [[0] * len(classes) for _ in train]
     corrected = _corrections(corrections, labelled)

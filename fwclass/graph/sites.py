@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from fwclass.errors import first_few
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.layout import Layout, Strip
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
@@ -80,10 +81,9 @@ def describe_sites(several: Sequence[Site], strips: Sequence[Strip], in_strip: M
     for site in sorted(several, key=lambda s: (len(s.tiles), s.name))[:NAMED]:
         keys = {t.key for t in site.tiles}
         files = [s.path.name for s in strips if not keys.isdisjoint(in_strip.get(s.number, ()))]
-        more = f" and {len(files) - NAMED} more" if len(files) > NAMED else ""
         x0, y0, x1, y1 = site.box.bounds
         lines.append(
             f"  rasters/{site.name}: {len(keys):,} tile{'s' if len(keys) > 1 else ''}, x {x0:.2f} to {x1:.2f}, "
-            f"y {y0:.2f} to {y1:.2f}, echoes of {', '.join(files[:NAMED])}{more}"
+            f"y {y0:.2f} to {y1:.2f}, echoes of {first_few(files, NAMED)}"
         )
     return "\n".join(lines)

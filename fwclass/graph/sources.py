@@ -94,7 +94,7 @@ def _file(plan: Plan, part: Strip | StripSpan) -> tuple[Location, FileDigests]:
     return strip.path, strip.digests
 
 
-def index(here: StageInputs, params: ReadParams) -> Result:
+def index_strip(here: StageInputs, params: ReadParams) -> Result:
     """Cut a source file into spans that no pulse straddles."""
     source = open_source(here.file())
     spans = index_source(source, params)
@@ -257,7 +257,7 @@ INDEX = Stage(
     3,
     "strip",
     "point",
-    index,
+    index_strip,
     parts=lambda plan: plan.survey.strips,
     source=_file,
     arguments=lambda plan: {"params": plan.config.read},

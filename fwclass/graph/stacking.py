@@ -28,7 +28,7 @@ ASIDE = 60.0
 """How far from their echoes pulses may meet the terrain [m]: 100 m below at 30 degrees."""
 
 
-def first_terrain_block(here: StageInputs, params: TerrainParams) -> Result:
+def make_first_terrain(here: StageInputs, params: TerrainParams) -> Result:
     """The terrain of a block as single pulses show it."""
     core = Window.covering(here.tile.box, params.cell)
     t = around_block(here).table
@@ -121,7 +121,7 @@ MAKE_FIRST_TERRAIN = Stage(
     TERRAIN.version,
     "block",
     "echo",
-    first_terrain_block,
+    make_first_terrain,
     when=_is_enabled,
     parts=lambda plan: terrain_blocks(plan.layout),
     arguments=lambda plan: {"params": plan.config.terrain},

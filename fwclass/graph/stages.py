@@ -81,7 +81,8 @@ TO_TILES = (
     TILE_REFERENCE,
     READ_TRAJECTORY,
 )
-"""From files to tiles: each of these is planned by what the ones before it found."""
+"""From files to tiles: each of these is planned by what the ones before it found, so `walk.until_tiles` names them one
+by one."""
 OF_GROUND = (
     FILTER_GROUND,
     GATHER_GROUND,

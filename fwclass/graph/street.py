@@ -52,7 +52,7 @@ def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
     return list(dict.fromkeys(paths))
 
 
-def computed(params: StreetParams) -> dict[str, Any]:
+def feature_parameters(params: StreetParams) -> dict[str, Any]:
     """What the values of the features depend on; plain data for a model's card."""
     return {
         "street": {
@@ -229,7 +229,7 @@ def fit_model(
         model: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
     else:
         model = train_other(sample, train, compare, classes, train.method)
-    return replace(model, card={**model.card, "computed": computed(params)})
+    return replace(model, card={**model.card, "computed": feature_parameters(params)})
 
 
 def judge_answers(

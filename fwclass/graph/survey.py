@@ -20,7 +20,7 @@ from fwclass.graph.check_points import check_point_file
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
-from fwclass.graph.numbering import numbers
+from fwclass.graph.numbering import assign_numbers
 from fwclass.graph.reference import (
     area_file,
     breakline_file,
@@ -146,7 +146,7 @@ def gather(config: Config, runner: Runner) -> Survey:
             do="check the delivery; there is nothing to classify",
         )
     user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
-    numbered = numbers(s.path.stem for s in opened)
+    numbered = assign_numbers(s.path.stem for s in opened)
     bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
     for source in full:
         own, ends = user_crs or system_of(source), bounds[source.path]

@@ -11,7 +11,7 @@ import numpy as np
 
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.layout import FileDigests
-from fwclass.graph.numbering import numbers
+from fwclass.graph.numbering import assign_numbers
 from fwclass.graph.sources import chunk_name, spans_of, strip_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import TileGrid, quantise
@@ -46,7 +46,7 @@ class CloudPiece:
 
 def _pieces(plan: Plan) -> list[CloudPiece]:
     listed = plan.survey.reference
-    numbered = numbers(path.name for path, _, _ in listed)
+    numbered = assign_numbers(path.name for path, _, _ in listed)
     return [
         CloudPiece(chunk_name(numbered[path.name], k), path, digests, first, min(points, first + CLOUD_ROWS))
         for path, digests, points in listed
@@ -85,7 +85,7 @@ def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
     return {strip: tuple(sorted(keys)) for strip, keys in tiles.items()}
 
 
-def scatter(here: StageInputs, params: TileParams) -> Result:
+def split_echoes(here: StageInputs, params: TileParams) -> Result:
     """Echoes of a chunk in tile order, one row group a tile; tells how many the source has of every class."""
     echoes = here.inputs.table("decompose", here.part)
     codes, counts = np.unique(echoes["source_class"], return_counts=True)
@@ -102,7 +102,7 @@ def source_codes(splits: Mapping[Name, Receipt]) -> Counter[int]:
     return counted
 
 
-def scatter_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Result:
+def split_reference(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Result:
     """Reference points of part of a file, in tile order."""
     cloud = read_cloud(here.file(), *rows)
     return _write_split(here, cloud.with_columns({n: quantise(cloud[n]) for n in "xyz"}), params)
@@ -124,7 +124,7 @@ def _fragments(here: StageInputs, stage: str) -> list[Table]:
     return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
 
 
-def gather_tile(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Result:
+def tile_echoes(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Result:
     """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them."""
     table = assemble(_fragments(here, "split"), f"tile {here.part}")
     return table, {
@@ -162,7 +162,7 @@ def max_of(values: Any) -> float:
     return float(values.max())
 
 
-def gather_cloud(here: StageInputs, params: TileParams) -> Result:
+def tile_reference(here: StageInputs, params: TileParams) -> Result:
     """A tile's reference points."""
     table = assemble_points(_fragments(here, "reference-split"))
     return table, {"rows": table.rows}
@@ -185,7 +185,7 @@ SPLIT_ECHOES = Stage(
     SPLIT.version,
     "chunk",
     "pulse",
-    scatter,
+    split_echoes,
     parts=lambda plan: [span for strip in plan.survey.strips for span in spans_of(plan, strip)],
     arguments=_sizes,
     after=("decompose",),
@@ -196,7 +196,7 @@ SPLIT_REFERENCE = Stage(
     SPLIT.version,
     "file",
     "reference",
-    scatter_cloud,
+    split_reference,
     when=_has_cloud,
     parts=_pieces,
     arguments=_sizes,
@@ -208,7 +208,7 @@ TILE_ECHOES = Stage(
     TILE.version,
     "tile",
     "echo",
-    gather_tile,
+    tile_echoes,
     parts=_cut("split"),
     arguments=lambda plan: {"params": plan.config.tile, "blocks": _blocks(plan)},
     after=("split",),
@@ -222,7 +222,7 @@ TILE_REFERENCE = Stage(
     REFERENCE.version,
     "tile",
     "reference",
-    gather_cloud,
+    tile_reference,
     when=_has_cloud,
     parts=_cut("reference-split"),
     arguments=_sizes,

@@ -57,7 +57,7 @@ def choose_cell(here: StageInputs, params: VectorParams) -> Result:
     return {"density": density, "cell": cell_of(density, params), "sparse": density < params.sparse}
 
 
-def building_block(here: StageInputs, params: VectorParams) -> Result:
+def find_buildings(here: StageInputs, params: VectorParams) -> Result:
     """The buildings that lie in one block, and the cells of those that may go on beyond its edge."""
     cell = here.inputs.meta(CELL, "all")["cell"]
     core = owned(here.tile, cell)
@@ -70,7 +70,7 @@ def building_block(here: StageInputs, params: VectorParams) -> Result:
     return {"buildings": shapes.rows.rows, "beyond": beyond.rows}
 
 
-def tree_block(here: StageInputs, params: VectorParams) -> Result:
+def find_trees(here: StageInputs, params: VectorParams) -> Result:
     """The trees whose tops lie in one block."""
     cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
     core = owned(here.tile, cell)
@@ -253,7 +253,7 @@ FIND_BUILDINGS = Stage(
     1,
     "block",
     "echo",
-    building_block,
+    find_buildings,
     when=lambda plan: "buildings" in vector_layers(plan),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
@@ -267,7 +267,7 @@ FIND_BUILDINGS = Stage(
 FIND_TREES = replace(
     FIND_BUILDINGS,
     name="tree-tops",
-    function=tree_block,
+    function=find_trees,
     when=lambda plan: "trees" in vector_layers(plan),
     halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),
 )

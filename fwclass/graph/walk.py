@@ -16,7 +16,7 @@ from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
 from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.graph.outputs import DELIVER_TILE
-from fwclass.graph.quantities import check_learned, joint
+from fwclass.graph.quantities import check_learned, joint_quantities
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
 from fwclass.graph.reference import check_polygons
 from fwclass.graph.report import write_report
@@ -78,7 +78,7 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     return place, model_digest(path)
 
 
-def deciding(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
+def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
     """A plan that knows the features that decide, and the model that is given; `ConfigError` for what is no feature."""
     config = with_classes(config)
     model = given_model(config)
@@ -99,7 +99,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) ->
     config, plan = plan.config, replace(plan, providers=providers(plan, stages))
     survey = gather(config, runner)
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
-    quantities = joint(survey.quantities, plan.names, f"{config.path}: survey.sources")
+    quantities = joint_quantities(survey.quantities, plan.names, f"{config.path}: survey.sources")
     for note in check_learned(learned, survey.quantities, config.survey.model) if learned else ():
         runner.display.say(f"note: {note}")
     plan = replace(plan, files=survey)
@@ -135,7 +135,7 @@ def tasks_of(plan: Plan, stages: Iterable[Stage]) -> Tasks:
     return Tasks.joined(stage.tasks(plan) for stage in stages)
 
 
-def until_labels(plan: Plan) -> Tasks:
+def tasks_until_labels(plan: Plan) -> Tasks:
     """Tasks of ground, heights, the features that `plan` computes, radiometry; labels where there are."""
     check_altitude(plan.layout)
     return tasks_of(plan, TO_LABELS)

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
-from fwclass.errors import InputError
-from fwclass.formats.wkb import Shapes
-from fwclass.graph.layout import FileDigests, PolygonFile
+from fwclass.errors import InputError, first_few
+from fwclass.graph.shape_files import read_as, read_shapes, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import Polygons, owners
-from fwclass.read.polygons import open_polygons, read_polygons, reproject
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
-from fwclass.store.remote_file import Location
 from fwclass.water.level import Body, level_of
 from fwclass.water.params import WaterParams
 from fwclass.water.shore import Shoreline, nearest_shore, shoreline
@@ -88,7 +83,7 @@ def water_of(here: StageInputs) -> Water | None:
     return Water(Polygons.from_arrays(arrays), arrays["level"], (arrays["knot_x"], arrays["knot_y"], arrays["knot_z"]))
 
 
-def water_read(
+def read_water(
     here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float, stretch: float
 ) -> Result:
     """Polygons of water in whole millimetres of the survey's system, and places every `step` [m] along their shores."""
@@ -110,19 +105,11 @@ def water_read(
     return {"bodies": polygons.parts, "invalid": shapes.invalid}
 
 
-def read_shapes(path: Path, crs: str | None, layer: str, own_crs: str | None) -> Shapes:
-    """Polygons of a file in the survey's system `crs`; `own_crs`: theirs (both WKT, None where nothing is moved)."""
-    shapes = read_polygons(open_polygons(path, layer), None)[1]
-    if own_crs is not None and crs is not None:
-        shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
-    return shapes
-
-
 def _line(arrays: Mapping[str, NDArray]) -> Shoreline:
     return Shoreline(arrays["shore_x"], arrays["shore_y"], arrays["body"], arrays["stretch"])
 
 
-def shore_measured(here: StageInputs, reach: float) -> Result:
+def measure_shore(here: StageInputs, reach: float) -> Result:
     """Ground echoes of a tile within `reach` [m] of a shore: which place of it is nearest, and their heights; and how
     many of those further inside lie at which height, by body."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
@@ -138,7 +125,7 @@ def shore_measured(here: StageInputs, reach: float) -> Result:
     return {"echoes": len(rows), "inside": len(inside)}
 
 
-def water_levelled(here: StageInputs, params: WaterParams) -> Result:
+def level_water(here: StageInputs, params: WaterParams) -> Result:
     """The level of every body of water, those that are level with their shores, and what a user should know."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     tiles = [here.inputs.arrays(SHORE, key, FILE)[0] for key in here.parts(SHORE)]
@@ -179,7 +166,9 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
     pairs = list(zip(facts, bodies, strict=True))
     sloping = [t for t, b in pairs if b.lowest is not None and t["highest"] - t["lowest"] > params.most_spread]
     if sloping:
-        some = _listing([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
+        some = first_few(
+            [f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], NAMED, "; "
+        )
         lines.append(
             f"{len(sloping)} {all_of} are not flattened: the level differs by more than "
             f"water.most_spread ({params.most_spread:g} m) from place to place, as of a river: {some}. Cut them into "
@@ -199,35 +188,20 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
             words = [f"feature {t['feature']} {t['inside_level']:.2f}, shore {t['shore_level']:.2f} m" for t in some_of]
             lines.append(
                 f"{len(some_of)} {all_of}: ground echoes in them lie {'below' if kept else 'above'} the shore by more "
-                f"than water.most_spread ({params.most_spread:g} m), {does}: {_listing(words, '; ')}. Are the polygons "
-                "in their place?"
+                f"than water.most_spread ({params.most_spread:g} m), {does}: {first_few(words, NAMED, '; ')}. "
+                "Are the polygons in their place?"
             )
     few = [str(t["feature"]) for t, b in pairs if b.level is None]
     if few:
         lines.append(
             f"{len(few)} {all_of} are not flattened: fewer than {params.least} ground echoes lie in them or within "
-            f"{params.shore:g} m of their shores (features {_listing(few, ', ')})"
+            f"{params.shore:g} m of their shores (features {first_few(few, NAMED)})"
         )
     return lines
 
 
-def _listing(words: Sequence[str], between: str) -> str:
-    more = f" and {len(words) - NAMED} more" if len(words) > NAMED else ""
-    return between.join(words[:NAMED]) + more
-
-
 def _is_wanted(plan: Plan) -> bool:
     return plan.config.water.file is not None
-
-
-def read_as(file: PolygonFile | None, crs: str | None) -> dict[str, Any]:
-    """The survey's system, and the layer and the system that a file of shapes is read in."""
-    return {"crs": crs, "layer": file.layer if file else "", "own_crs": file.crs if file else None}
-
-
-def source_of(file: PolygonFile | None) -> tuple[Location, FileDigests] | None:
-    """A file of shapes as the source of its part."""
-    return (file.path, file.digests) if file else None
 
 
 def levels_needed(plan: Plan) -> list[Name]:
@@ -240,7 +214,7 @@ READ_WATER = Stage(
     1,
     "survey",
     "part",
-    water_read,
+    read_water,
     when=_is_wanted,
     arguments=lambda plan: {
         **read_as(plan.survey.water, plan.survey.crs),
@@ -254,7 +228,7 @@ MEASURE_SHORE = Stage(
     1,
     "tile",
     "echo",
-    shore_measured,
+    measure_shore,
     when=_is_wanted,
     arguments=lambda plan: {"reach": plan.config.water.shore},
     own=("x", "y", "z", "ground", "noise"),
@@ -266,7 +240,7 @@ LEVEL_WATER = Stage(
     1,
     "survey",
     "part",
-    water_levelled,
+    level_water,
     when=_is_wanted,
     arguments=lambda plan: {"params": plan.config.water},
     silent=frozenset({"file", "layer", "crs", "shore", "stretch"}),  # what is read tells them

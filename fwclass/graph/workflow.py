@@ -13,7 +13,7 @@ from fwclass.graph.area_of_interest import Area
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import LEARNING, STAGES, TO_TILES, check_order, check_reads
 from fwclass.graph.survey import SIMULATE
-from fwclass.graph.walk import deciding, until_report, until_tiles
+from fwclass.graph.walk import plan_with_features, until_report, until_tiles
 from fwclass.run.runner import Runner
 
 Tiles = frozenset[str] | Area | None
@@ -53,7 +53,7 @@ class Workflow:
         config = config if self.settle is None else self.settle(config)
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
-        plan = replace(deciding(config, self.stages), declares=columns)
+        plan = replace(plan_with_features(config, self.stages), declares=columns)
         ours = {id(stage) for stage in STAGES}
         more = check_reads(plan, [stage for stage in self.stages if id(stage) not in ours])
         plan = replace(plan, computed=tuple(dict.fromkeys((*plan.computed, *more))))

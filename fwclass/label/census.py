@@ -129,7 +129,7 @@ def _sum(arrays: Iterable[Any], shape: tuple[int, ...]) -> Any:
     return sums.tolist()
 
 
-def remarks(
+def label_remarks(
     whole: Census,
     rows: Census | None,
     tiles: Mapping[str, Census],

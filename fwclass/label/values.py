@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, first_few
 from fwclass.model import ClassDef, class_index
 
 NO_CODE = -1
@@ -53,13 +53,12 @@ def codes_of(
     table = {text: _code(text, meaning, classes) for text in counts}
     unknown = sorted(text for text, code in table.items() if code is None)
     if unknown:
-        listed = ", ".join(f"{text!r} ({counts[text]} features)" for text in unknown[:SHOWN])
-        more = f" and {len(unknown) - SHOWN} more" if len(unknown) > SHOWN else ""
+        listed = first_few([f"{text!r} ({counts[text]} features)" for text in unknown], SHOWN)
         raise ConfigError(
             "the class field has values that stand for no class",
             where=where,
             expected="codes, or " + ", ".join([c.name for c in classes] + [str(k) for k in meaning]),
-            got=listed + more,
+            got=listed,
             do=f'map each to a code, a class or null: --set "survey.reference.values={{{unknown[0]}: null}}"',
         )
     codes = np.array([NO_CODE if t is None else table[t] for t in texts], np.int16)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.classes import STANDARD
+from fwclass.errors import first_few
 from fwclass.publish.figures import SURE, WRONG
 from fwclass.publish.palette import colours, css
 from fwclass.publish.sections import number, percent
@@ -120,8 +121,7 @@ def survey_rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
             rows.append(("density", f"{place['density']:.1f} echoes per m²"))
     files = (report.get("input") or {}).get("files") or ()
     if files:
-        more = f" and {len(files) - 3} more" if len(files) > 3 else ""
-        rows.append(("input", ", ".join(str(f["path"]) for f in files[:3]) + more))
+        rows.append(("input", first_few([str(f["path"]) for f in files], 3)))
     if model.get("path"):
         rows.append(("model", f"{model['path']}, {len(model.get('features') or ())} features"))
     elif report.get("training"):

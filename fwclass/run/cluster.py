@@ -108,7 +108,7 @@ def _apart(there: dict[str, str]) -> str:
     return ", ".join(changes(fingerprint(), there))
 
 
-def steady() -> None:
+def wait_by_monotonic_clock() -> None:
     """Let this process's senders of Dask wait by the monotonic clock.
 
     They wait until a time of the wall clock (`distributed.batched`, tornado's `IOLoop.time`): where that is set back by
@@ -151,7 +151,7 @@ class Unheeding(WorkerPlugin):  # type: ignore[misc]
     name = "unheeding"
 
     def setup(self, worker: object) -> None:
-        steady()
+        wait_by_monotonic_clock()
         keep_freed()  # before there are threads with memory of their own
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -205,7 +205,7 @@ class Cluster:
         part_hours: float = math.inf,
         compiles: Callable[[str, bool], None] = lambda worker, begins: None,
     ) -> None:
-        steady()
+        wait_by_monotonic_clock()
         dask.config.set(
             {
                 "distributed.scheduler.allowed-failures": 0,

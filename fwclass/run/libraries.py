@@ -24,7 +24,7 @@ def by_change(receipts: Iterable[Receipt], store: Store) -> tuple[Counter[str], 
     return parts, unknown
 
 
-def announce(store: Store, accepted: bool) -> list[str]:
+def library_remarks(store: Store, accepted: bool) -> list[str]:
     """What a run says at its beginning of parts that others made, a line for each set of libraries.
 
     Receipts are read only where some run in this store had other libraries.

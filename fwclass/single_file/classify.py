@@ -15,7 +15,7 @@ from fwclass import conf
 from fwclass.classes import standard_name
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import classify, count_filled
-from fwclass.errors import ConfigError, InputError, visible
+from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import features
@@ -350,6 +350,5 @@ def _without(lacking: Mapping[str, int]) -> list[str]:
         by_count.setdefault(n, []).append(name)
     lines = []
     for n, names in by_count.items():
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        lines.append(f"no value: {', '.join(names[:NAMED])}{more} of {n:,} echoes")
+        lines.append(f"no value: {first_few(names, NAMED)} of {n:,} echoes")
     return lines

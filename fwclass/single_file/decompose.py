@@ -17,7 +17,7 @@ from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
-from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
@@ -107,7 +107,7 @@ def decompose_file(
     write_tile_laz(shown, output, system, params["publish"], standard_time=opened.standard_gps_time)
     near, judged = (
         fit.vendor_tolerance,
-        of_strip(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
+        strip_plausibility(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
     )
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
@@ -115,7 +115,7 @@ def decompose_file(
         *_summary(table, read_from),
         *([_pulse_words(pulse)] if opened.has_waves else []),
         *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
-        *(f"plausibility: {text}" for text in remarks([judged], fit)),
+        *(f"plausibility: {text}" for text in plausibility_remarks([judged], fit)),
         *notes,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {visible(output)}",

@@ -15,7 +15,7 @@ from fwclass.decompose.plausible import UNKNOWN, add_counts
 from fwclass.decompose.pulse_estimate import PulseParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import Strip, Survey
-from fwclass.graph.numbering import numbers
+from fwclass.graph.numbering import assign_numbers
 from fwclass.graph.plausibility import receiver_facts
 from fwclass.graph.sources import (
     DECOMPOSE_RETURNS,
@@ -77,7 +77,7 @@ class FileStrip:
 
     def __post_init__(self) -> None:
         path = self.source.path
-        self._strip = Strip(numbers([path.stem])[path.stem], path, (), self.source.point_format)
+        self._strip = Strip(assign_numbers([path.stem])[path.stem], path, (), self.source.point_format)
         files = Survey((self._strip,), (), None, False)
         sections: Any = self.sections  # the sections of a configuration that these stages ask for
         self._plan = Plan(sections, files=files)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass import __version__
-from fwclass.errors import DamagedError, StoreError
+from fwclass.errors import DamagedError, StoreError, first_few
 from fwclass.paths import below
 from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below, to_json
 from fwclass.store.bucket import Files
@@ -254,7 +254,7 @@ class Generations:
 def _tell_broken(generation: Generation, broken: Sequence[str], tell: Tell) -> None:
     """Say that files of a generation are not what was delivered, for who makes another in its place."""
     if broken and generation.manifest:
-        some = ", ".join(broken[:3]) + (f" and {len(broken) - 3} more" if len(broken) > 3 else "")
+        some = first_few(broken, 3)
         tell(f"delivery         {generation.name} is not what was delivered: {some}; another is made in its place")
 
 

@@ -107,7 +107,7 @@ def fingerprint() -> Mapping[str, str]:
     return {"fwclass": fwclass.__version__, "source": source_digest(), **installed()}
 
 
-def known(digest: str, read: Callable[[], Any]) -> Mapping[str, str] | None:
+def fingerprint_under(digest: str, read: Callable[[], Any]) -> Mapping[str, str] | None:
     """The fingerprint that a store keeps under `digest`, `read` once unless it is that of here; `LOST` if it is not
     there, None for no digest."""
     if digest and digest not in _KNOWN:

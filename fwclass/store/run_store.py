@@ -26,7 +26,7 @@ from fwclass.store.bucket import Bucket, Remote, files_at
 from fwclass.store.failures import Failures
 from fwclass.store.generations import Generations
 from fwclass.store.history import surplus
-from fwclass.store.libraries import fingerprint, known
+from fwclass.store.libraries import fingerprint, fingerprint_under
 from fwclass.store.lookup import RECEIPT, Lookup, Name, part_key, receipt_key, units_by_part
 from fwclass.store.objects import Mark
 from fwclass.store.receipts import Receipt, digest_of_outputs
@@ -276,7 +276,7 @@ class Store:
 
     def fingerprint(self, digest: str) -> Mapping[str, str] | None:
         """What receipts name by `digest`."""
-        return known(digest, lambda: self._read_setting("libraries", digest))
+        return fingerprint_under(digest, lambda: self._read_setting("libraries", digest))
 
     def fingerprints(self) -> list[Mapping[str, str]]:
         """Every fingerprint that was kept."""

@@ -16,7 +16,7 @@ from fwclass.graph.corrections import corrections_in
 from fwclass.graph.corrections import untaught_rows as judged_rows
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import survey_sample
-from fwclass.graph.machine_search import spatial
+from fwclass.graph.machine_search import folds_of_squares
 from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import IDENTITY
@@ -64,7 +64,7 @@ def compare_methods(
     Times are CPU seconds of one thread: of training, and of classifying from ready features. Plain data.
     """
     inputs, names, classes = PartInputs(store), config.features_asked, config.classes
-    sample, places = survey_sample(inputs, names), spatial(config.select.block, config.select.gap)
+    sample, places = survey_sample(inputs, names), folds_of_squares(config.select.block, config.select.gap)
     models: dict[str, Model] = {}
     spent: dict[str, list[float]] = {}
     for method in methods:

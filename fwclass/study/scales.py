@@ -16,10 +16,10 @@ from fwclass.errors import ConfigError
 from fwclass.graph.fine_layer import FineLayer, fine_layer
 from fwclass.graph.layout import plain
 from fwclass.graph.learn import load_sample
-from fwclass.graph.machine_search import spatial
+from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.refine import MERGED, fit_layer
 from fwclass.graph.stages import LEARNING
-from fwclass.graph.walk import deciding, tasks_of, until_labels, until_tiles
+from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.model import ClassDef
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -54,8 +54,8 @@ def scale_selection(config: Config, runner: Runner, pick: str = "best") -> dict[
             where=f"{config.path}: classify.refine.between",
             do='--set "classify.refine.between=[building, vegetation]"',
         )
-    plan = until_tiles(deciding(config), runner)
-    receipts = require_all(runner, ancestors(until_labels(plan) + tasks_of(plan, LEARNING), [(MERGED, "all")]))
+    plan = until_tiles(plan_with_features(config), runner)
+    receipts = require_all(runner, ancestors(tasks_until_labels(plan) + tasks_of(plan, LEARNING), [(MERGED, "all")]))
     layer = fine_layer(plan)
     if layer is None:
         raise ConfigError("there is no second layer", where="classify.refine")
@@ -148,7 +148,7 @@ def load_folded(inputs: PartInputs, layer: FineLayer, rows: int, select: SelectP
     """The second layer's training rows (`rows` of them, 0 for all), and their folds."""
     sample = load_sample(inputs, MERGED, "all", layer.names)
     sample = fewer(sample, rows, select.block) if rows else sample
-    return sample, spatial(select.block, select.gap).folding(sample, select.folds)
+    return sample, folds_of_squares(select.block, select.gap).folding(sample, select.folds)
 
 
 def search_machine(

@@ -13,7 +13,7 @@ from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.graph.layout import Layout, plain
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
-from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.graph.walk import tasks_until_labels, until_tiles
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names, Score, Trial, score
@@ -73,7 +73,7 @@ def selection(
 def training(config: Config, runner: Runner, names: Names, computed: Names) -> tuple[Layout, dict[str, Any]]:
     """Walk until the placed sample of the training areas is there, of `names` among `computed`; what it says."""
     plan = until_tiles(Plan(config, names, computed), runner)
-    tasks = [*until_labels(plan), *sample_tasks(plan.layout, names)]
+    tasks = [*tasks_until_labels(plan), *sample_tasks(plan.layout, names)]
     receipts = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
     return plan.layout, dict(receipts[TRAINING, "all"].meta)
 

@@ -12,7 +12,7 @@ from fwclass.graph.layout import Layout
 from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING, check_features
-from fwclass.graph.walk import tasks_of, until_labels, until_tiles
+from fwclass.graph.walk import tasks_of, tasks_until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.study.compare import compare_methods
@@ -69,7 +69,7 @@ def _begin(config: Config, runner: Runner) -> tuple[Plan, Tasks]:
     check_features(config, names, f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")
     plan = until_tiles(Plan(config, names, (*names, *config.features.also)), runner)
-    return plan, until_labels(plan)
+    return plan, tasks_until_labels(plan)
 
 
 def _check_labelled(config: Config) -> None:

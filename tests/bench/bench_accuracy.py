@@ -26,7 +26,7 @@ from fwclass.assess.confusion import describe, figures
 from fwclass.assess.intervals import difference, intervals
 from fwclass.conf import Config
 from fwclass.graph.stages import CLASSIFYING, JUDGING
-from fwclass.graph.walk import deciding, tasks_of, until_labels, until_tiles
+from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner, ancestors, require_all
@@ -78,8 +78,8 @@ def judged(split: Split, seed: int, root: Path, data: Path, settings: tuple[str,
 
 def assessed(config: Config, runner: Runner) -> tuple[dict[str, Any], Any]:
     """What `fwclass run` with a model does up to the assessment; nothing is published."""
-    plan = until_tiles(deciding(config), runner)
-    tasks = until_labels(plan) + tasks_of(plan, (*CLASSIFYING, *JUDGING))
+    plan = until_tiles(plan_with_features(config), runner)
+    tasks = tasks_until_labels(plan) + tasks_of(plan, (*CLASSIFYING, *JUDGING))
     require_all(runner, ancestors(tasks, [("assess", "all")]))
     receipt = runner.store.receipt("assess", "all")
     if receipt is None:

@@ -11,7 +11,7 @@ from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, write_pls
 
 from fwclass import conf
 from fwclass.decompose.plausible import COUNTS
-from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.single_file.decompose import decompose_file
 
 FLUCTUATES = 0x8FFFFFFF
@@ -124,12 +124,12 @@ def test_the_report_names_the_strips():
     counts = dict.fromkeys(COUNTS, 0)
     channel = {"constant": 1.7, "offsets": [1.2, 1.9], "heights": [20.0, 110.0], "phase": False}
     strips = [
-        of_strip(
+        strip_plausibility(
             f"s{k}", 10, counts, {"lag1": None, "inflation": 1.0}, {"vendor_offset": [channel], "outgoing_time": None}
         )
         for k in range(5)
     ]
-    (line,) = remarks(strips, conf.section("decompose"))
+    (line,) = plausibility_remarks(strips, conf.section("decompose"))
     assert (
         "+1.70 ns (0.25 m)" in line
         and "from 1.20 at 20 DN to 1.90 at 110 DN" in line

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fwclass.grid import Box
-from fwclass.label.census import census, count_training, nearest_box, remarks, total, total_training
+from fwclass.label.census import census, count_training, label_remarks, nearest_box, total, total_training
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 
@@ -84,7 +84,7 @@ def counted(**changes):
 def told(whole, rows=None, tiles=None, test=()):
     rows = {"train": [1000, 1000], "boxes": []} if rows is None else rows
     tiles = {"0_0": {"train": [500, 500]}, "0_1": {"train": [500, 500]}} if tiles is None else tiles
-    return remarks(whole, rows, tiles, CLASSES, TWO, test, 15.0)
+    return label_remarks(whole, rows, tiles, CLASSES, TWO, test, 15.0)
 
 
 def test_nothing_is_said_where_nothing_is_wrong():

@@ -15,7 +15,7 @@ from fwclass import conf
 from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE
 from fwclass.graph.report_summary import summary
-from fwclass.graph.walk import deciding, tasks_of, until_tiles
+from fwclass.graph.walk import plan_with_features, tasks_of, until_tiles
 from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -54,7 +54,7 @@ def labelled(survey: Path, root: Path, *settings: str):
     root.mkdir(parents=True, exist_ok=True)
     with writer(root), Display() as display:
         runner = Runner(root, Loop(), display)
-        plan = until_tiles(deciding(config), runner)
+        plan = until_tiles(plan_with_features(config), runner)
         runner.do(tasks_of(plan, (LABEL_BY_SOURCE, LABEL_BY_CLOUD, LABEL_BY_POLYGONS)))
         assert not runner.failures, runner.failures
         inputs = PartInputs(runner.store)

@@ -19,7 +19,7 @@ from fwclass.errors import FwclassError
 from fwclass.operate.status.walk import look_at
 from fwclass.run import libraries as told
 from fwclass.run.cluster import Cluster
-from fwclass.run.libraries import announce
+from fwclass.run.libraries import library_remarks
 from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
@@ -65,23 +65,23 @@ def made(root, **settings) -> list[str]:
 def test_parts_made_with_other_libraries_are_stale_told_and_made_again(tmp_path, monkeypatch):
     here(monkeypatch, THEN)
     assert made(tmp_path) == ["computed"] * 3 and made(tmp_path) == ["skipped"] * 3
-    assert announce(Store(tmp_path), False) == []
+    assert library_remarks(Store(tmp_path), False) == []
     here(monkeypatch, NOW)
     looked = look_at(tmp_path, workflow)
     reasons = {s.part: [r.text for r in s.reasons] for s in looked.states.values()}
     assert {s.standing for s in looked.states.values()} == {"stale"}
     assert reasons["all"] == ["pyarrow 26.0.1 to 22.0.0"] and "pyarrow 26.0.1 to 22.0.0" in reasons["0"]
-    [line] = announce(Store(tmp_path), False)
+    [line] = library_remarks(Store(tmp_path), False)
     assert line.startswith("3 parts were made with other libraries (pyarrow 26.0.1 to 22.0.0)") and "again" in line
     assert made(tmp_path) == ["computed"] * 3
-    assert look_at(tmp_path, workflow).all_done and announce(Store(tmp_path), False) == []
+    assert look_at(tmp_path, workflow).all_done and library_remarks(Store(tmp_path), False) == []
 
 
 def test_other_libraries_are_done_where_that_is_asked_for(tmp_path, monkeypatch):
     here(monkeypatch, THEN)
     made(tmp_path)
     here(monkeypatch, NOW)
-    [line] = announce(Store(tmp_path), True)
+    [line] = library_remarks(Store(tmp_path), True)
     assert "count as done" in line
     runner = Runner(tmp_path, Loop(), Display(), accept_libraries=True)
     workflow(runner)
@@ -98,7 +98,7 @@ def test_another_commit_is_told_and_makes_nothing_stale(tmp_path, monkeypatch):
     made(tmp_path)
     here(monkeypatch, THEN, source="fedcba9876543210")
     looked = look_at(tmp_path, workflow)
-    assert looked.all_done and announce(Store(tmp_path), False) == []
+    assert looked.all_done and library_remarks(Store(tmp_path), False) == []
     [row] = told.by_libraries(looked.libraries, looked.store)
     assert row["parts"] == 3 and "source 0123456789abcdef, not 0.1.0, source fedcba" in told.text_of(row)
 
@@ -113,7 +113,7 @@ def test_receipts_of_before_count_as_done_and_are_told(tmp_path, monkeypatch):
     assert looked.all_done
     [row] = told.by_libraries(looked.libraries, looked.store)
     assert row["made_with"] is None and "count as done" in told.text_of(row)
-    assert "do not tell" in announce(Store(tmp_path), False)[0]
+    assert "do not tell" in library_remarks(Store(tmp_path), False)[0]
 
 
 @pytest.mark.parametrize("damage", ["", "{", "[]", '{"numpy": 1}', '{"numpy": "1"}', None])
@@ -131,7 +131,7 @@ def test_parts_whose_fingerprint_is_lost_are_stale(tmp_path, monkeypatch, damage
     assert {s.standing for s in looked.states.values()} == {"stale"}
     [row] = told.by_libraries(looked.libraries, looked.store)
     assert "not recorded any more" in told.text_of(row)
-    [line] = announce(Store(tmp_path), False)
+    [line] = library_remarks(Store(tmp_path), False)
     assert line.startswith("3 parts were made with other libraries (what it was made with is not recorded any more")
     assert made(tmp_path) == ["computed"] * 3 and look_at(tmp_path, workflow).all_done
 
@@ -212,6 +212,8 @@ def test_on_object_storage_too(tmp_path, monkeypatch):
         here(monkeypatch, NOW)
         store = open_store(location, lists=True)
         assert store.fingerprints() == [{"fwclass": "0.1.0", "source": "0123456789abcdef", **THEN}]
-        assert announce(store, False)[0].startswith("3 parts were made with other libraries (pyarrow 26.0.1 to 22.0.0)")
+        assert library_remarks(store, False)[0].startswith(
+            "3 parts were made with other libraries (pyarrow 26.0.1 to 22.0.0)"
+        )
         assert made(location, accept_libraries=True) == ["skipped"] * 3
         assert made(location) == ["computed"] * 3 and made(location) == ["skipped"] * 3

@@ -11,7 +11,7 @@ from commandline import fwclass
 from lasmaker import survey, write_las
 
 from fwclass.errors import ConfigError
-from fwclass.graph.quantities import check_learned, joint, quantities_by_feature
+from fwclass.graph.quantities import check_learned, joint_quantities, quantities_by_feature
 from fwclass.read.quantities import COUNTS, DECIBELS, FITTED, INTENSITY, NONE, READ, Quantities, quantities_of
 from fwclass.read.source import open_source
 
@@ -102,9 +102,9 @@ def test_a_survey_of_several_quantities_is_refused_where_it_matters(trained, tmp
         assert ended.returncode == 2 and "would mix them" in ended.stderr, ended.stderr
         assert not (tmp_path / "r").exists() and not (tmp_path / "m").exists()
     files = {"a.las": WAVES, "b.las": PLAIN}
-    assert joint(files, ("zc", "echo_number"), "t.yaml") == WAVES, "no feature is made of amplitudes"
+    assert joint_quantities(files, ("zc", "echo_number"), "t.yaml") == WAVES, "no feature is made of amplitudes"
     with pytest.raises(ConfigError, match="amplitude_mean_c200"):
-        joint(files, ("zc", "amplitude_mean_c200"), "t.yaml")
+        joint_quantities(files, ("zc", "amplitude_mean_c200"), "t.yaml")
 
 
 def test_what_depends_on_which_quantity():

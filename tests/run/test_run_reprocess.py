@@ -12,7 +12,7 @@ from runmaker import delivered, looked, walk
 
 from fwclass import conf
 from fwclass.features.params import Asked, is_feature
-from fwclass.graph.numbering import NUMBERS, numbers
+from fwclass.graph.numbering import NUMBERS, assign_numbers
 from fwclass.grid import Box, TileGrid
 from fwclass.store.cells import CELL
 
@@ -133,25 +133,25 @@ def test_a_removed_strip_leaves_nothing(first, tmp_path):
 
 
 def test_numbers_follow_names():
-    assert numbers(["strip_01", "strip_02", "strip_10"]) == {"strip_01": 1, "strip_02": 2, "strip_10": 10}
+    assert assign_numbers(["strip_01", "strip_02", "strip_10"]) == {"strip_01": 1, "strip_02": 2, "strip_10": 10}
     some = [f"flight {d}_{n:03d}" for d in ("A", "B") for n in range(40)]
-    found = numbers(some)
+    found = assign_numbers(some)
     assert len(set(found.values())) == len(some) and all(0 <= n < NUMBERS for n in found.values())
     assert found["flight A_007"] + 1 == found["flight A_008"]
-    assert numbers(reversed(some)) == found
+    assert assign_numbers(reversed(some)) == found
 
 
 def test_numbers_stay_when_names_come_and_go():
     some = [f"line_{n}" for n in range(0, 300, 3)] + ["ferry", "calibration"]
-    before = numbers(some)
+    before = assign_numbers(some)
     for added in ("line_1", "aaa", "zzz", "line_298"):
-        assert {n: k for n, k in numbers([*some, added]).items() if n != added} == before
-    assert numbers(some[1:]).items() <= before.items()
+        assert {n: k for n, k in assign_numbers([*some, added]).items() if n != added} == before
+    assert assign_numbers(some[1:]).items() <= before.items()
 
 
 def test_names_that_want_one_number_get_two():
     """The digits wrap around, so that these two want the same."""
     a, b = "strip_1", f"strip_{1 + NUMBERS}"
-    found = numbers([a, b])
+    found = assign_numbers([a, b])
     assert len(set(found.values())) == 2 and 1 in found.values()
-    assert numbers([b, a]) == found
+    assert assign_numbers([b, a]) == found

@@ -25,8 +25,8 @@ from fwclass.read.polygons import open_polygons, values_of
 TRACKER = """
 import multiprocessing, os, signal, time
 from multiprocessing import resource_tracker
-from fwclass.run.cluster import steady
-steady()
+from fwclass.run.cluster import wait_by_monotonic_clock
+wait_by_monotonic_clock()
 context = multiprocessing.get_context("spawn")
 locks = [context.Lock() for _ in range(3)]
 os.kill(resource_tracker._resource_tracker._pid, signal.SIGKILL)

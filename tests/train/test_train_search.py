@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from fwclass.classify.shares import answer
-from fwclass.graph.machine_search import make_folds, spatial
+from fwclass.graph.machine_search import folds_of_squares, make_folds
 from fwclass.model import ClassDef
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
@@ -61,7 +61,7 @@ def test_too_few_squares_fall_back_to_pulses_and_say_so():
 
 def test_parts_of_the_search_add_up_to_the_whole():
     made, svm = sample(), compare(c=[1.0, 10.0], gamma=[0.1, 1.0], search_rows=500).rbf_svm
-    places = spatial(50.0, 5.0)
+    places = folds_of_squares(50.0, 5.0)
     looked = search_rows(made, svm, places.edge)
     folding = places.folding(looked, svm.folds)
     whole = search(looked, folding, svm, "standard", None)
@@ -86,7 +86,7 @@ def test_rows_are_thinned_alike_by_class_and_square():
         < np.bincount(np.unique(before, return_inverse=True)[1]).std()
     )
     model = train_other(
-        made, PARAMS, compare(c=[1.0], gamma=[0.3], max_rows=900), CLASSES, "rbf-svm", spatial(50.0, 5.0)
+        made, PARAMS, compare(c=[1.0], gamma=[0.3], max_rows=900), CLASSES, "rbf-svm", folds_of_squares(50.0, 5.0)
     )
     assert any("900 of 6,000 rows, alike by class and by squares of 50 m" in n for n in model.card["notes"])
 
@@ -126,10 +126,10 @@ def test_constant_features_and_missing_values_train():
 def test_rows_of_one_place_and_rows_all_alike_train_and_are_noted():
     made, few = sample(), compare(c=[1.0, 10.0], gamma=[0.3], trim="nearest")
     one = replace(made, place=np.zeros_like(made.place))
-    model = train_other(one, PARAMS, few, CLASSES, "rbf-svm", spatial(50.0, 5.0))
+    model = train_other(one, PARAMS, few, CLASSES, "rbf-svm", folds_of_squares(50.0, 5.0))
     assert any("pieces of consecutive pulses: 1 blocks" in n for n in model.card["notes"])
     alike = replace(made, X=np.full_like(made.X, 3.0))
-    model = train_other(alike, PARAMS, few, CLASSES, "rbf-svm", spatial(50.0, 5.0))
+    model = train_other(alike, PARAMS, few, CLASSES, "rbf-svm", folds_of_squares(50.0, 5.0))
     assert sum("is 3 in every training row" in n for n in model.card["notes"]) == 3
     assert model.card["trimmed"] == {"a": 0, "b": 0, "c": 0}, "a twin of the same class is as near as any"
     assert len(set(answer(alike.X[:50], model)[0].tolist())) == 1

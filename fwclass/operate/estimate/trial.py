@@ -13,7 +13,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.files import find_files, joint_bounds
 from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import directory_of
-from fwclass.graph.walk import deciding, until_report, until_tiles
+from fwclass.graph.walk import plan_with_features, until_report, until_tiles
 from fwclass.graph.workflow import after_tiles
 from fwclass.grid import Box
 from fwclass.operate.estimate.amounts import plan_of
@@ -27,12 +27,12 @@ from workflows.classification import classification
 
 @dataclass(frozen=True)
 class Trial:
-    """A survey cut down.
+    """A survey cut down to what a dry run needs.
 
     Attributes
     ----------
-    config : of it; everything but the files is as in the whole survey.
-    boxes : of the fullest tiles by the headers [m].
+    config : its configuration, the whole survey's with fewer files.
+    boxes : the fullest tiles by the headers [m].
     left : bounds of the files left out [m]: a tile near one of them is not whole.
     files : sources that remain.
     """
@@ -110,10 +110,10 @@ def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str
     return tuple(glob.escape(str(p)) for p in near or files)
 
 
-def trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
+def run_trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
     config: Config = job.config
-    plan = until_tiles(deciding(config), runner)
+    plan = until_tiles(plan_with_features(config), runner)
     tiles = plan.layout.tiles
     whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], job.left, halo)
     if not whole:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from fwclass.errors import StoreError
+from fwclass.errors import StoreError, first_few
 from fwclass.graph.layout import Layout
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.operate.status.walk import StatusWalk
@@ -31,11 +31,10 @@ def check_done(look: StatusWalk, tiles: Iterable[str], stages: Sequence[str]) ->
     here = [(s, t) for t in sorted(tiles) for s in stages if (s, t) in look.states]
     late = [n for n in here if look.states[n].standing != "done"]
     if late or not here:
-        some = ", ".join(f"{'/'.join(n)} {look.states[n].standing}" for n in late[:3])
         raise StoreError(
             "the run is not finished: nothing can be compared with what it would make now",
             where=look.store.where,
-            got=some + (f" and {len(late) - 3} more" if len(late) > 3 else ""),
+            got=first_few([f"{'/'.join(n)} {look.states[n].standing}" for n in late], 3),
             do="finish it first; `fwclass status` tells what is missing or stale, and why",
         )
 

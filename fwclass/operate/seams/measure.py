@@ -107,7 +107,7 @@ def block_seams(
             now = read_table(directory / TABLE)
             rasters = arrays_at(directory / RASTERS)
             cells = read_arrays(rasters)[0] if rasters else {}
-        stage = gathering(plan, now)
+        stage = gathering_stage(plan, now)
         stored = surroundings(inputs, block, 0.0, size, {**_PLACE, **dict.fromkeys(now, stage)}, keys).table
         _same_rows(stored, now, task)
         seams.setdefault(stage, Seam(stage, "block", "echoes", listed)).add(
@@ -153,7 +153,7 @@ class BlockShiftEffect:
         return {**self.__dict__, "share": self.off / max(self.echoes, 1)}
 
 
-def gathering(plan: Plan, columns: Iterable[str]) -> str:
+def gathering_stage(plan: Plan, columns: Iterable[str]) -> str:
     """The stage whose tables of tiles hold `columns` that blocks computed."""
     return plan.layout.columns(columns)[next(iter(columns))]
 
@@ -166,7 +166,7 @@ def shifted_blocks(stage: Stage, plan: Plan) -> list[ShiftedSquare]:
     return places((b.key for b in plan.layout.blocks(size)), size, (half, half), width)
 
 
-def apart(
+def compare_moved_blocks(
     stage: Stage,
     moved: Sequence[ShiftedSquare],
     count: int,
@@ -178,7 +178,7 @@ def apart(
     """Filter, or make the terrain of, the first `count` of the blocks `moved` that have echoes near the borders of the
     run's blocks, and compare these."""
     columns = stage.columns(plan)
-    stage_of_tiles = gathering(plan, columns)
+    stage_of_tiles = gathering_stage(plan, columns)
     blocks, echoes, off = 0, 0, 0
     heights: list[NDArray[np.float64]] = []
     for place in moved:

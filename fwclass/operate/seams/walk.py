@@ -20,8 +20,8 @@ from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs, Tiles
 from fwclass.operate.seams.measure import (
     BlockShiftEffect,
     ComparableStages,
-    apart,
     block_seams,
+    compare_moved_blocks,
     shifted_blocks,
     tile_seams,
 )
@@ -149,5 +149,5 @@ def _compare_moved(
         here = [p for p in here if p.tile in whole]
         here = [here[k] for k in draw_order([p.tile for p in here], seed)]
         count = _count(share, len(here))
-        pairs.append(apart(stage, here, count, plan, PartInputs(tiles.store), WITHIN, display))
+        pairs.append(compare_moved_blocks(stage, here, count, plan, PartInputs(tiles.store), WITHIN, display))
     return pairs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.errors import ConfigError, InputError, first_few, nearest
 from fwclass.operate.request import Request
 from fwclass.operate.status.walk import RunStatus
 from fwclass.run.part import Name, Task
@@ -25,8 +25,7 @@ def task_alone(looked: RunStatus, text: str, request: Request) -> Task:
         raise InputError(
             f"{text} cannot be made alone: a part that it needs is not done",
             where=f"--only {text}",
-            got=", ".join(f"{'/'.join(n)} is {looked.states[n].standing}" for n in late[:3])
-            + (f" and {len(late) - 3} more" if len(late) > 3 else ""),
+            got=first_few([f"{'/'.join(n)} is {looked.states[n].standing}" for n in late], 3),
             do=f"make that first ({request.command(late[0])}), or run the whole: {request.command()}",
         )
     return task

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from fwclass.errors import first_few
 from fwclass.operate.request import Request
 from fwclass.operate.status.walk import STANDINGS, RunStatus, State
 from fwclass.run.libraries import by_libraries, text_of
@@ -92,9 +93,7 @@ def _grouped(looked: RunStatus) -> list[str]:
             groups.setdefault((s.stage, s.standing, *(r.kind for r in s.reasons)), []).append(s)
     rows = []
     for (stage, standing, *_), some in groups.items():
-        names = ", ".join(s.part for s in some[:NAMED])
-        more = f" and {len(some) - NAMED} more" if len(some) > NAMED else ""
-        rows.append(f"{standing:<8} {stage}: {names}{more}")
+        rows.append(f"{standing:<8} {stage}: {first_few([s.part for s in some], NAMED)}")
         rows += [f"           {r.text if len(some) == 1 else r.kind}" for r in some[0].reasons]
     return rows
 

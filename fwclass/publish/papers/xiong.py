@@ -9,7 +9,7 @@ from fwclass.publish.papers.plots import draw_elimination, draw_importance, draw
 from fwclass.publish.papers.tables import difference, matrices, ours, rows_table, seconds_of, share
 from fwclass.publish.report import data_uri
 from fwclass.publish.sections import number
-from fwclass.publish.selectplot import draw_rates
+from fwclass.publish.selection_curves import draw_rates
 from fwclass.schema import split_name
 
 SHOWN = 30

@@ -15,7 +15,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.errors import InputError
 from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
-from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.radiometry.stage import RADIOMETRY
@@ -122,7 +122,7 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     table = Table.concat(tables)
     notes = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
     notes += [TAKEN_FOR_METRES] if crs is None else []
-    notes += remarks([of_strip(source.path.stem, source.n_points, counts, noise)], fit)
+    notes += plausibility_remarks([strip_plausibility(source.path.stem, source.n_points, counts, noise)], fit)
     notes += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
         notes.append("every intensity is 0: features of amplitude and intensity say nothing")

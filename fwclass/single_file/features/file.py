@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import compiling, conf
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, first_few
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import MAX_REACH, Asked, FeaturesParams, is_feature
 from fwclass.features.stage import features
@@ -250,7 +250,7 @@ def available(
     left = tuple(n for n in wanted.names if n not in lost)
     if lost and (not skip or not left):
         reasons = dict.fromkeys(lost.values())
-        missing = "; ".join(f"{why}: {_listed([n for n in lost if lost[n] == why])}" for why in reasons)
+        missing = "; ".join(f"{why}: {first_few([n for n in lost if lost[n] == why], SHORT)}" for why in reasons)
         some = "add --skip-missing" + (f", or ask for --features {','.join(left)}" if len(left) <= SHORT else "")
         raise ConfigError(
             f"the file cannot give {len(lost)} of the {len(wanted.names)} features",
@@ -266,8 +266,3 @@ def _lacks(name: str, there: set[str]) -> str:
     reads = Asked.of([name]).reads if is_feature(name) else (name,)
     missing = [n for n in reads if n not in there]
     return _WHY.get(missing[0], f"no {missing[0]}") if missing else ""
-
-
-def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - SHORT} more" if len(names) > SHORT else ""
-    return ", ".join(names[:SHORT]) + more

@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.columns import COLUMNS, FEATURES, SCALES, Column
 from fwclass.conf.sets import feature_set, shipped_sets
-from fwclass.errors import visible
+from fwclass.errors import first_few, visible
 from fwclass.schema import column
 from fwclass.single_file.features.names import ENDS, measured, wanted
 
@@ -119,8 +119,11 @@ def describe(summary: Mapping[str, Any]) -> str:
         f"{visible(summary['input'])}: {echoes}, {features} of {summary['set']}",
         *summary["notes"],
         f"neighbourhoods reach {summary['reach']:g} m; {_count(summary['tiles'], 'tile')}",
-        *([f"LEFT OUT, {why}: {_names([n for n in lost if lost[n] == why])}" for why in dict.fromkeys(lost.values())]),
-        *([f"WARNING: no echo has a value of {_names(list(empty))}"] if empty else []),
+        *(
+            f"LEFT OUT, {why}: {first_few([n for n in lost if lost[n] == why], MANY)}"
+            for why in dict.fromkeys(lost.values())
+        ),
+        *([f"WARNING: no echo has a value of {first_few(list(empty), MANY)}"] if empty else []),
         f"{seconds['all']:.1f} s{compiling}",
         f"written: {visible(summary['output'])} ({summary['bytes'] / 1e6:.1f} MB)",
     ]
@@ -129,7 +132,3 @@ def describe(summary: Mapping[str, Any]) -> str:
 
 def _count(n: int, one: str, many: str = "") -> str:
     return f"{n:,} {one if n == 1 else many or f'{one}s'}"
-
-
-def _names(names: list[str]) -> str:
-    return ", ".join(names[:MANY]) + (f" and {len(names) - MANY} more" if len(names) > MANY else "")

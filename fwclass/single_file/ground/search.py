@@ -22,7 +22,7 @@ from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.search import Setting, curves, most_runs, search
 from fwclass.ground.tuning_params import GroundSearchParams, Values
 from fwclass.publish.files import whole
-from fwclass.publish.searchplot import draw_curves
+from fwclass.publish.parameter_curves import draw_curves
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
 from fwclass.single_file.ground.labels import NAMES, Matrix, halves, labels_of, matrix_of

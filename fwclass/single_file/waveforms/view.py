@@ -22,7 +22,7 @@ from fwclass.graph.plausibility import place_remarks
 from fwclass.graph.pulse_picture import receiver_picture
 from fwclass.graph.sources import StripSpan
 from fwclass.publish.files import whole
-from fwclass.publish.waveplot import WavePicture, draw_waveforms
+from fwclass.publish.waveform_pictures import WavePicture, draw_waveforms
 from fwclass.read.source import open_source
 from fwclass.read.stage import ReadParams, check_source
 from fwclass.single_file.strip import FileStrip, strip_of

@@ -16,7 +16,7 @@ from fwclass.street.ring import BASES
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.li_claims import CLAIMS
-from fwclass.study.papers.li_work import DRIVE, GRIDS, drive, radius, single
+from fwclass.study.papers.li_work import DRIVE, GRIDS, judge_feature, judge_radius, simulate_drive
 
 RADIUS, SINGLE = "street-radius", "street-single"
 DRIVE_VERSION, VERSION = 1, 2
@@ -35,7 +35,7 @@ def drive_tasks(config: Config) -> list[Task]:
     """A simulated recording for every drive."""
     about = [config.street_scene.model_dump(), config.street.scanner, config.street.mounting.model_dump()]
     return [
-        Task(DRIVE, name, DRIVE_VERSION, [*about, changed], partial(drive, config, changed))
+        Task(DRIVE, name, DRIVE_VERSION, [*about, changed], partial(simulate_drive, config, changed))
         for name, changed in drives(config).items()
     ]
 
@@ -47,12 +47,12 @@ def table_tasks(config: Config, printed: Mapping[str, Any]) -> list[Task]:
     about.append([c.plain() for c in config.classes])
     needs = tuple((DRIVE, name) for name in drives(config))
     tasks = [
-        Task(RADIUS, f"{100 * r:.0f}", VERSION, [*about, r], partial(radius, config, r), needs)
+        Task(RADIUS, f"{100 * r:.0f}", VERSION, [*about, r], partial(judge_radius, config, r), needs)
         for r in printed["radii"]
     ]
     metres = printed["single"]["radius"]
     return tasks + [
-        Task(SINGLE, base, VERSION, [*about, metres, k], partial(single, config, metres, k), needs)
+        Task(SINGLE, base, VERSION, [*about, metres, k], partial(judge_feature, config, metres, k), needs)
         for k, base in enumerate(BASES)
     ]
 

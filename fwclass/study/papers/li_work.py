@@ -47,7 +47,7 @@ WINDOW_FRAMES = 60
 """Frames on which the paper's window is held against the exact one."""
 
 
-def drive(config: Config, changes: Mapping[str, Any], inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def simulate_drive(config: Config, changes: Mapping[str, Any], inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """A simulated recording."""
     params = config.street_scene.model_copy(update=dict(changes))
     frames = simulate_frames(params, scanner(config.street.scanner), config.street.mounting)
@@ -79,7 +79,7 @@ def _model(config: Config, rows: Rows, names: tuple[str, ...], split: Split, par
     return fit_model(sample, params, config.train, config.compare, config.classes)
 
 
-def radius(config: Config, metres: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def judge_radius(config: Config, metres: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """One line of table 1: at random as the paper, then a model of the whole drive on other drives."""
     params = config.street.model_copy(update={"radii": (metres,), "window": "exact"})
     names, most, seed = feature_names(params), config.papers.test_echoes, config.papers.seed
@@ -120,7 +120,7 @@ def _lost(inputs: PartInputs, params: StreetParams) -> float:
     return float((counts[1][known] < counts[0][known]).mean())
 
 
-def single(config: Config, metres: float, feature: int, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def judge_feature(config: Config, metres: float, feature: int, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """One line of table 2, and the answers of the first frames as a grid."""
     params = config.street.model_copy(update={"radii": (metres,), "window": "exact"})
     names = feature_names(params)

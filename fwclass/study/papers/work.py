@@ -16,7 +16,7 @@ from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import rows_to_test
 from fwclass.graph.learn import SAMPLE
-from fwclass.graph.machine_search import spatial
+from fwclass.graph.machine_search import folds_of_squares
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Forest, KernelMachine, Model, Tree, class_index, sample_matrix
@@ -141,7 +141,7 @@ def fit_variant(sample: Sample, one: Variant, compare: CompareParams, classes: t
     known, params = tuple(classes[k] for k in _known(one)), one.train
     if params.method == "forest":
         return train(sample, grow_trees(sample, known, 0, params.trees, params), params, known)
-    places = spatial(*one.squares) if one.squares else BY_PULSES
+    places = folds_of_squares(*one.squares) if one.squares else BY_PULSES
     return train_other(sample, params, compare, known, params.method, places)
 
 

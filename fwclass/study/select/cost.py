@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.features.params import Asked, FeaturesParams, is_feature
-from fwclass.features.stage import FEATURES, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.layout import Layout, needs_of, plain
 from fwclass.grid import Tile
 from fwclass.run.inputs import PartInputs
@@ -29,14 +29,14 @@ COST = "select-cost"
 """Stage; the part is named by what it timed."""
 
 
-def computed(names: Sequence[str]) -> Names:
+def computed_names(names: Sequence[str]) -> Names:
     """Those of `names` that are computed from a neighbourhood; the others are measured or made for all surveys."""
     return tuple(n for n in names if is_feature(n))
 
 
 def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> dict[Names, float]:
     """Microseconds of processor time per echo for the computed features of every set, the normals included."""
-    wanted = tuple(dict.fromkeys(computed(s) for s in sets))
+    wanted = tuple(dict.fromkeys(computed_names(s) for s in sets))
     config = layout.config
     asked = Asked.of(n for s in wanted for n in s)
     halo = asked.halo(config.features)
@@ -61,10 +61,10 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
         config.select.timing_echoes,
     )
     name = digest_of(plain(config.select) | params)[:16]
-    task = Task(COST, name, FEATURES.version, params, work, needs=needs_of(columns, present))
+    task = Task(COST, name, FEATURE_COMPUTATION.version, params, work, needs=needs_of(columns, present))
     meta = require_all(runner, [task])[task.name].meta
     by_set = dict(zip(wanted, meta["microseconds"], strict=True))
-    return {s: by_set[computed(s)] for s in sets}
+    return {s: by_set[computed_names(s)] for s in sets}
 
 
 def time_sets(
@@ -100,9 +100,9 @@ def microseconds(works: Sequence[Callable[[], object]], repeats: int, echoes: in
 
 def parts_of(chosen: Names) -> tuple[dict[str, Names], dict[str, Names], dict[str, Names]]:
     """Sets to time for the cost of parts of `chosen`: without each scale, each scale alone, without each feature."""
-    scales = {str(s): s for s in map(scale_of, computed(chosen)) if s is not None}
+    scales = {str(s): s for s in map(scale_of, computed_names(chosen)) if s is not None}
     without = {t: tuple(n for n in chosen if scale_of(n) != s) for t, s in scales.items()}
     alone = {t: tuple(n for n in chosen if scale_of(n) == s) for t, s in scales.items()}
-    named = computed(chosen) if len(chosen) <= SINGLE else ()
+    named = computed_names(chosen) if len(chosen) <= SINGLE else ()
     less = {name: tuple(n for n in chosen if n != name) for name in named}
     return without, alone, less

@@ -13,7 +13,7 @@ from fwclass.features.params import is_feature
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import providers
 from fwclass.publish.files import whole
-from fwclass.publish.selectplot import draw_selection
+from fwclass.publish.selection_curves import draw_selection
 from fwclass.store.atomic import write_json
 from fwclass.study.select import result
 from fwclass.study.select.thinning import THINNING, describe_thinning, draw, setting

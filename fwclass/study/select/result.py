@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from fwclass import __version__
+from fwclass.errors import first_few
 from fwclass.select.score import Names, cheapest, front
 from fwclass.select.search import Search, Step
 from fwclass.study.select.cost import parts_of
@@ -135,7 +136,7 @@ def _row(step: Mapping[str, Any], result: Mapping[str, Any], on_front: bool) -> 
     marks = "".join(letter for letter, n in zip("bsc", PICKS, strict=True) if result[n]["features"] == step["features"])
     sign = "" if result["method"] != "rffs" else "-"
     tried = step["tried"]
-    shown = ", ".join(sign + n for n in tried[:3]) + (f" and {len(tried) - 3} more" if len(tried) > 3 else "")
+    shown = first_few([sign + n for n in tried], 3)
     shown += "" if step["kept"] else " (no gain, dropped)"
     accuracy = f"{_percent(step['accuracy'])} ± {_percent(step['accuracy_std'])}"
     kappa = f"{_percent(step['kappa'])} ± {_percent(step['kappa_std'])}"

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.features.params import Asked
-from fwclass.features.stage import FEATURES, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
-from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.graph.walk import tasks_until_labels, until_tiles
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
-from fwclass.publish.selectplot import draw_rates
+from fwclass.publish.selection_curves import draw_rates
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.run.runner import Runner, ancestors, require_all
@@ -32,7 +32,7 @@ from fwclass.select.params import SelectParams
 from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
-from fwclass.study.select.cost import computed, microseconds
+from fwclass.study.select.cost import computed_names, microseconds
 from fwclass.study.select.trials import predict
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
@@ -75,14 +75,16 @@ def rate_tasks(layout: Layout, names: Names) -> list[Task]:
 def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     """How long features take for a share of a tile's echoes, at every rate."""
     config = layout.config
-    names = computed(names)
+    names = computed_names(names)
     asked = Asked.of(names)
     halo = asked.halo(config.features)
     columns = layout.columns(asked.reads)
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
     work = partial(_time_rates, tile, halo, columns, present, names, config.features, config.select)
-    return Task(RATE_COST, digest_of(params)[:16], FEATURES.version, params, work, needs=needs_of(columns, present))
+    return Task(
+        RATE_COST, digest_of(params)[:16], FEATURE_COMPUTATION.version, params, work, needs=needs_of(columns, present)
+    )
 
 
 def _time_rates(
@@ -199,7 +201,7 @@ def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
     check_features(config, names, "survey.features or --candidates")
     plan = until_tiles(Plan(config, names, names), runner)
-    return measure_rates(config, runner, plan.layout, names, until_labels(plan))
+    return measure_rates(config, runner, plan.layout, names, tasks_until_labels(plan))
 
 
 def measure_rates(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from fwclass.publish import waveplot
-from fwclass.publish.waveplot import WavePicture, draw_pulse, draw_waveforms
+from fwclass.publish import waveform_pictures
+from fwclass.publish.waveform_pictures import WavePicture, draw_pulse, draw_waveforms
 
 
 def picture(n: int = 60, echoes: int = 2, returns: int = 1, **changed: Any) -> WavePicture:
@@ -63,16 +63,16 @@ def test_every_panel_has_its_place(n: int) -> None:
     """A picture grows by rows of panels; none is drawn over another."""
     image = pixels(draw_waveforms([picture(seed) for seed in range(40, 40 + n)], "pulses"))
     one = pixels(draw_waveforms([picture()], "pulses"))
-    ink = count(image, waveplot.SUM)
-    assert ink > 0.5 * n * count(one, waveplot.SUM)
+    ink = count(image, waveform_pictures.SUM)
+    assert ink > 0.5 * n * count(one, waveform_pictures.SUM)
     assert (image[:2] == 1).all() and (image[:, -2:] == 1).all(), "nothing is cut off at the edges"
 
 
 def test_echoes_without_a_return_look_different() -> None:
     none, some = (pixels(draw_waveforms([picture(echoes=3, returns=r)], "p")) for r in (3, 1))
-    keys = count(pixels(draw_waveforms([picture(echoes=0, returns=0)], "p")), waveplot.NEW)
-    assert count(none, waveplot.NEW) <= keys < count(some, waveplot.NEW)
-    assert count(none, waveplot.VENDOR) > count(some, waveplot.VENDOR) > 0
+    keys = count(pixels(draw_waveforms([picture(echoes=0, returns=0)], "p")), waveform_pictures.NEW)
+    assert count(none, waveform_pictures.NEW) <= keys < count(some, waveform_pictures.NEW)
+    assert count(none, waveform_pictures.VENDOR) > count(some, waveform_pictures.VENDOR) > 0
 
 
 @pytest.mark.parametrize(
@@ -93,13 +93,13 @@ def test_echoes_without_a_return_look_different() -> None:
 )
 def test_odd_pulses_are_drawn_too(odd: WavePicture) -> None:
     image = pixels(draw_waveforms([odd, picture()], "odd"))
-    assert image.shape[0] < 1000 and count(image, waveplot.SUM) > 100
+    assert image.shape[0] < 1000 and count(image, waveform_pictures.SUM) > 100
 
 
 def test_a_long_waveform_is_drawn_where_its_echoes_are() -> None:
-    low, high = waveplot._view(picture(n=20_000))
+    low, high = waveform_pictures._view(picture(n=20_000))
     assert low < 10 and 22 < high < 100
-    assert waveplot._view(picture(n=60))[1] > 59
+    assert waveform_pictures._view(picture(n=60))[1] > 59
 
 
 def test_the_system_pulse() -> None:
@@ -113,5 +113,9 @@ def test_the_system_pulse() -> None:
         np.flatnonzero((np.abs(h[..., :3] - [0, 0x72 / 255, 0xB2 / 255]).max(axis=-1) < 0.05).any(axis=1))
         for h in (left, right)
     ]
-    assert count(left, waveplot.SUM) > 300 and count(right, waveplot.SUM) > 300 and all(len(r) for r in rows)
+    assert (
+        count(left, waveform_pictures.SUM) > 300
+        and count(right, waveform_pictures.SUM) > 300
+        and all(len(r) for r in rows)
+    )
     assert pixels(draw_pulse(time[:0], time[:0], time[:0], "nothing")).size
