@@ -59,6 +59,23 @@ def test_all_may_train(tmp_path: Path) -> None:
     assert ended.returncode == 2 and "nothing is left to test on" in ended.stderr
 
 
+def test_a_model_that_nobody_tests_is_cross_validated(tmp_path: Path) -> None:
+    """Out of bag every row has neighbours that trained: never the only figure."""
+    path = small_survey(tmp_path)
+    words = ("--model", tmp_path / "m", "--no-assess", "--out", tmp_path / "t", "--json", "--overwrite")
+    blocks = ("--set", "select.block=5", "--set", "select.gap=1")
+    ended = fwclass("train", path, *words, *blocks)
+    result = json.loads(ended.stdout)
+    figures = result["cross_validation"]
+    assert 0.7 < figures["accuracy"] < 1.0 and figures["squares"] == 48 and figures["folds"] == 5, figures
+    assert "in folds" in ended.stderr and f"{100 * figures['accuracy']:.2f}" in ended.stderr
+    one = fwclass("train", path, *words, "--set", "select.block=500")
+    assert one.returncode == 0 and "cannot be cross-validated" in one.stderr, one.stderr
+    assert json.loads(one.stdout)["cross_validation"] is None
+    tested = fwclass("train", path, "--model", tmp_path / "n", "--out", tmp_path / "t", "--json")
+    assert json.loads(tested.stdout)["cross_validation"] is None and "in folds" not in tested.stderr
+
+
 def test_a_figure_of_a_given_model_is_told_as_that(tmp_path: Path) -> None:
     """Where it learned is not known here: of its own training places it would be far too good."""
     path = small_survey(tmp_path)

@@ -16,6 +16,7 @@ from fwclass.graph.walk import tasks_of, tasks_until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.study.compare import compare_methods
+from fwclass.study.select.trials import cross_validate
 
 NOTHING_TESTED = (
     "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "
@@ -26,18 +27,19 @@ NOTHING_TESTED = (
 def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     """Train the model of `config` on `runner`, and with `assess` judge it on the test areas; plain data.
 
-    ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged; ``ambiguous`` how
+    ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged, and then
+    ``cross_validation`` what `cross_validate` gives of a forest; ``ambiguous`` how
     many echoes of the tiles that were looked at lie in polygons of different classes; ``remarks`` what is to be said
     beside the accuracy, or why there is none. The parts are those of
     `classification`: a run in the same directory takes them over.
     """
     _check_labelled(config)
-    plan, tasks = _begin(config, runner)
-    tasks += tasks_of(plan, LEARNING)
+    plan, before = _begin(config, runner)
+    tasks = before + tasks_of(plan, LEARNING)
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
     plain: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
-    plain |= {"ambiguous": 0, "remarks": []}
+    plain |= {"ambiguous": 0, "remarks": [], "cross_validation": None}
     if assess:
         names, layout = config.features_asked, tested_layout(plan.layout)
         tasks += tasks_of(plan, CLASSIFYING) + tasks_of(replace(plan, tiled=layout), JUDGING)
@@ -46,6 +48,14 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
         accuracy = judged.meta["accuracy"] if judged else None
         sentences = accuracy_remarks(accuracy, config, names, plan.layout.echoes) if accuracy else [NOTHING_TESTED]
         plain |= {"accuracy": accuracy, "remarks": sentences}
+    if plain["accuracy"] is None and config.train.method == "forest" and not config.classify.refine.between:
+        try:
+            validated = cross_validate(config, runner, plan.layout, before, config.features_asked)
+            plain["cross_validation"] = validated
+        except InputError as fault:
+            plain["remarks"] += [
+                f"Nothing tells how good it is elsewhere, for it cannot be cross-validated: {fault.what}."
+            ]
     labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
     plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
     return plain

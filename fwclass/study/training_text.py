@@ -20,6 +20,7 @@ def describe(result: dict[str, Any]) -> str:
     for one, n, of in zip(card["classes"], card["samples"], eligible, strict=True):
         lines.append(f"sample      {one['name']:<14} {n:>10,} of {of:,} labelled echoes")
     lines += _out_of_bag(card.get("out_of_bag"), card["classes"], sum(card["samples"]))
+    lines += _in_folds(result.get("cross_validation"))
     lines += _importance(card.get("importance"))
     lines += [f"note        {note}" for note in card.get("notes", ())]
     if result.get("ambiguous"):
@@ -45,6 +46,19 @@ def _out_of_bag(card: Mapping[str, Any] | None, classes: Sequence[Mapping[str, A
     if card["accuracy"] * len(classes) <= 1:
         lines.append("            no better than guessing: few training rows, or trees that hardly divide them (train)")
     return lines
+
+
+def _in_folds(figures: Mapping[str, Any] | None) -> list[str]:
+    """What cross-validation says where nothing was tested."""
+    if figures is None or figures["accuracy"] is None:
+        return []
+    spread = "" if figures["accuracy_std"] is None else f" ± {100 * figures['accuracy_std']:.2f}"
+    kappa = "" if figures["kappa"] is None else f", kappa {figures['kappa']:.3f}"
+    return [
+        f"in folds    {100 * figures['accuracy']:.2f}{spread} % right{kappa}, in {figures['folds']} folds of "
+        f"{figures['squares']} squares of {figures['block']:g} m, {figures['gap']:g} m apart: what other places may "
+        "give (out of bag has seen the neighbours of every row, and counts classes as they were drawn)"
+    ]
 
 
 def _importance(card: Mapping[str, Any] | None) -> list[str]:

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.vote import walkable, winners
-from fwclass.graph.layout import plain, plain_classes
+from fwclass.graph.layout import Layout, plain, plain_classes
 from fwclass.model import FORMAT, ClassDef, assemble
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
-from fwclass.run.runner import Runner, require_all
-from fwclass.select.score import Names, Trial
+from fwclass.run.runner import Runner, ancestors, require_all
+from fwclass.run.tasks import Tasks
+from fwclass.select.score import Names, Trial, score
 from fwclass.store.atomic import digest_of
-from fwclass.study.select.sample import TRAINING, training_of
+from fwclass.study.select.sample import TRAINING, sample_tasks, training_of
 from fwclass.train.importance import importance
 from fwclass.train.sample import Sample
 from fwclass.train.stage import TRAIN_TREES, TrainParams, grow_trees
@@ -61,6 +62,19 @@ class Trials:
         work = partial(try_features, subset, fold, self.candidates, self.train, self.config.classes, repeats)
         part = f"{digest_of(list(subset))[:16]}-{fold:02d}"
         return Task(stage, part, VERSION * 1000 + TRAIN_TREES.version, params, work, needs=((TRAINING, "all"),))
+
+
+def cross_validate(config: Any, runner: Runner, layout: Layout, before: Tasks, names: Names) -> dict[str, Any]:
+    """How a forest by `names` answers in squares of the training areas that it did not see; plain data, shares 0 to 1.
+
+    `before`: tasks until labels and features are there. `InputError` where the training areas have too few squares.
+    """
+    tasks = [*before, *sample_tasks(layout, names)]
+    meta = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))[TRAINING, "all"].meta
+    (trial,) = Trials(runner, config, names)([names])
+    figures = score(trial, np.array(meta["eligible"]) / np.array(meta["counts"]), "overall").plain()
+    folding = {n: plain(config.select)[n] for n in ("folds", "block", "gap")}
+    return {n: figures[n] for n in ("accuracy", "accuracy_std", "kappa")} | folding | {"squares": meta["blocks"]}
 
 
 def try_features(
