@@ -91,3 +91,13 @@ def test_other_tiles_change_no_class(runs):
 def test_what_cannot_be_compared(runs, words, says):
     ended = fwclass("diff", *words, cwd=runs)
     assert ended.returncode == 2 and says in ended.stderr
+
+
+def test_a_report_that_was_changed_is_refused_in_words(runs):
+    report = runs / "s" / "generations" / "0001" / "report.json"
+    before = report.read_bytes()
+    report.unlink()
+    report.write_text(json.dumps({**json.loads(before), "config": None}))
+    ended = fwclass("diff", "r", "s", cwd=runs)
+    report.write_bytes(before)
+    assert ended.returncode == 1 and "the delivery is damaged" in ended.stderr and "Traceback" not in ended.stderr

@@ -137,7 +137,7 @@ class Directory:
 
     def delete_below(self, below: str, first: str) -> None:
         """Remove a directory, its file `first` before all others: without it the rest means nothing."""
-        (self.root / below / first).unlink(missing_ok=True)
+        path_below(self.root, f"{below}/{first}").unlink(missing_ok=True)
         shutil.rmtree(self.root / below, ignore_errors=True)
 
     def fetch(self, below: str, files: Mapping[str, Facts]) -> None:
@@ -221,10 +221,10 @@ class Directory:
         """Remove what killed workers left of parts, when a run has ended or before it begins."""
         store = self.root / "store"
         for path in (store / "staging").glob("*"):
-            clear_staged(path)
+            clear_staged(path_below(self.root, path.relative_to(self.root).as_posix()))
         shutil.rmtree(store / "staging", ignore_errors=True)
         for path in (p for d in ("", "params", "libraries") for p in (store / d).glob(".*")):  # half-written
-            path.unlink(missing_ok=True)
+            path_below(self.root, path.relative_to(self.root).as_posix()).unlink(missing_ok=True)
 
     # generations
 
@@ -307,7 +307,7 @@ class Directory:
     def retire(self, names: Iterable[str]) -> None:
         """Remove generations, and what is left of some that were never finished."""
         for name in names:
-            shutil.rmtree(self.root / GENERATIONS / name, ignore_errors=True)
+            shutil.rmtree(path_below(self.root, f"{GENERATIONS}/{name}"), ignore_errors=True)
 
 
 def failure_key(stage: str, part: str) -> str:

@@ -324,12 +324,45 @@ def _on_run(*words: str) -> Callable[[Path], list[Case]]:
     return cases
 
 
+def _shapes(folder: Path) -> list[Case]:
+    """Water, breaklines and check points of a small survey."""
+    source, words = patch(folder / "p"), ("run", "c.yaml", "--out", "r", "--workers", "0", "--workflow")
+    survey = SURVEY.replace("EPSG:32633", "EPSG:25832")
+    fixed = {"c.yaml": survey.encode(), **source.files}
+    text = "x,y,z,class\n" + "".join(f"{500000 + k},{5400000 + k},{200 + 0.1 * k},2\n" for k in range(1, 10))
+    points = Seed("points", "c.csv", {"c.csv": text.encode()}, (), ("c.csv",))
+    corners = [[500000 + 8 * (k % 2), 5400001 + 2 * k, 200 + k] for k in range(4)]
+    ring = [[500002 + 6 * a, 5400002 + 6 * b] for a, b in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))]
+    return [
+        *given([_geojson("LineString", corners)], *words, "ground", "--set", "breaklines.file={}", fixed=fixed),
+        *given([_geojson("Polygon", [ring])], *words, "ground", "--set", "water.file={}", fixed=fixed),
+        *given([points], *words, "quality", "--set", "quality.check_points.file={}", fixed=fixed),
+    ]
+
+
+def _geojson(kind: str, coordinates: list) -> Seed:
+    feature = {"type": "Feature", "properties": {}, "geometry": {"type": kind, "coordinates": coordinates}}
+    system = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
+    file = json.dumps({"type": "FeatureCollection", "crs": system, "features": [feature]})
+    return Seed(kind, "b.geojson", {"b.geojson": file.encode()}, (), ("b.geojson",))
+
+
+def _backscatter(folder: Path) -> list[Case]:
+    some = [s for s in _waved(folder) if s.name not in ("short", "helios")]  # without echoes, without a system
+    return given(some, "voxels", "{}", "--out", "r", "--workers", "0") + given(
+        some, "profile", "{}", "--out", "r", "--workers", "0", mark="-profile"
+    )
+
+
 def _export(folder: Path) -> list[Case]:
     return given([_model(folder)["forest"]], "export", "{}", "o.onnx")
 
 
 COMMANDS = {
     "info": Command(_info, 30),
+    "init": Command(lambda folder: given(_clouds(folder), "init", "{}"), 10),
+    "shapes": Command(_shapes, 0.5),
+    "backscatter": Command(_backscatter, 0.5),
     "info-waveforms": Command(_waveforms, 2),
     "ground": Command(_ground, 12),
     "features": Command(_features, 12),

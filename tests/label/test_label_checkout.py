@@ -246,6 +246,7 @@ FAULTS = {
     "no tiles were checked out": lambda out, run: (out / "checkout.json").unlink(),
     "cannot be read": lambda out, run: (out / "checkout.json").write_text("{"),
     "not a tile key": lambda out, run: relabel(out / "checkout.json", tiles={"../../x": "1"}),
+    "times are wanted": lambda out, run: relabel(out / "checkout.json", collected=[2**63]),
     "of another run": lambda out, run: relabel(out / "checkout.json", survey="other"),
     "--run where it is now": lambda out, run: run.rename(run.with_name("elsewhere")),
     "delivered nothing": lambda out, run: (run / "current").unlink(),

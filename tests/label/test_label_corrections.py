@@ -167,3 +167,14 @@ def test_a_change_that_fails_leaves_the_file_as_it_was(tmp_path):
         add_corrections(tmp_path, fail)
     assert (tmp_path / "labels" / "corrections.parquet").read_bytes() == before
     assert [p.name for p in (tmp_path / "labels").iterdir()] == ["corrections.parquet"]
+
+
+def test_labels_unpack_to_no_more_than_their_bytes_allow(tmp_path):
+    """A million rows that are all the same, and a name of 100 MB."""
+    for name, n, who in (("rows", 1_000_000, "me"), ("name", 1, "x" * (100 << 20))):
+        made = {k: np.zeros(n) if k in "xyz" else np.ones(n, np.uint8) for k in (*echoes(0), "class")}
+        table = pa.table({**made, "who": pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), pa.array([who]))})
+        pq.write_table(table, tmp_path / name, compression="zstd", write_statistics=False)
+        assert (tmp_path / name).stat().st_size < 100_000
+        with pytest.raises(InputError, match=r"too many labels|unpack to more"):
+            read_echo_labels(tmp_path / name, name, signed=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -211,3 +212,17 @@ def test_the_words_of_a_run_are_quoted_in_the_command_that_replays_it(tmp_path: 
     Request("x; rm -rf /", str(tmp_path), ("a=$(id)",), tiles=("`id`",)).keep(Store(tmp_path))
     told = Request.kept(Store(tmp_path)).command()
     assert "'x; rm -rf /'" in told and "'a=$(id)'" in told and "'`id`'" in told
+
+
+@pytest.mark.parametrize("name", ["generations", "store/staging", "store/params"])
+def test_cleaning_does_not_follow_a_link_out_of_the_run(name: str, tmp_path: Path) -> None:
+    root, outside = tmp_path / "run", tmp_path / "out"
+    store, _ = committed(root)
+    (outside / "0000").mkdir(parents=True)
+    (outside / ".mine").write_text("dear")
+    shutil.rmtree(root / name, ignore_errors=True)
+    (root / name).parent.mkdir(exist_ok=True)
+    (root / name).symlink_to(outside)
+    with pytest.raises(InputError, match="a link on the way leads to"):
+        store.generations.files.retire(["0000"]) if name == "generations" else store.clear_staging()
+    assert {p.name for p in outside.iterdir()} == {"0000", ".mine"}

@@ -14,7 +14,7 @@ from fwclass.formats.geopackage import rectangles, write_layer
 from fwclass.formats.geoparquet import header
 from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
-from fwclass.store.atomic import move_into_place, read_json, staged
+from fwclass.store.atomic import file_digest, move_into_place, read_json, staged
 from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
 
@@ -92,8 +92,16 @@ def _delivery(run: Path, number: int | None) -> Delivery:
             got=number,
             do="fwclass history lists what was delivered; run.keep_generations says how many stay",
         )
-    report = read_json(chosen.path / "report.json")
-    return Delivery(run, chosen, report)
+    report, listed = chosen.path / "report.json", generations.manifest(chosen) or {}
+    if file_digest(report) != listed.get("report.json", {}).get("digest"):
+        raise InputError(
+            "the delivery is damaged",
+            where=report,
+            expected="the bytes of its manifest",
+            got="others",
+            do="run the survey again with --verify: what is damaged is made anew",
+        )
+    return Delivery(run, chosen, read_json(report))
 
 
 def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], ClassChanges]:
@@ -124,7 +132,7 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
             "only_first": changes.only[0],
             "only_second": changes.only[1],
             "changed": changes.changed,
-            "classes": [names.get(code, str(code)) for code in codes],
+            "classes": [visible(names.get(code, str(code))) for code in codes],
             "codes": codes,
             "matrix": changes.matrix[np.ix_(codes, codes)].tolist(),
         },
@@ -224,7 +232,7 @@ def _lines(difference: Mapping[str, Any]) -> Iterator[str]:
 
 def _pairs_lines(word: str, pairs: Mapping[str, Sequence[Any]]) -> Iterator[str]:
     for key, (before, after) in pairs.items():
-        yield f"{word:<12}{key}: {visible(str(before))} -> {visible(str(after))}"
+        yield f"{word:<12}{visible(key)}: {visible(str(before))} -> {visible(str(after))}"
 
 
 def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
