@@ -65,7 +65,7 @@ def sampling(
         "remarks": [
             *notes,
             *_of_polygons(polygons, ambiguous),
-            *(_of_corrections(corrected, config.label.max_move) if whole_run else ()),
+            *(_remarks_on_corrections(corrected, config.label.max_move) if whole_run else ()),
         ],
     }
 
@@ -78,7 +78,7 @@ def _corrections(read: Sequence[Receipt], labelled: Sequence[Receipt]) -> dict[s
     return {"standing": read[0].meta["rows"], "taken_back": read[0].meta["taken_back"], "applied": applied}
 
 
-def _of_corrections(corrected: dict[str, int] | None, reach: float) -> list[str]:
+def _remarks_on_corrections(corrected: dict[str, int] | None, reach: float) -> list[str]:
     lost = corrected["standing"] - corrected["applied"] if corrected else 0
     if lost <= 0 or corrected is None:
         return []

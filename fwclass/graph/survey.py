@@ -157,7 +157,7 @@ def gather(config: Config, runner: Runner) -> Survey:
         Strip(numbered[p.stem], p, digests.of(_files_of(_here(p, s)), p), s.point_format)
         for p, s in zip(places, opened, strict=True)
     )
-    _different(strips)
+    _refuse_same_file(strips)
     standard = all(s.standard_gps_time for s in opened)
     flown = find_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
     _distinct([local(p) for p in flown])
@@ -237,7 +237,7 @@ def _distinct(paths: list[Path]) -> None:
         )
 
 
-def _different(strips: tuple[Strip, ...]) -> None:
+def _refuse_same_file(strips: tuple[Strip, ...]) -> None:
     """Refuse a file that is listed under two names: its echoes would count twice."""
     by_digest: dict[str, Location] = {}
     for strip in strips:

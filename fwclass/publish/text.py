@@ -16,7 +16,8 @@ from fwclass.publish.files import whole
 def write_text(
     path: Path, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], classes: NDArray[np.uint8]
 ) -> dict[str, Any]:
-    """Write ``x y z classification``, one point a line, under a header line; commas in a ``.csv``, else spaces.
+    """Write ``x y z classification``, one point a line, under a header line; commas in a ``.csv``, tabs in a
+    ``.tsv``, else spaces.
 
     A coordinate has as many digits as it takes to read the same number back; NaN is written as ``nan``.
 

@@ -99,7 +99,7 @@ def _digest_here() -> str:
 
 
 def _fingerprint_here() -> dict[str, str]:
-    """For `Client.run`."""
+    """The libraries and the code of the worker that `Client.run` asks."""
     return dict(fingerprint())
 
 

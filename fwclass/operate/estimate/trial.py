@@ -92,7 +92,7 @@ def reach(plan: Plan) -> float:
 
 
 def whole_tiles(keys: Sequence[str], boxes: Sequence[Box], left: Sequence[Box], halo: float) -> list[str]:
-    """Those of `keys` whose tile (same place in `boxes`) no file that was left out comes near."""
+    """The tiles, as `keys` with their `boxes`, that no file that was `left` out comes nearer than `halo` [m]."""
     return [k for k, box in zip(keys, boxes, strict=True) if not any(b.touches(box.grown(halo)) for b in left)]
 
 

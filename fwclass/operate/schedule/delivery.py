@@ -28,7 +28,7 @@ def take(delivery: Delivery, inbox: Path, places: Places, keep: int) -> dict[str
     old = [p for p in _there(delivery, places) if p.name not in _ahead(delivery, places)]
     moved = []
     if old:
-        aside = _fresh(inbox / REPLACED)
+        aside = _new_directory(inbox / REPLACED)
         for path in old:
             move(path, aside / path.name)
             moved.append(str((aside / path.name).relative_to(inbox)))
@@ -90,7 +90,7 @@ def _copy(source: Path, target: Path) -> None:
         beside.unlink(missing_ok=True)
 
 
-def _fresh(directory: Path) -> Path:
+def _new_directory(directory: Path) -> Path:
     """A new directory named by the time (UTC), in order also where several are made in a second."""
     stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
     for number in range(10_000):

@@ -172,7 +172,7 @@ def _model(inputs: PartInputs, name: str) -> Model:
     return load_model(inputs.path("paper-model", name, MODEL))
 
 
-def _test(inputs: PartInputs) -> dict[str, NDArray]:
+def _test_echoes(inputs: PartInputs) -> dict[str, NDArray]:
     return inputs.arrays("paper-tested", "all", TEST)[0]
 
 
@@ -188,7 +188,7 @@ def judge(
 
     The answers (uint8, index of the class) are kept for comparisons between variants.
     """
-    model, test = _model(inputs, one.name), _test(inputs)
+    model, test = _model(inputs, one.name), _test_echoes(inputs)
     X = np.ascontiguousarray(test["X"][:, [names.index(f) for f in model.features]])
     answers, _ = answer(X, model)
     if one.filtered is not None:
@@ -219,7 +219,7 @@ def spans(change: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
 def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """How much better `name` is than `other`: ``{"blocks", figure: {"value", "low", "high"}}``, fractions; low and high
     are None where there are too few blocks for an interval."""
-    test = _test(inputs)
+    test = _test_echoes(inputs)
     both = [
         by_block(test, inputs.arrays("paper-judged", one, ANSWERS)[0]["found"].astype(np.int64), known, edge)
         for one in (other, name)
@@ -243,7 +243,7 @@ def time_variant(
     """Processor seconds of training and of answering, without reading, writing and loading of compiled code."""
     sample, params = sample_for(inputs, names, one), one.train
     known = tuple(classes[k] for k in _known(one))
-    model, test = _model(inputs, one.name), _test(inputs)
+    model, test = _model(inputs, one.name), _test_echoes(inputs)
     tested_rows = test["X"] if one.filtered is None else test["X"][~test["ground"]]
     X = np.ascontiguousarray(tested_rows[:, [names.index(f) for f in one.features]])
     answer(X[:WARM_ROWS], model)
