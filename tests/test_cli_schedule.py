@@ -290,7 +290,7 @@ def test_what_cannot_be_scheduled(survey):
 
 
 @pytest.mark.slow
-def test_hundreds_of_runs_take_no_more_memory_or_handles(survey):
+def test_a_hundred_runs_take_no_more_memory_or_handles(survey):
     """With an inbox that is looked at and a webhook; the configuration is broken, so that runs are short."""
     with Hook() as hook:
         words = (
@@ -306,9 +306,9 @@ def test_hundreds_of_runs_take_no_more_memory_or_handles(survey):
             until(lambda: state(survey).get("run"))
             (survey / "c.yaml").write_text("survey: [")
             facts = psutil.Process(process.pid)
-            until(lambda: len(hook.got) >= 50, 300.0)
+            until(lambda: len(hook.got) >= 20, 300.0)
             before = facts.memory_info().rss, facts.num_fds()
-            until(lambda: len(hook.got) >= 250, 600.0)
+            until(lambda: len(hook.got) >= 120, 600.0)
             after = facts.memory_info().rss, facts.num_fds()
             assert facts.num_threads() <= 2
     assert after[0] - before[0] < 2 << 20, (before, after)
