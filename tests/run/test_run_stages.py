@@ -1,16 +1,19 @@
 """The one list of stages: what a run does, what `plan` tells, and what a record must say."""
 
+import ast
+import inspect
 from dataclasses import replace
 
 import pytest
 
 from fwclass import conf
 from fwclass.errors import FwclassError
+from fwclass.graph import stages, walk
 from fwclass.graph.assess import ASSESS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
 from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
-from fwclass.graph.stages import STAGES, graph_of, providers
+from fwclass.graph.stages import OF_STRIPS, STAGES, TO_TILES, graph_of, providers
 from fwclass.publish.stage_graph import drop_implied, stage_graph
 from fwclass.schema import Table
 from workflows import WORKFLOWS
@@ -100,3 +103,18 @@ def test_a_need_that_the_record_does_not_name_is_refused():
     stage = replace(ASSESS, needs=lambda plan, part: (("classify", "0_0"),), arguments=lambda plan: {})
     with pytest.raises(FwclassError, match="does not name"):
         stage.task(Plan(conf.load("demo", ())), "all")
+
+
+def test_every_stage_before_the_tiles_is_made():
+    """`until_tiles` makes them one after another, each by what the ones before it gave: it has to name a new one."""
+    before = {name for name, value in vars(stages).items() if any(value is s for s in TO_TILES)}
+    tree = ast.parse(inspect.getsource(walk))
+    functions = {f.name: f for f in tree.body if isinstance(f, ast.FunctionDef)}
+    named = {
+        n.id
+        for f in ("until_tiles", "_of_strips", "_strip_alone")
+        for n in ast.walk(functions[f])
+        if isinstance(n, ast.Name)
+    }
+    of_strips = {name for name, value in vars(stages).items() if any(value is s for s in OF_STRIPS)}
+    assert before - of_strips <= named and "OF_STRIPS" in named, before - of_strips - named
