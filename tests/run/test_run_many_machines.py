@@ -147,7 +147,7 @@ def test_status_tells_of_a_run_on_object_storage(s3, stored, host):
 @pytest.mark.slow
 def test_a_part_alone_and_what_is_read_of_a_part_that_lost_an_object(s3, stored, host):
     place, out = stored
-    [gone] = [k for k in s3.read(out) if "class-block" in k and not k.endswith("receipt.json")][:1]
+    gone = next(k for k in s3.read(out) if k.startswith("store/class-block/") and not k.endswith("receipt.json"))
     part = gone.split("/")[2]
     s3.remove(out / gone)
     ended = fwclass("status", *words(place, out))
