@@ -17,7 +17,7 @@ from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import Selection, feature_set, listed_once
 from fwclass.contours.params import ContourParams
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
-from fwclass.errors import visible
+from fwclass.errors import ConfigError, visible
 from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
 from fwclass.ground.params import GroundParams
@@ -347,9 +347,12 @@ class Config:
 
     @property
     def selection(self) -> Selection | None:
-        """How the features were chosen, where their set's file tells."""
+        """How the features were chosen, where their set's file tells; it is read at a run's end, and may be gone."""
         asked = self.survey.features
-        return feature_set(asked, self.path.parent).selection if isinstance(asked, str) else None
+        try:
+            return feature_set(asked, self.path.parent).selection if isinstance(asked, str) else None
+        except ConfigError:
+            return None
 
     @property
     def simulated(self) -> bool:

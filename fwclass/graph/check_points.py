@@ -111,9 +111,10 @@ def compare_heights(here: StageInputs, reach: float, own_crs: str | None, crs: s
 
 def _together(x: NDArray[np.float64], y: NDArray[np.float64], reach: float) -> Iterable[tuple[NDArray[np.int64], Box]]:
     """Rows of the points of a square, and the box that the echoes around them lie in."""
-    squares, member = np.unique(np.stack(TileGrid(SQUARE).indices(x, y), axis=1), axis=0, return_inverse=True)
-    for k in range(len(squares)):
-        rows = np.flatnonzero(member.reshape(-1) == k)
+    place = np.stack(TileGrid(SQUARE).indices(x, y), axis=1)
+    order = np.lexsort(place.T)
+    first = np.flatnonzero((np.diff(place[order], axis=0) != 0).any(axis=1)) + 1
+    for rows in np.split(order, first):
         box = Box(float(x[rows].min()), float(y[rows].min()), float(x[rows].max()), float(y[rows].max()))
         yield rows, box.grown(reach + 0.001)
 

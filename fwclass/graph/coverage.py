@@ -16,6 +16,9 @@ from fwclass.label.polygons import NONE, Polygons, owners
 from fwclass.publish.cog import STRIPE
 from fwclass.quality.voids import LISTED, EmptyCells, Void
 
+COLUMNS = 4096
+"""Cells of a stripe that are asked at once where they lie, so that wide areas take no more memory."""
+
 
 def read_area(path: Path, crs: str | None, layer: str, own_crs: str | None) -> Polygons:
     """Polygons of a file in the survey's system `crs` (WKT), in whole millimetres, all of one group."""
@@ -52,6 +55,14 @@ def area_coverage(counted: Mosaic, area: Polygons, least: float) -> tuple[dict[s
 
 def _inside(area: Polygons, window: Window) -> NDArray[np.bool_]:
     """bool, shape of `window`: the middle of the cell lies in the area."""
+    pieces = (
+        Window(window.cell, window.col + k, window.row, min(COLUMNS, window.ncols - k), window.nrows)
+        for k in range(0, window.ncols, COLUMNS)
+    )
+    return np.concatenate([_inside_piece(area, piece) for piece in pieces], axis=1)
+
+
+def _inside_piece(area: Polygons, window: Window) -> NDArray[np.bool_]:
     x, y = (
         millimetres(np.asarray((first + np.arange(n) + 0.5) * window.cell, np.float64))
         for first, n in ((window.col, window.ncols), (window.row, window.nrows))

@@ -7,6 +7,9 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator
 from scipy.stats import chi2
 
+from fwclass.graph import coverage
+from fwclass.grid import Window
+from fwclass.label.polygons import Polygons
 from fwclass.quality.check_points import check_remarks, facts_of, ground_heights, height_facts
 
 REACH = 5.0
@@ -106,3 +109,15 @@ def test_what_is_said(dz, words):
     facts = facts_of((np.zeros(n), np.zeros(n), np.zeros(n)), dz, np.ones(n), np.full(n, -1))
     lines = check_remarks(facts, REACH)
     assert len(lines) == len(words) and all(w in line for w, line in zip(words, lines, strict=True)), lines
+
+
+def test_wide_areas_are_asked_piece_by_piece(monkeypatch):
+    """What lies in an area does not depend on how many cells are asked at once."""
+    square = np.array([0, 40_300, 40_300, 0, 0]), np.array([0, 0, 20_100, 20_100, 0])
+    none = np.zeros(1, np.uint8)
+    area = Polygons(*square, np.array([0, 5]), np.array([0, 1]), none, none.astype(np.int16))
+    window = Window(2.0, -3, -2, 30, 15)
+    whole = coverage._inside(area, window)
+    assert whole.sum() == 20 * 10 and whole.shape == window.shape
+    monkeypatch.setattr(coverage, "COLUMNS", 7)
+    assert (coverage._inside(area, window) == whole).all()
