@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError, StoreError
 from fwclass.formats.las_header import EVLR_HEADER, RECORD_LENGTH, Record, read_header, text
+from fwclass.formats.laszip_input import open_for_laszip
 
 POINT_SIZE = dict(enumerate(RECORD_LENGTH))
 """Bytes of a point record without extra bytes, by point format."""
@@ -197,7 +198,7 @@ def point_chunks(head: LasHead, chunk: int) -> Iterator[NDArray[np.uint8]]:
     """Points in file order as byte arrays of shape (at most `chunk`, point size); the array is used again."""
     chunk = chunk_rows(chunk, head.point_size)
     buffer = np.empty((min(chunk, head.points), head.point_size), np.uint8)
-    with head.path.open("rb") as file:
+    with open_for_laszip(head.path, head.records) as file:
         take = _decompressor(head, file) if head.compressed and head.points else _plain(head, file)
         for first in range(0, head.points, chunk):
             part = buffer[: min(chunk, head.points - first)]

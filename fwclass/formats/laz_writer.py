@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -11,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.formats.las_bytes import AT_FORMAT, AT_OFFSET
+
+RECORD_HEADER = 54
+"""Bytes before the data of a variable length record: two of no meaning, user, number, length, description."""
 
 COUNTS = (107, 131), (247, 375)
 """Bytes of a header with the number of points, in all and by return: as before LAS 1.4, and of LAS 1.4."""
@@ -33,12 +37,13 @@ class LazWriter:
     """Compresses points behind a given uncompressed head; `finish` puts back what LASzip changed in it.
 
     LASzip replaces the software's name, the bounding box, the counts and the start of the packet record; only
-    the offset to the points, the number of records and the compression bit are really its own.
+    the offset to the points, the number of records and the compression bit are really its own. It gets the records
+    without their names, as it needs none of them, and damaged ones that it knows by name end the process.
     """
 
     def __init__(self, file: BinaryIO, head: bytes) -> None:
         self.file, self.head = file, head
-        self.zipper = laszip.LasZipper(file, _without_counts(head))
+        self.zipper = laszip.LasZipper(file, _without_names(_without_counts(head)))
 
     def write(self, points: NDArray[np.uint8]) -> None:
         """Append points, uint8 (points, bytes of one)."""
@@ -55,8 +60,27 @@ class LazWriter:
         whole[AT_OFFSET : AT_OFFSET + 9] = own
         self.file.seek(0)
         self.file.write(whole)
+        for at in _records(self.head):
+            self.file.seek(at)
+            self.file.write(self.head[at : at + RECORD_HEADER])
         self.file.seek(end)
         return end
+
+
+def _records(head: bytes) -> Iterator[int]:
+    """Where each of the records begins."""
+    (at,), (number,) = struct.unpack_from("<H", head, 94), struct.unpack_from("<I", head, AT_OFFSET + 4)
+    for _ in range(number):
+        yield at
+        at += RECORD_HEADER + struct.unpack_from("<H", head, at + 20)[0]
+
+
+def _without_names(head: bytes) -> bytes:
+    """`head` with records that no program knows, of the same length."""
+    cleared = bytearray(head)
+    for at in _records(head):
+        cleared[at + 2 : at + 20] = bytes(18)
+    return bytes(cleared)
 
 
 def _without_counts(head: bytes) -> bytes:

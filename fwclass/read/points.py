@@ -12,6 +12,7 @@ from laspy import DecompressionSelection
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.laszip_input import open_for_laszip
 from fwclass.formats.laz import check_written, varies_chunks
 from fwclass.read.las import LasSource
 
@@ -57,7 +58,8 @@ class PointReader:
         laszip = source.has_waves or (source.compressed and varies_chunks(source.header))
         backend = laspy.LazBackend.Laszip if laszip else laspy.LazBackend.Lazrs
         with _guarded(source):
-            self._las = laspy.open(source.path, laz_backend=backend, read_evlrs=False, decompression_selection=fields)
+            stream = open_for_laszip(source.path, source.header.vlrs)
+            self._las = laspy.open(stream, laz_backend=backend, read_evlrs=False, decompression_selection=fields)
 
     def __enter__(self) -> PointReader:
         return self

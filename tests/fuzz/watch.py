@@ -15,7 +15,7 @@ from typing import Any
 
 from child import CPU_SECONDS, drawn
 
-WALL_SECONDS = 150.0
+WALL_SECONDS = 700.0
 """An input that waits for so long without using the processor hangs too."""
 
 PLAIN = {

@@ -11,7 +11,7 @@ from tolerances import SMALL_COORDINATE
 from fwclass.grid import Window
 from fwclass.ground.methods.smrf import objects
 from fwclass.ground.raster.bilinear import bilinear
-from fwclass.ground.raster.fill import fill_gaps
+from fwclass.ground.raster.fill import SWEEPS, _relax, _relax_rows, fill_gaps
 from fwclass.ground.raster.lattice import lowest
 from fwclass.ground.raster.opening import disk_opening
 from fwclass.ground.raster.surface import domain, gradient, low_limit
@@ -99,6 +99,24 @@ def test_filling_of_nothing_everything_and_one_cell():
     one = nothing.copy()
     one[4, 0] = 12.5
     np.testing.assert_allclose(fill_gaps(one), 12.5, atol=SMALL_COORDINATE)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2), (5, 8), (40, 33)])
+@pytest.mark.parametrize("share", [0.02, 0.09, 0.5, 0.98])
+def test_a_membrane_is_the_same_cell_by_cell_and_row_by_row(shape: tuple[int, int], share: float) -> None:
+    rng = np.random.default_rng(3)
+    known = rng.random(shape) >= share
+    apart = np.where(known, rng.normal(200, 30, shape), 180.0)
+    rows, cells = apart.copy(), apart.copy()
+    _relax_rows(known, SWEEPS, 1.6, rows)
+    for colour in [k % 2 for k in range(2 * SWEEPS)]:
+        around = np.pad(cells, 1, mode="edge")
+        across, along = around[1:-1, :-2] + around[1:-1, 2:], around[:-2, 1:-1] + around[2:, 1:-1]
+        drawn = cells + 1.6 * (0.25 * (across + along) - cells)
+        cells = np.where(~known & (np.indices(shape).sum(0) % 2 == colour), drawn, cells)
+    np.testing.assert_array_equal(rows, cells)
+    _relax(known, SWEEPS, 1.6, apart)
+    np.testing.assert_array_equal(apart, cells)
 
 
 def test_filling_stays_between_the_known_values():

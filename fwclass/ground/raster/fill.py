@@ -13,6 +13,9 @@ SWEEPS = 40
 OVERRELAXATION = 1.6
 """Of each sweep; between 1 (Gauss–Seidel) and 2 (no convergence)."""
 
+MANY = 0.1
+"""Share of unknown cells above which it is quicker to visit all; it changes no bit."""
+
 
 def fill_gaps(surface: NDArray[np.float64], corner: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
     """`surface` with its NaN cells filled by a membrane that is free at the array's edge.
@@ -72,14 +75,55 @@ def _start_from(coarse, known, odd_row, odd_col, out):  # type: ignore[no-untype
 
 
 @kernel
+def _relax_rows(known, sweeps, omega, z):  # type: ignore[no-untyped-def]
+    """As `_relax`, with the cells of one colour of a row side by side, so that many are reckoned at once.
+
+    Row ``r`` of colour ``k`` holds the columns ``f, f + 2, …`` with ``f = (r + k) % 2``, the i-th at ``[k, r, i + 1]``.
+    """
+    nrows, ncols = z.shape
+    cells, free = np.zeros((2, nrows, ncols // 2 + 3)), np.zeros((2, nrows, ncols // 2 + 3), np.bool_)
+    for r in range(nrows):
+        for c in range(ncols):
+            colour, i = (r + c) % 2, c // 2 + 1
+            cells[colour, r, i], free[colour, r, i] = z[r, c], not known[r, c]
+    for _ in range(sweeps):
+        for colour in range(2):
+            for r in range(nrows):
+                f = (r + colour) % 2
+                own, wanted, beside = cells[colour, r], free[colour, r], cells[1 - colour, r]
+                number = (ncols - f + 1) // 2
+                if number < 1:
+                    continue
+                # beyond the ends of a row a cell sees itself
+                if f == 0:
+                    beside[0] = own[1]
+                if f + 2 * number > ncols:
+                    beside[f + number] = own[number]
+                south = cells[1 - colour, r - 1] if r > 0 else own
+                north = cells[1 - colour, r + 1] if r + 1 < nrows else own
+                for i in range(number):
+                    was = own[i + 1]
+                    across, along = beside[i + f] + beside[i + f + 1], south[i + 1] + north[i + 1]
+                    drawn = was + omega * (0.25 * (across + along) - was)
+                    own[i + 1] = drawn if wanted[i + 1] else was
+    for r in range(nrows):
+        for c in range(ncols):
+            z[r, c] = cells[(r + c) % 2, r, c // 2 + 1]
+
+
+@kernel
 def _relax(known, sweeps, omega, z):  # type: ignore[no-untyped-def]
     """Draw every unknown cell towards the mean of its four neighbours; a cell at the edge stands in for the missing.
 
     Cells of one colour of a chessboard do not see each other: all of one colour first, then the other, so that the
-    processor need not wait for one cell before the next.
+    processor need not wait for one cell before the next. Few unknown cells are visited one by one, many in whole rows;
+    the answer is the same to the last bit.
     """
     nrows, ncols = z.shape
     unknown = nrows * ncols - np.sum(known)
+    if unknown > MANY * nrows * ncols:
+        _relax_rows(known, sweeps, omega, z)
+        return
     rows, cols = np.empty(unknown, np.int32), np.empty(unknown, np.int32)
     n = 0
     for colour in range(2):

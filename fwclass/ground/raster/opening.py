@@ -32,45 +32,48 @@ def disk_opening(surface: NDArray[Real], radius: int) -> NDArray[Real]:
     outside = np.isnan(surface)
     low = _erode_by_disk(np.where(outside, surface.dtype.type(np.inf), surface), rows)
     low[outside] = -np.inf
-    out = -_erode_by_disk(-low, rows)
+    out = _erode_by_disk(np.negative(low, out=low), rows)
     out[outside] = np.nan
-    return out
+    return np.negative(out, out=out)
 
 
 def _erode_by_disk(surface: NDArray[Real], half_widths: NDArray[np.int64]) -> NDArray[Real]:
-    """Minimum over the disk, strip by strip, so that a strip's table stays in the processor's cache."""
+    """Minimum over the disk, strip by strip and row by row, so that the table stays in the processor's cache."""
     radius, (nrows, ncols) = len(half_widths) // 2, surface.shape
     out = np.empty((nrows, ncols), surface.dtype)
     levels = (2 * radius + 1).bit_length()
-    table = np.empty((levels, nrows, min(STRIP, ncols) + 2 * radius), surface.dtype)
+    table = np.empty((levels, min(2 * radius + 1, nrows), min(STRIP, ncols) + 2 * radius), surface.dtype)
     _erode(surface, half_widths, min(STRIP, ncols), table, out)
     return out
 
 
 @kernel
 def _erode(surface, half_widths, strip, table, out):  # type: ignore[no-untyped-def]
-    """Each row of the disk is two overlapping runs of 2^k cells from a table of minima."""
+    """Each row of the disk is two overlapping runs of 2^k cells from a table of minima, which holds the rows that the
+    disk reaches, row ``r`` at ``r`` modulo their number."""
     nrows, ncols = surface.shape
     radius = len(half_widths) // 2
-    levels = len(table)
+    levels, held = len(table), table.shape[1]
     for start in range(0, ncols, strip):
         count = min(strip, ncols - start)
         wide = count + 2 * radius
         first_in, last_in = max(start - radius, 0), min(start + count + radius, ncols)
         begin = first_in - (start - radius)
+        entered = 0
         for r in range(nrows):
-            base = table[0, r]
-            base[:begin] = np.inf
-            for c in range(last_in - first_in):
-                base[begin + c] = surface[r, first_in + c]
-            base[begin + last_in - first_in : wide] = np.inf
-            for k in range(1, levels):
-                step = 1 << (k - 1)
-                shorter, longer = table[k - 1, r], table[k, r]
-                for c in range(wide - 2 * step + 1):
-                    a, b = shorter[c], shorter[c + step]
-                    longer[c] = a if a < b else b
-        for r in range(nrows):
+            while entered <= min(r + radius, nrows - 1):
+                base = table[0, entered % held]
+                base[:begin] = np.inf
+                for c in range(last_in - first_in):
+                    base[begin + c] = surface[entered, first_in + c]
+                base[begin + last_in - first_in : wide] = np.inf
+                for k in range(1, levels):
+                    step = 1 << (k - 1)
+                    shorter, longer = table[k - 1, entered % held], table[k, entered % held]
+                    for c in range(wide - 2 * step + 1):
+                        a, b = shorter[c], shorter[c + step]
+                        longer[c] = a if a < b else b
+                entered += 1
             line = out[r, start : start + count]
             line[:] = np.inf
             for dy in range(max(-radius, -r), min(radius, nrows - 1 - r) + 1):
@@ -80,7 +83,7 @@ def _erode(surface, half_widths, strip, table, out):  # type: ignore[no-untyped-
                     k += 1
                 left = radius - half
                 right = radius + half + 1 - (1 << k)
-                run = table[k, r + dy]
+                run = table[k, (r + dy) % held]
                 first, second = run[left : left + count], run[right : right + count]
                 for c in range(count):
                     a = first[c] if first[c] < second[c] else second[c]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.ground.raster.lattice import cells_of
+from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
 
 LEAST_POINTS = 6
@@ -41,49 +40,61 @@ def roughness(
     cells, inside = cells_of(x, y, window.grown(1))
     px, py, pz = millimetres(x[inside]), millimetres(y[inside]), millimetres(z[inside])
     px, py, pz = px % mm, py % mm, pz - (pz.min() if len(pz) else 0)
-    n, sx, sy, sz, xx, xy, yy, xz, yz, zz = _around(_sums(cells, px, py, pz, window.grown(1)), mm)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        xx, xy, yy = xx - sx * sx / n, xy - sx * sy / n, yy - sy * sy / n
-        xz, yz, zz = xz - sx * sz / n, yz - sy * sz / n, zz - sz * sz / n
-        spread = xx * yy - xy * xy
-        rest = zz - (xz * xz * yy - 2.0 * xz * yz * xy + yz * yz * xx) / spread
-        out = np.sqrt(np.maximum(rest, 0.0) / (n - 3.0)) * QUANTUM
-        sure = (n >= LEAST_POINTS) & (spread >= FLATTEST * (xx + yy) ** 2) & (spread > 0.0)
-    return np.where(sure, out, np.nan).astype(np.float32)
-
-
-def _sums(
-    cells: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64], window: Window
-) -> list[NDArray[np.float64]]:
-    """Number, sums and sums of products by cell; of whole numbers, so that the order of the points does not matter."""
-    px, py, pz = (v.astype(np.float64) for v in (x, y, z))
-    size = math.prod(window.shape)
-    number = np.bincount(cells, minlength=size).astype(np.float64)
-    products = (px, py, pz, px * px, px * py, py * py, px * pz, py * pz, pz * pz)
-    sums = [np.bincount(cells, weights=v, minlength=size) for v in products]
-    return [np.asarray(v, np.float64).reshape(window.shape) for v in (number, *sums)]
-
-
-def _around(sums: list[NDArray[np.float64]], mm: int) -> list[NDArray[np.float64]]:
-    """The sums of a cell and its eight neighbours, plan coordinates from the corner of that cell [mm]."""
-    rows, cols = sums[0].shape
-    out = [np.zeros((rows - 2, cols - 2)) for _ in sums]
-    for row in range(3):
-        for col in range(3):
-            n, sx, sy, sz, xx, xy, yy, xz, yz, zz = (v[row : row + rows - 2, col : col + cols - 2] for v in sums)
-            dx, dy = float((col - 1) * mm), float((row - 1) * mm)
-            moved = (
-                n,
-                sx + dx * n,
-                sy + dy * n,
-                sz,
-                xx + 2.0 * dx * sx + dx * dx * n,
-                xy + dx * sy + dy * sx + dx * dy * n,
-                yy + 2.0 * dy * sy + dy * dy * n,
-                xz + dx * sz,
-                yz + dy * sz,
-                zz,
-            )
-            for total, value in zip(out, moved, strict=True):
-                total += value
+    out = np.full(window.shape, np.nan, np.float32)
+    _spread(_sums(cells, px, py, pz, window.grown(1).shape), float(mm), LEAST_POINTS, FLATTEST, QUANTUM, out)
     return out
+
+
+@kernel
+def _sums(cells, x, y, z, shape):  # type: ignore[no-untyped-def]
+    """Number, sums and sums of products by cell, (rows, columns, 10); of whole numbers, so that the order of the points
+    does not matter."""
+    out = np.zeros((shape[0] * shape[1], 10))
+    for i in range(len(cells)):
+        px, py, pz = float(x[i]), float(y[i]), float(z[i])
+        total = out[cells[i]]
+        total[0] += 1.0
+        total[1] += px
+        total[2] += py
+        total[3] += pz
+        total[4] += px * px
+        total[5] += px * py
+        total[6] += py * py
+        total[7] += px * pz
+        total[8] += py * pz
+        total[9] += pz * pz
+    return out.reshape((shape[0], shape[1], 10))
+
+
+@kernel
+def _spread(sums, mm, least, flattest, quantum, out):  # type: ignore[no-untyped-def]
+    """Spread [m] about the plane of a cell and its eight neighbours, whose plan coordinates count from the corner of
+    that cell [mm]; `out` stays as it is where no plane is sure."""
+    rows, cols = out.shape
+    for r in range(rows):
+        for c in range(cols):
+            n, sx, sy, sz, xx, xy, yy, xz, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for row in range(3):
+                for col in range(3):
+                    s = sums[r + row, c + col]
+                    if s[0] == 0.0:
+                        continue
+                    dx, dy = (col - 1) * mm, (row - 1) * mm
+                    n += s[0]
+                    sx += s[1] + dx * s[0]
+                    sy += s[2] + dy * s[0]
+                    sz += s[3]
+                    xx += s[4] + 2.0 * dx * s[1] + dx * dx * s[0]
+                    xy += s[5] + dx * s[2] + dy * s[1] + dx * dy * s[0]
+                    yy += s[6] + 2.0 * dy * s[2] + dy * dy * s[0]
+                    xz += s[7] + dx * s[3]
+                    yz += s[8] + dy * s[3]
+                    zz += s[9]
+            if n < least:
+                continue
+            xx, xy, yy = xx - sx * sx / n, xy - sx * sy / n, yy - sy * sy / n
+            xz, yz, zz = xz - sx * sz / n, yz - sy * sz / n, zz - sz * sz / n
+            spread = xx * yy - xy * xy
+            if spread > 0.0 and spread >= flattest * (xx + yy) ** 2:
+                rest = zz - (xz * xz * yy - 2.0 * xz * yz * xy + yz * yz * xx) / spread
+                out[r, c] = np.sqrt(max(rest, 0.0) / (n - 3.0)) * quantum
