@@ -229,7 +229,17 @@ class Directory:
     # generations
 
     def check_links(self) -> None:
-        """`StoreError` where something of the user's stands in a place that a delivery needs."""
+        """`StoreError` where something of the user's stands in a place that a delivery needs, or where parts or
+        generations would lie on another disk: a delivery's files are those of parts, linked."""
+        for name in ("store", GENERATIONS):
+            if (self.root / name).is_symlink():
+                raise StoreError(
+                    "parts and generations belong into the run directory itself",
+                    where=self.root / name,
+                    expected="a directory, or nothing",
+                    got=f"a link to {(self.root / name).readlink()}",
+                    do="put the whole run directory there: --out",
+                )
         for name in (
             CURRENT,
             "laz",

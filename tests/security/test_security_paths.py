@@ -226,3 +226,14 @@ def test_cleaning_does_not_follow_a_link_out_of_the_run(name: str, tmp_path: Pat
     with pytest.raises(InputError, match="a link on the way leads to"):
         store.generations.files.retire(["0000"]) if name == "generations" else store.clear_staging()
     assert {p.name for p in outside.iterdir()} == {"0000", ".mine"}
+
+
+@pytest.mark.parametrize("name", ["store", "generations"])
+def test_a_run_whose_parts_would_lie_elsewhere_is_refused_at_once(name: str, tmp_path: Path) -> None:
+    run, disk = tmp_path / "run", tmp_path / "disk"
+    run.mkdir()
+    disk.mkdir()
+    (run / name).symlink_to(disk)
+    with pytest.raises(StoreError, match="put the whole run directory there"):
+        Store(run).generations.check_links()
+    assert list(disk.iterdir()) == []
