@@ -41,8 +41,12 @@ class Site:
     tiles: tuple[Tile, ...]
 
 
-def in_sites(cells: float, with_echoes: float) -> bool:
-    """A raster of so many cells, so many of them in blocks with echoes, is made site by site."""
+def in_sites(box: Box, cell: float, with_echoes: float, tile: int) -> bool:
+    """Rasters of a survey's `box` [m], so many of whose cells of `cell` [m] lie in blocks with echoes, are made site by
+    site. What counts is their whole tiles of `tile` x `tile` cells: a point far away makes a thin raster of very many.
+    """
+    nrows, ncols = Window.covering(box, cell).shape
+    cells = float(math.ceil(nrows / tile)) * math.ceil(ncols / tile) * tile * tile
     return cells > max(FEW_CELLS, EMPTY * with_echoes)
 
 
@@ -52,7 +56,7 @@ def sites(layout: Layout) -> tuple[Site, ...]:
     edge, cell = config.terrain.block, min(config.terrain.cell, config.publish.class_cell)
     owned = len(layout.occupied[edge]) * (edge / cell) ** 2
     whole = Site(WHOLE, layout.box, blocks, layout.tiles)
-    if not in_sites(float(math.prod(Window.covering(layout.box, cell).shape)), owned):
+    if not in_sites(layout.box, cell, owned, config.publish.cog_block):
         return (whole,)
     parts = groups(blocks)
     if len(parts) == 1:

@@ -99,7 +99,7 @@ class Entry:
     began: float = field(default_factory=time.time)
     clock: float = field(default_factory=time.monotonic)
     last: dict[str, Any] = field(default_factory=dict)
-    accuracy: Mapping[str, float] | None = None
+    accuracy: Mapping[str, float | None] | None = None
     echoes: int | None = None
 
     def begin(self, runner: Any) -> None:
@@ -132,11 +132,12 @@ class Entry:
         """Take over what the run's `report` says; a line for the user where an earlier run was more accurate."""
         accuracy = report.get("accuracy")
         self.echoes = (report.get("counts") or {}).get("echoes_in_tiles")
-        if not accuracy:
+        if not accuracy or accuracy["overall_accuracy"] is None:  # nothing was tested
             return ""
-        self.accuracy = {key: round(accuracy[key], 6) for key in ("overall_accuracy", "kappa")}
+        now, kappa = round(accuracy["overall_accuracy"], 6), accuracy["kappa"]
+        self.accuracy = {"overall_accuracy": now, "kappa": None if kappa is None else round(kappa, 6)}
         earlier = next((r for r in reversed(past_runs(self.location, LOOKED_BACK)) if _overall(r) is not None), None)
-        before, now = _overall(earlier or {}), self.accuracy["overall_accuracy"]
+        before = _overall(earlier or {})
         if earlier is None or before is None or before - now < LOSS:
             return ""
         return (

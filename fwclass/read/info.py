@@ -261,12 +261,17 @@ def describe(info_: dict[str, Any]) -> str:
         ("written by", " / ".join(t for t in (info_["system"], info_["software"]) if t)),
         ("CRS", f"{crs['name']}" + (f" (EPSG:{crs['epsg']})" if crs["epsg"] else "") if crs else "none"),
         ("bounds", _bounds_text(info_["bounds"])),
-        ("GPS time", "{:.3f} to {:.3f} s".format(*info_["gps_time"]) if info_["gps_time"] else "none"),
+        ("GPS time", " to ".join(map(_time_text, info_["gps_time"])) + " s" if info_["gps_time"] else "none"),
         *_describe_rest(info_),
     ]
     lines = [f"{name:<12} {visible(text)}" for name, text in rows]
     lines += [f"  ! {visible(fault)}" for fault in info_["faults"]] or ["  no faults found"]
     return "\n".join(lines)
+
+
+def _time_text(seconds: float) -> str:
+    """To the millisecond; a number that is no time at all in short."""
+    return f"{seconds:.3f}" if abs(seconds) < 1e12 else f"{seconds:.3g}"
 
 
 def _describe_rest(info_: dict[str, Any]) -> list[tuple[str, str]]:

@@ -33,6 +33,7 @@ from fwclass import compiling
 from fwclass.errors import FwclassError
 from fwclass.isolation import kernel_cache
 from fwclass.memory import give_back, keep_freed
+from fwclass.run.bundles import Bundles
 from fwclass.run.in_flight import InFlight
 from fwclass.run.limit import ended_after
 from fwclass.run.lost import Losses, cause_of
@@ -74,23 +75,27 @@ class OtherLibraries(Exception):
 def _at_worker(
     libraries: str,
     location: RunLocation,
-    task: Task,
-    upstream: Iterable[Outcome],
+    tasks: Sequence[Task],
+    upstream: Iterable[Sequence[Outcome]],
     split: int,
     topic: str,
     seconds: float,
-) -> Outcome:
-    """A part, on whatever host the scheduler has chosen; its outcome is told under `topic` too, which asks nobody."""
+) -> list[Outcome]:
+    """Parts, one after the other, on whatever host the scheduler has chosen; their outcomes are told under `topic` too,
+    which asks nobody."""
     worker = get_worker()
     if libraries != _digest_here():
         raise OtherLibraries(worker.address, dict(fingerprint()))
     worker_directory(Path(worker.local_directory))
     compiling.listeners[:] = [lambda begins: worker.log_event(topic, {"worker": worker.address, "compiling": begins})]
-    with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
-        outcome = execute(location, task, tuple(upstream), split)
-    give_back(worker.memory_manager.memory_limit)
-    worker.log_event(topic, {"key": worker.get_current_task(), "outcome": asdict(outcome)})
-    return outcome
+    before = {(o.stage, o.part): o for several in upstream for o in several}
+    outcomes = []
+    for task in tasks:
+        with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
+            outcomes.append(execute(location, task, [before[n] for n in task.needs if n in before], split))
+        give_back(worker.memory_manager.memory_limit)
+    worker.log_event(topic, {"key": worker.get_current_task(), "outcomes": [asdict(o) for o in outcomes]})
+    return outcomes
 
 
 @cache
@@ -216,7 +221,7 @@ class Cluster:
             }
         )
         self._cluster: LocalCluster | None = None
-        self._heard: dict[str, Outcome] = {}
+        self._heard: dict[str, Sequence[Outcome]] = {}
         self._compiling = compiles
         self._away: set[str] = set()
         self._wanted, self._memory, self._retries, self._split = workers, worker_memory_gib, retries, split
@@ -336,31 +341,38 @@ class Cluster:
         scheduler is gone.
         """
         in_flight = InFlight(self, location, Losses(location, self._retries), as_completed())
+        bundles = Bundles(self.workers, self._window)
+
+        def ended() -> Iterator[Outcome]:
+            for outcome in in_flight.ended():
+                bundles.note(outcome)
+                yield outcome
+
         try:
-            for task in tasks:
-                in_flight.take(task)
-                while in_flight.full:
-                    yield from in_flight.ended()
+            for bundle in bundles.of(tasks):
+                in_flight.take(bundle)
+                while in_flight.full or (in_flight and bundles.waits):
+                    yield from ended()
             while in_flight:
-                yield from in_flight.ended()
+                yield from ended()
             self._heard.clear()
         except GeneratorExit:  # stopped at a failure: what has not begun is not begun any more
             in_flight.drop()
             raise
 
-    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Future:
-        """Hand a part to the scheduler; one that is tried alone is made in pieces."""
+    def submit(self, location: RunLocation, tasks: Sequence[Task], upstream: list[Any], alone: bool) -> Future:
+        """Hand parts to the scheduler; one that is tried alone is made in pieces."""
         self._count += 1
         return self._client.submit(
             _at_worker,
             _digest_here(),
             location,
-            task,
+            tasks,
             upstream,
             self._split if alone else 1,
             self._topic,
             self._seconds,
-            key=f"{task.stage}-{task.part}-{self._count}",
+            key=f"{tasks[0].stage}-{tasks[0].part}-{self._count}",
             pure=False,
             priority=-self._count,
             retries=0,
@@ -370,11 +382,10 @@ class Cluster:
         if "compiling" in event[1]:
             self._compiling(event[1]["worker"], event[1]["compiling"])
             return
-        outcome = event[1]["outcome"]
-        self._heard[event[1]["key"]] = Outcome(**{**outcome, "lost": tuple(outcome["lost"])})
+        self._heard[event[1]["key"]] = [Outcome(**{**o, "lost": tuple(o["lost"])}) for o in event[1]["outcomes"]]
 
-    def outcome(self, future: Future) -> Outcome:
-        """Of a part that has ended: what its worker told, or else what the scheduler finds; any fault of that."""
+    def outcomes(self, future: Future) -> Sequence[Outcome]:
+        """Of parts that have ended: what their worker told, or else what the scheduler finds; any fault of that."""
         heard = self._heard.pop(future.key, None)
         return heard if heard is not None else future.result()
 

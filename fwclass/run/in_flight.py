@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
 from fwclass.run.logs import log_attempt
@@ -20,16 +20,17 @@ class Scheduler(Protocol):
         """How many parts the scheduler may know at a time."""
         ...
 
-    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Any:
-        """The future of a part that is handed over, to run after those of `upstream`, and with no other if `alone`."""
+    def submit(self, location: RunLocation, tasks: Sequence[Task], upstream: list[Any], alone: bool) -> Any:
+        """The future of parts that are handed over together, to run one after the other, after those of `upstream`
+        (futures, or outcomes), and with no other if `alone`."""
         ...
 
     def cancel(self, futures: list[Any]) -> None:
         """Give up parts that have not begun."""
         ...
 
-    def outcome(self, future: Any) -> Outcome:
-        """The outcome of a future that has ended well."""
+    def outcomes(self, future: Any) -> Sequence[Outcome]:
+        """The outcomes of a future that has ended well, in the order of its parts."""
         ...
 
     def gone(self) -> Exception:
@@ -58,7 +59,7 @@ class InFlight:
         self._order: dict[Name, int] = {}
         self._numbers = itertools.count()
         self._futures: dict[Name, Any] = {}
-        self._names: dict[str, Name] = {}
+        self._names: dict[str, tuple[Name, ...]] = {}
         self._suspects: dict[Name, Task] = {}
         self._waiting: dict[Name, Task] = {}
         self._failed: dict[Name, Outcome] = {}
@@ -71,16 +72,27 @@ class InFlight:
         """No further part may be taken: the window is full, or everything is to end first."""
         return bool(self._suspects or self._waiting) or len(self._futures) >= self._scheduler.window
 
-    def take(self, task: Task, alone: bool = False) -> None:
-        """Hand `task` to the scheduler, or let it wait for a suspect that it needs."""
-        if task.name not in self._order:
-            self._order[task.name] = next(self._numbers)
-        if any(n in self._suspects or n in self._waiting for n in task.needs):
-            self._waiting[task.name] = task
+    def take(self, tasks: Sequence[Task], alone: bool = False) -> None:
+        """Hand `tasks`, none of which needs another, to the scheduler together; those wait that need a suspect."""
+        for task in tasks:
+            if task.name not in self._order:
+                self._order[task.name] = next(self._numbers)
+            if any(n in self._suspects or n in self._waiting for n in task.needs):
+                self._waiting[task.name] = task
+        ready = [task for task in tasks if task.name not in self._waiting]
+        if not ready:
             return
-        upstream = [self._failed.get(n) or self._futures.get(n) for n in task.needs]
-        future = self._scheduler.submit(self._location, task, [u for u in upstream if u is not None], alone)
-        self._futures[task.name], self._names[future.key], self._tasks[task.name] = future, task.name, task
+        needs = dict.fromkeys(n for task in ready for n in task.needs)
+        upstream: dict[Any, Any] = {}
+        for name in needs:
+            if name in self._failed:
+                upstream[name] = [self._failed[name]]
+            elif (future := self._futures.get(name)) is not None:
+                upstream[future.key] = future
+        future = self._scheduler.submit(self._location, ready, list(upstream.values()), alone)
+        self._names[future.key] = tuple(task.name for task in ready)
+        for task in ready:
+            self._futures[task.name], self._tasks[task.name] = future, task
         self._done.add(future)
 
     def drop(self) -> None:
@@ -93,32 +105,34 @@ class InFlight:
             yield from self._alone()
             return
         future = next(self._done)
-        name = self._names.pop(future.key, None)
-        if name is None:
+        if future.key not in self._names:
             return  # it was handed over again meanwhile
         if future.status not in ("error", "cancelled"):
-            yield from self._take_outcome(name, alone=False)
+            yield from self._take_outcomes(future, alone=False)
             return
-        for other in [n for n, f in self._futures.items() if n == name or f.status in ("error", "cancelled")]:
-            yield from self._take_loss(other)
+        keys = {f.key for f in self._futures.values() if f.key == future.key or f.status in ("error", "cancelled")}
+        for key in [key for key in self._names if key in keys]:
+            names = self._names[key]
+            for name in names:
+                yield from self._take_loss(name, together=len(names) > 1)
 
     def _alone(self) -> Iterator[Outcome]:
         """Everything else has ended: try the first suspect, and hand over what waited when there is none left."""
         if not self._suspects:
             waited, self._waiting = self._waiting, {}
             for task in sorted(waited.values(), key=self._place):
-                self.take(task)
+                self.take([task])
             return
         name, task = min(self._suspects.items(), key=lambda one: self._place(one[1]))
         del self._suspects[name]
         suspects, self._suspects = self._suspects, {}  # a suspect may need an earlier one, none of the others
-        self.take(task, alone=True)
+        self.take([task], alone=True)
         self._suspects = suspects
         while name in self._futures:
             if next(self._done).key != self._futures[name].key:
                 continue  # one that was handed over again before
             if self._futures[name].status not in ("error", "cancelled"):
-                yield from self._take_outcome(name, alone=True)
+                yield from self._take_outcomes(self._futures[name], alone=True)
             else:
                 yield from self._take_loss(name, alone=True)
 
@@ -126,44 +140,48 @@ class InFlight:
         """Its place in the plan, which has every part after those that it needs."""
         return self._order[task.name]
 
-    def _take_outcome(self, name: Name, alone: bool) -> Iterator[Outcome]:
-        """A part has an outcome; where that was lost with its worker, the part is handed over again and found done."""
-        future = self._futures[name]
+    def _take_outcomes(self, future: Any, alone: bool) -> Iterator[Outcome]:
+        """Parts have outcomes; where those were lost with their worker, the parts are handed over again and found
+        done."""
+        names = self._names[future.key]
         try:
-            outcome = self._scheduler.outcome(future)
+            outcomes = self._scheduler.outcomes(future)
         except Exception as fault:
             if future.status == "cancelled":
                 raise self._scheduler.gone() from fault
-            self.take(self._forget(name), alone)
+            for task in [self._forget(name) for name in names]:
+                self.take([task], alone)
             return
-        self._forget(name)
-        del self._order[name]
-        yield self._losses.with_causes(outcome)
+        for name, outcome in zip(names, outcomes, strict=True):
+            self._forget(name)
+            del self._order[name]
+            yield self._losses.with_causes(outcome)
 
     def _forget(self, name: Name) -> Task:
         future = self._futures.pop(name)
         self._names.pop(future.key, None)
         return self._tasks.pop(name)
 
-    def _take_loss(self, name: Name, alone: bool = False) -> Iterator[Outcome]:
-        """A part's future has no outcome: its worker was lost, or that of a part that it needs."""
+    def _take_loss(self, name: Name, alone: bool = False, together: bool = False) -> Iterator[Outcome]:
+        """A part's future has no outcome: its worker was lost, or that of a part that it needs. One of several that
+        were handed over `together` comes back by itself."""
         future = self._futures[name]
         if future.status == "cancelled":
             raise self._scheduler.gone()
         fault, task = future.exception(), self._forget(name)
         if self._scheduler.turned_away(fault):
-            self.take(task, alone)
+            self.take([task], alone)
             return
         worker = self._scheduler.killed(fault, future.key)
         if worker is None:
             message = f"no worker could begin it: {type(fault).__name__}: {fault}"
             yield self._give_up(name, message)
         elif not worker:  # that of a part that it needs
-            self.take(task)
+            self.take([task])
         else:
-            verdict = self._losses.lost(task.name, self._scheduler.cause(worker), alone)
+            verdict = self._losses.lost(name, self._scheduler.cause(worker), alone, together)
             if verdict == "again":
-                self.take(task, alone)
+                self.take([task], alone)
             elif verdict == "alone":
                 self._suspects[name] = task
             else:

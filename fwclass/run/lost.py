@@ -41,14 +41,15 @@ class Losses:
     _causes: dict[Name, list[str]] = field(default_factory=dict)
     _alone: dict[Name, int] = field(default_factory=dict)
 
-    def lost(self, name: Name, cause: str, alone: bool) -> Verdict:
+    def lost(self, name: Name, cause: str, alone: bool, together: bool = False) -> Verdict:
         """A worker that had the part was lost, by `cause`; what to do with the part. Its log tells it.
 
-        `alone`: nothing else ran.
+        `alone`: nothing else ran. `together`: the worker had other parts to make after it, or before it.
         """
-        begun = not isinstance(self.location, Path) or Store(self.location).clear_staged(
-            *name
-        )  # who stages elsewhere is not seen
+        if isinstance(self.location, Path):
+            begun = Store(self.location).clear_staged(*name)
+        else:  # who stages elsewhere is not seen: of several any may have been begun
+            begun = not together
         if not begun and not alone:
             return "again"
         causes = self._causes.setdefault(name, [])

@@ -80,26 +80,28 @@ class Server:
             self._main(case.words, self._folder.parent)
 
     def answer(self, command: str, name: str, recipe: str) -> dict[str, object]:
-        from commands import case_of
+        from commands import case_of, cases_of
         from mutate import applied
 
         case = case_of(command, name)
         known = name.partition("~")[0]
-        if (command, known) not in self._own:
-            self._own[command, known] = 0
-            sound = self._forked(command, known, case_of(command, known).seed.files)
-            self._own[command, known] = int(sound["grown"])
+        for sound in cases_of(command) if "~" in name else (known,):  # what lies there may be sound for another case
+            if (command, sound) not in self._own:
+                self._own[command, sound] = 0
+                answer = self._forked(command, sound, case_of(command, sound).seed.files)
+                self._own[command, sound] = int(answer["grown"])
         files = applied(case.seed.files, recipe)
-        return {"seed": name, "recipe": recipe, **self._forked(command, known, files)}
+        own = max(n for (c, case), n in self._own.items() if c == command and (case == known or "~" in name))
+        return {"seed": name, "recipe": recipe, **self._forked(command, known, files, own)}
 
-    def _forked(self, command: str, name: str, files: dict[str, bytes]) -> dict[str, object]:
-        """How the command ended with these files, in a process of its own."""
+    def _forked(self, command: str, name: str, files: dict[str, bytes], own: int = 0) -> dict[str, object]:
+        """How the command ended with these files, in a process of its own; `own`: what it takes for sound ones."""
         from commands import cases_of
 
         case = cases_of(command)[name]
         laid(self._folder, {**case.fixed, **files})
         size = sum(map(len, files.values())) + sum(map(len, case.fixed.values()))
-        allowed = MEMORY_FIXED + MEMORY_EACH * size + self._own[command, name]
+        allowed = MEMORY_FIXED + MEMORY_EACH * size + own
         seconds = CPU_FIXED + CPU_EACH * size
         measured = self._folder.parent / "figures"  # a pipe would hold 64 KiB, and the child wait for its reader
         measured.unlink(missing_ok=True)
@@ -115,7 +117,7 @@ class Server:
         if wrong in ("SIGPROF", "SIGKILL"):
             wrong = f"more than {seconds:.0f} s of the processor" if wrong == "SIGPROF" else f"not done in {WALL:.0f} s"
         elif not wrong and grown > allowed and _loaded(figures["modules"]):
-            return self._forked(command, name, files)  # what is loaded once costs no input anything
+            return self._forked(command, name, files, own)  # what is loaded once costs no input anything
         elif not wrong and grown > allowed:
             wrong = f"{grown >> 20} MiB, where {allowed >> 20} are allowed for {size} bytes"
         new = set(figures.get("lines", ())) - self._seen

@@ -67,14 +67,14 @@ def test_outcomes_are_heard_and_not_asked_for(tmp_path: Path) -> None:
     asked = []
 
     class Listening(Cluster):
-        def outcome(self, future):
+        def outcomes(self, future):
             asked.append(future.key not in self._heard)
-            return super().outcome(future)
+            return super().outcomes(future)
 
     with Listening(None, 2, 1.0, 1000) as cluster:
         tasks = [Task("quick", str(k), 1, {}, partial(quick)) for k in range(20)]
         assert [o.status for o in cluster.run(tmp_path, tasks)] == ["computed"] * 20
-    assert asked == [False] * 20
+    assert asked and not any(asked)
 
 
 def quick(inputs: object, directory: Path) -> dict[str, object]:

@@ -13,7 +13,8 @@ from commandline import fwclass
 from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.graph import walk as of_walk
-from fwclass.grid import Tile, TileGrid, Window, groups
+from fwclass.graph.sites import in_sites
+from fwclass.grid import Box, Tile, TileGrid, Window, groups
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import Room
 from fwclass.operate.estimate.text import describe
@@ -185,3 +186,12 @@ def test_the_directory_of_the_sources_is_no_run_directory(far):
     assert done.returncode == 2
     assert "directory of the sources" in done.stderr
     assert sorted(p.name for p in far.iterdir()) == before
+
+
+def test_a_point_that_strayed_along_a_line_makes_no_thin_raster_of_a_thousand_tiles():
+    """Of a file 10 m wide and 1 000 km long few cells are missing, but a raster's tiles are 512 cells high."""
+    thin = Box(500_000.0, 5_400_000.0, 1_500_000.0, 5_400_010.0)
+    assert in_sites(thin, 0.5, 2 * 512.0**2, 512)
+    full = Box(500_000.0, 5_400_000.0, 1_500_000.0, 5_400_512.0)
+    assert not in_sites(full, 1.0, full.area / 2, 512)
+    assert not in_sites(Box(0.0, 0.0, 10.0, 10.0), 0.5, 400.0, 512)

@@ -153,3 +153,15 @@ def test_a_damaged_line_hides_no_other(tmp_path, damage):
     runs = past_runs(tmp_path)
     assert [run["exit_code"] for run in runs if run["id"] != "x"] == [0, 0]
     assert table(runs).count("manual") == 2
+
+
+@pytest.mark.parametrize(("overall", "kappa"), [(None, None), (1.0, None), (0.5, 0.0)])
+def test_a_run_may_have_no_accuracy(tmp_path, overall, kappa):
+    """Where nothing is tested, and kappa where one class is."""
+    for _ in range(2):
+        with record_run(tmp_path, request(tmp_path)) as entry:
+            entry.begin(None)
+            assert entry.judged({"accuracy": {"overall_accuracy": overall, "kappa": kappa}}) == ""
+    wanted = None if overall is None else {"overall_accuracy": overall, "kappa": kappa}
+    assert [run["accuracy"] for run in past_runs(tmp_path)] == [wanted] * 2
+    assert table(past_runs(tmp_path)).count("manual") == 2

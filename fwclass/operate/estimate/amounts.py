@@ -249,7 +249,7 @@ def raster_boxes(config: Config, facts: SurveyFacts, counts: Counts) -> list[Box
     """Where rasters are made: the survey's box, or those of its places where most of it is empty (`plan.sites`)."""
     cell, edge = min(config.terrain.cell, config.publish.class_cell), config.terrain.block
     blocks = spread_of(counts.pieces(facts), edge)
-    if not in_sites(facts.box.area / cell**2, blocks.number * (edge / cell) ** 2):
+    if not in_sites(facts.box, cell, blocks.number * (edge / cell) ** 2, config.publish.cog_block):
         return [facts.box]
     tile_groups = groups(dict.fromkeys(t for b in blocks.squares() for t in TileGrid(edge).touching(b.box.grown(edge))))
     boxes = []

@@ -16,8 +16,8 @@ STEPS = ((226, 238, 229), (168, 209, 186), (105, 172, 153), (56, 124, 122), (27,
 """Colours from few echoes to many."""
 
 HALO = "#c2410c"
-MOST_PIXELS = 2000
-"""Tiles along an edge that are drawn singly; of more, squares of several."""
+MOST_PIXELS = 500
+"""Tiles along an edge that are drawn singly; of more, squares of several: a square of the map is two pixels wide."""
 
 
 def plan_picture(plan: Plan) -> bytes:

@@ -74,14 +74,14 @@ class Spread:
 
     def within(self, margin: int) -> int:
         """How many squares are occupied or at most `margin` squares away from one that is."""
-        wide = np.pad(self.occupied.astype(np.float64), margin)
-        return int((_sum_windows(_sum_windows(wide, margin).T, margin) > 0).sum())
+        return int(_near(_near(np.pad(self.occupied, margin), margin).T, margin).sum())
 
     def heaviest(self, count: int) -> tuple[Tile, ...]:
         """The `count` squares with most echoes, the fullest first."""
         flat = self.counts.ravel()
-        order = np.argsort(-flat, kind="stable")[:count]
-        return tuple(self.tile(*map(int, np.unravel_index(k, self.counts.shape))) for k in order if flat[k] >= 0.5)
+        there = np.flatnonzero(flat >= 0.5)
+        order = there[np.argsort(-flat[there], kind="stable")[:count]]
+        return tuple(self.tile(*map(int, np.unravel_index(k, self.counts.shape))) for k in order)
 
     def tile(self, i: int, j: int) -> Tile:
         """The tile in column `i` and row `j` of the grid."""
@@ -134,6 +134,15 @@ def shares(low: float, high: float, size: float, first: int) -> tuple[int, list[
     lengths = [max(0.0, min(high, (k + 1) * size) - max(low, k * size)) for k in range(a, b)]
     total = sum(lengths)
     return a - first, [v / total for v in lengths] if total > 0 else [1.0 / (b - a)] * (b - a)
+
+
+def _near(occupied: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
+    """Along the first axis: at most `margin` rows from one that is occupied."""
+    near = occupied.copy()
+    for step in range(1, min(margin, len(occupied) - 1) + 1):
+        near[step:] |= occupied[:-step]
+        near[:-step] |= occupied[step:]
+    return near
 
 
 def _sum_windows(counts: NDArray[np.float64], reach: float) -> NDArray[np.float64]:

@@ -32,7 +32,7 @@ def volume(size: float) -> str:
 def _head(plan: Plan) -> list[str]:
     facts, counts, tiles, estimate = plan.facts, plan.counts, plan.tiles, plan.estimate
     box = facts.box
-    area = (box.xmax - box.xmin) * (box.ymax - box.ymin) / 1e6
+    area = min((box.xmax - box.xmin) * (box.ymax - box.ymin), tiles.number * tiles.size**2) / 1e6
     number = "strips still to be simulated" if facts.simulated else "files"
     lines = [
         f"survey      {plan.config.survey.name}: {len(facts.sources):,} {number}, {counts.points.sum():,.0f} points, "
