@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from fwclass.errors import first_few
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.layout import Layout, Strip
-from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
+from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 
 WHOLE = "all"
 """Name of the one site of a survey that hangs together."""
@@ -45,9 +46,9 @@ def in_sites(box: Box, cell: float, with_echoes: float, tile: int) -> bool:
     """Rasters of a survey's `box` [m], so many of whose cells of `cell` [m] lie in blocks with echoes, are made site by
     site. What counts is their whole tiles of `tile` x `tile` cells: a point far away makes a thin raster of very many.
     """
-    nrows, ncols = Window.covering(box, cell).shape
-    cells = float(math.ceil(nrows / tile)) * math.ceil(ncols / tile) * tile * tile
-    return cells > max(FEW_CELLS, EMPTY * with_echoes)
+    edges = box.xmax - box.xmin, box.ymax - box.ymin
+    across, up = (max(1.0, float(np.ceil(edge / (cell * tile)))) for edge in edges)
+    return across * up * tile * tile > max(FEW_CELLS, EMPTY * with_echoes)
 
 
 def sites(layout: Layout) -> tuple[Site, ...]:

@@ -195,3 +195,4 @@ def test_a_point_that_strayed_along_a_line_makes_no_thin_raster_of_a_thousand_ti
     full = Box(500_000.0, 5_400_000.0, 1_500_000.0, 5_400_512.0)
     assert not in_sites(full, 1.0, full.area / 2, 512)
     assert not in_sites(Box(0.0, 0.0, 10.0, 10.0), 0.5, 400.0, 512)
+    assert in_sites(Box(-1e300, 0.0, 1e300, 1e300), 0.5, 400.0, 512)  # as a damaged header has it
