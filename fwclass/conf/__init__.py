@@ -16,7 +16,9 @@ from fwclass.conf.files import conf_directory, find, merge, read, setting
 from fwclass.conf.model import PARAMS, Config
 from fwclass.conf.schedule import SECRET
 from fwclass.errors import ConfigError, nearest
+from fwclass.ground.params import MAX_HALO
 from fwclass.ground.terrain.params import MOST_CELLS
+from fwclass.ground.tuning_params import largest_halo
 from fwclass.redact import redacted_setting
 
 __all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
@@ -205,6 +207,14 @@ def _check(config: Config) -> None:
                 got=f"{cell:g} m",
                 do="choose another edge, 2 or 4 m for example",
             )
+    if config.ground.method == "auto" and (reach := largest_halo(config.ground, config.ground_auto)) > MAX_HALO:
+        raise ConfigError(
+            "the filter may read too far around a block",
+            where=f"{where}: ground_auto",
+            expected=f"at most {MAX_HALO:,.0f} m",
+            got=f"{reach:,.0f} m",
+            do="a smaller ground_auto.building_most, or candidates with smaller windows",
+        )
     weights = config.train.class_weights
     weighted = weights if isinstance(weights, Mapping) else ()
     for key, called in (("classify.refine.between", config.classify.refine.between), ("train.class_weights", weighted)):
