@@ -56,7 +56,7 @@ def plan(
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
     from fwclass.operate.estimate.whole import make_plan
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
     if count is not None and chosen.settle is not None:
@@ -110,7 +110,7 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
 
 def _check(config: Any, workflow: str) -> None:
     """`ConfigError` for features that no stage writes; what is said of stages whose cost is not known."""
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
     chosen.begin(config)
@@ -122,7 +122,7 @@ def _check(config: Any, workflow: str) -> None:
 def _tell_graph(config: Any, workflow: str, as_json: bool) -> None:
     """The stages of a workflow in the order of the run: what a part of each is, and which others it reads."""
     from fwclass.graph.stages import graph_of
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
     stages = graph_of(chosen.begin(config), chosen.stages)

@@ -47,7 +47,7 @@ def seams(
     from fwclass.operate.seams.walk import seams as measured
     from fwclass.run.progress import Display
     from fwclass.store.run_location import open_store
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     if share is not None and length is not None:
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")

@@ -12,7 +12,7 @@ import click
 from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
 from fwclass.cli.runner import open_runner, tell_failures
 from fwclass.errors import PARTIAL, ConfigError, StoreError, visible
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
 AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
@@ -57,7 +57,7 @@ def read_request(
     """The configuration, and the `Request` that the words of the command make."""
     from fwclass import conf as configuration
     from fwclass.operate.request import Request
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     classifies = workflow_of(workflow).classifies
     if workflow.endswith(".py"):
@@ -106,7 +106,7 @@ def _remote(place: Any) -> Any:
 def _look(config: Any, request: Any) -> Any:
     """The parts of the run, looked at."""
     from fwclass.operate.status.walk import look_at
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     return look_at(
         location_of_run(request, config),
@@ -180,7 +180,7 @@ def status(
     from fwclass.operate.request import Request
     from fwclass.store.run_location import held_by, open_store
     from fwclass.store.url import is_url
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     if is_url(conf_or_run) or conf_or_run.is_dir():
         if out is not None or settings or tiles or aoi or (workflow != "classification" and not own_file(workflow)):
