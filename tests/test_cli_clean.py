@@ -37,6 +37,7 @@ def test_earlier_deliveries_go_then_the_store_and_a_run_makes_the_same(place):
     assert again.returncode == 0 and " computed" not in again.stderr and delivered(root) == before
     ended = fwclass("clean", "r", "--keep", "delivery", cwd=place)
     assert ended.returncode == 0 and delivered(root) == before and bytes_used(root) < 0.6 * size
+    assert not list((root / "logs").rglob("*.log"))  # of parts that are not there any more
     assert "not done" in fwclass("status", "r", cwd=place).stdout
     assert fwclass("history", "r", cwd=place).stdout.count("done (0)") == 3
     again = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=place)

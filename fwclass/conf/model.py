@@ -30,6 +30,7 @@ from fwclass.radiometry.params import RadiometryParams
 from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
+from fwclass.stage import ShapeFileParams
 from fwclass.store.params import StoreParams
 from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.thin.params import ThinParams
@@ -39,7 +40,7 @@ from fwclass.train.params import TrainParams
 from fwclass.vectors.params import VectorParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
-from fwclass.water.params import BreaklineParams, WaterParams
+from fwclass.water.params import WaterParams
 
 
 class Section(BaseModel):
@@ -263,7 +264,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "terrain": TerrainParams,
     "contours": ContourParams,
     "water": WaterParams,
-    "breaklines": BreaklineParams,
+    "breaklines": ShapeFileParams,
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
@@ -315,7 +316,7 @@ class Config:
     terrain: TerrainParams
     contours: ContourParams
     water: WaterParams
-    breaklines: BreaklineParams
+    breaklines: ShapeFileParams
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fwclass.errors import ConfigError
+from fwclass.run.logs import remove_logs
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import RunLocation, locked, open_store
 
@@ -32,8 +33,8 @@ class Cleaned:
 def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cleaned:
     """Remove earlier deliveries unless all ``deliveries`` stay, and all parts unless the ``latest`` ones do.
 
-    A simulated survey's files, the history and the words of the last run stay. The same run makes all parts anew, and
-    the same delivery.
+    The logs of removed parts go with them. A simulated survey's files, the history and the words of the last run stay.
+    The same run makes all parts anew, and the same delivery.
 
     Raises
     ------
@@ -60,6 +61,7 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
             simulated = {receipt.part for receipt in store.receipts("simulate")}
             parts = [name for name in store.parts() if name[0] != "simulate" or name[1] not in simulated]
             store.remove_all(parts)
+            remove_logs(own, parts)
         store.clear_staging()
         return Cleaned(tuple(generations), len(parts), before, bytes_used(own))
 
