@@ -46,10 +46,10 @@ def plan(
     Nothing is run but the tiles of --dry-run. Polygons of the tiles, a picture and the numbers go to plan/ in the run
     directory. What cannot fit is refused, with the numbers (exit code 2).
     """
-    from fwclass import conf as configuration
     from fwclass.errors import visible
     from fwclass.graph.stages import STAGES
     from fwclass.graph.survey import check_areas
+    from fwclass.operate.configured import configured
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
     from fwclass.operate.estimate.output import check_free, deliver
@@ -63,7 +63,7 @@ def plan(
         raise ConfigError(
             "tiles are tried with the stages of `classification` alone", where="--dry-run", do="leave one of them out"
         )
-    config = configuration.load(conf, settings, chosen.classifies)
+    config = configured(conf, settings, chosen.classifies)
     if graph:
         _tell_graph(config, workflow, as_json)
         return

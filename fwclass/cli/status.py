@@ -55,14 +55,14 @@ def read_request(
     conf: Path, out: Any, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | Path | None
 ) -> tuple[Any, Any]:
     """The configuration, and the `Request` that the words of the command make."""
-    from fwclass import conf as configuration
+    from fwclass.operate.configured import configured
     from fwclass.operate.request import Request
     from fwclass.workflows import workflow_of
 
     classifies = workflow_of(workflow).classifies
     if workflow.endswith(".py"):
         workflow = str(Path(workflow).resolve())
-    config = configuration.load(conf, settings, classifies)
+    config = configured(conf, settings, classifies)
     return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
 
 
@@ -176,7 +176,7 @@ def status(
     Exit code 0 if all is done (and, with --verify, undamaged), 3 if not.
     """
     little_garbage()
-    from fwclass import conf as configuration
+    from fwclass.operate.configured import configured
     from fwclass.operate.request import Request
     from fwclass.store.run_location import held_by, open_store
     from fwclass.store.url import is_url
@@ -196,7 +196,7 @@ def status(
             if not verify:
                 raise
             _verify_alone(location, fault, as_json)
-        config = configuration.load(request.conf, request.settings, workflow_of(request.workflow).classifies)
+        config = configured(request.conf, request.settings, workflow_of(request.workflow).classifies)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():
             raise ConfigError(

@@ -142,7 +142,7 @@ def _apart(errors: Sequence[Any]) -> list[Any]:
 
 
 def _explain(name: str, model: type[BaseModel], error: Any) -> str:
-    key = ".".join([name, *(str(p) for p in error["loc"])])
+    key = ".".join([name, *(str(p).removesuffix("_by") for p in error["loc"])])
     if error["type"] == "extra_forbidden":
         fields = model.model_fields if len(error["loc"]) == 1 else {}
         return f"unknown key {key} ({nearest(str(error['loc'][-1]), fields)})" if fields else f"unknown key {key}"
@@ -250,7 +250,7 @@ def _check_learning(config: Config) -> None:
     if config.survey.model is None:
         if config.survey.reference.kind == "none":
             lacking.append("nothing to train on (survey.reference: source, cloud, polygons or echoes; or survey.model)")
-        if not config.areas.train:
+        if not config.areas.train and config.areas.train_by is None:
             lacking.append("no training area (areas.train: at least one box [xmin, ymin, xmax, ymax])")
     if lacking:
         raise ConfigError(
