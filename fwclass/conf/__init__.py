@@ -6,7 +6,7 @@ Everything is checked before anything runs; an unknown key is an error that name
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -100,18 +100,41 @@ def preset(name: str) -> dict[str, Any]:
 def build(path: Path, raw: dict[str, Any], where: str = "", classifies: bool = True) -> Config:
     """A checked configuration; `where` names its origin in messages, `classifies` as for `load`."""
     where = where or str(path)
-    for name in raw:
-        if name not in PARAMS:
-            raise ConfigError(f"unknown section {name!r}", where=where, got=name, do=nearest(str(name), PARAMS))
-    values = {n: _build(n, raw.get(n), where) for n in PARAMS if n != "simulate"}
-    simulated = values["survey"].simulated and values["survey"].directory is None
-    simulate = _build("simulate", raw.get("simulate"), where) if simulated else None
+    faults = [
+        ConfigError(f"unknown section {name!r}", where=where, got=name, do=nearest(str(name), PARAMS))
+        for name in raw
+        if name not in PARAMS
+    ]
+    values: dict[str, Any] = {}
+    for name in PARAMS:
+        simulated = "survey" in values and values["survey"].simulated and values["survey"].directory is None
+        if name != "simulate" or simulated:
+            try:
+                values[name] = _build(name, raw.get(name), where)
+            except ConfigError as fault:
+                faults.append(fault)
+    _raise(faults, where)
     sections = {name: value for name, value in raw.items() if name != "schedule"}  # it may hold secrets
-    config = Config(path=path, raw=sections, simulate=simulate, **values)
-    _check(config)
-    if classifies:
-        _check_learning(config)
+    config = Config(path=path, raw=sections, simulate=values.pop("simulate", None), **values)
+    _raise([*_faults(lambda: _check(config)), *(_faults(lambda: _check_learning(config)) if classifies else [])], where)
     return config
+
+
+def _faults(look: Callable[[], object]) -> list[ConfigError]:
+    try:
+        look()
+    except ConfigError as fault:
+        return [fault]
+    return []
+
+
+def _raise(faults: Sequence[ConfigError], where: object) -> None:
+    """The one fault as it is, or all of several together, so that a file is mended once."""
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        told = [f"{k}. {f.what}: {f.got or ''} {f.do or ''}".strip(" :") for k, f in enumerate(faults, 1)]
+        raise ConfigError(f"the configuration has {len(faults)} faults", where=where, got="; ".join(told))
 
 
 def checked(name: str, value: Any, where: object) -> Any:
