@@ -208,6 +208,7 @@ def status(
             )
         config, request = read_request(conf_or_run, out, settings, workflow, chosen_tiles(tiles, aoi))
     from fwclass.operate.schedule.state import standing
+    from fwclass.operate.sizes import sizes_of
     from fwclass.operate.status.summary import as_data, as_text
 
     location = location_of_run(request, config)
@@ -215,9 +216,11 @@ def status(
     looked = _look(config, request)
     from fwclass.operate.status import verify as verifying
 
+    shown = looked.store.generations.current()
+    sizes = sizes_of(location, None if shown is None else shown.name)
     verified = verifying.verify(looked.store) if verify else None
     if as_json:
-        data = {**as_data(looked, request, writer, every), "schedule": scheduled}
+        data = {**as_data(looked, request, writer, every), "schedule": scheduled, "disk": sizes.as_data()}
         if verified is not None:
             data |= verified.as_data()
         click.echo(json.dumps(data, indent=1))
@@ -228,6 +231,7 @@ def status(
             sentence = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
             click.echo(visible(sentence))
         click.echo(as_text(looked, request, writer, every))
+        click.echo(sizes.as_text())
         if verified is not None:
             click.echo(verifying.as_text(verified, request))
     if not looked.all_done or (verified is not None and not verified.sound):
