@@ -19,7 +19,7 @@ from fwclass.schema import Table
 from fwclass.store.atomic import file_digest
 from fwclass.store.run_location import RunLocation, locked
 from fwclass.store.tables import read_table, write_table
-from workflows import WORKFLOWS, workflow_of
+from fwclass.workflows import WORKFLOWS, workflow_of
 
 SETTINGS = (
     "simulate.size=120",

@@ -90,7 +90,11 @@ def test_heights_are_told_from_measures_in_every_dialect() -> None:
     assert shapes.feature.tolist() == [0, 2, 2, 3, 4] and shapes.empty == 1
     assert z.tolist() == [200.0] * 2 + [200.0] * 2 + [203.0] * 2 + [200.0] * 4
     bad = [wkb(FOOT, 2002), wkb(FOOT, 1003), wkb(FOOT)[:-1], wkb(FOOT) + b"0", wkb(FOOT[:1]), b"", b"\x01\x02"]
-    bad += [wkb([(0.0, 0.0, np.nan)] * 2), struct.pack("<BII", 1, 1005, 1) + wkb([p[:2] for p in FOOT], 2)]
+    bad += [
+        wkb([(0.0, 0.0, np.nan)] * 2),
+        wkb([(0.0, 0.0, 1e300)] * 2),
+        struct.pack("<BII", 1, 1005, 1) + wkb([p[:2] for p in FOOT], 2),
+    ]
     bad += [struct.pack("<BII", 1, 1005, 1) + wkb(FOOT, 2002), struct.pack("<BII", 1, 1005, 3) + wkb(FOOT)]
     for data in bad:
         with pytest.raises(InputError, match="breaklines"):

@@ -93,6 +93,15 @@ def test_another_system_and_other_columns(survey: Path, made: tuple[dict[str, An
     assert facts["check_points"]["vegetated"] is None
 
 
+@pytest.mark.parametrize("code", ["4", "GCP"])
+def test_a_surveyor_s_code_is_no_class(survey: Path, made: tuple[dict[str, Any], str], code: str) -> None:
+    lines = [f"{x:.3f},{y:.3f},{z:.3f},{code}\n" for x, y, z, _ in points()]
+    (survey / "code.csv").write_text("x,y,z,code\n" + "".join(lines))
+    facts, _ = run(survey, "--set", "quality.check_points.file=code.csv", out="coded")
+    assert facts["check_points"]["vegetated"] is None
+    assert facts["check_points"]["all"]["rmse"] == pytest.approx(made[0]["check_points"]["all"]["rmse"], abs=1e-12)
+
+
 def test_points_without_ground_around_them_are_told(survey: Path) -> None:
     rows = points(35)
     rows[:3, 0] += 2000.0

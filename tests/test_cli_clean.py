@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import json
 
 import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
 
-from fwclass.operate.clean import bytes_used
+from fwclass.operate.sizes import sizes_of
 
 
 @pytest.fixture(scope="module")
@@ -30,13 +31,23 @@ def delivered(root):
 
 def test_earlier_deliveries_go_then_the_store_and_a_run_makes_the_same(place):
     root = place / "r"
-    before, size = delivered(root), bytes_used(root)
+    before, size = delivered(root), sizes_of(root, None).total
+    told = fwclass("status", "r", "--json", cwd=place)
+    disk = json.loads(told.stdout)["disk"]
+    told = disk["delivery"] + disk["earlier"] + sum(disk["parts"].values())
+    assert disk["total"] == size and 0.95 * size < told < size  # the rest are logs, links and the words of runs
+    assert disk["delivery"] > disk["earlier"] > 0 and disk["parts"]["features"] > 0
+    assert (
+        f"disk: {size / 1e6:,.1f} MB in {disk['files']:,} files: the delivery"
+        in fwclass("status", "r", cwd=place).stdout
+    )
     ended = fwclass("clean", "r", "--keep", "latest", cwd=place)
     assert ended.returncode == 0 and "0001 removed" in ended.stdout, ended.stderr
     again = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=place)
     assert again.returncode == 0 and " computed" not in again.stderr and delivered(root) == before
     ended = fwclass("clean", "r", "--keep", "delivery", cwd=place)
-    assert ended.returncode == 0 and delivered(root) == before and bytes_used(root) < 0.6 * size
+    assert ended.returncode == 0 and delivered(root) == before and sizes_of(root, None).total < 0.6 * size
+    assert not list((root / "logs").rglob("*.log"))  # of parts that are not there any more
     assert "not done" in fwclass("status", "r", cwd=place).stdout
     assert fwclass("history", "r", cwd=place).stdout.count("done (0)") == 3
     again = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=place)
@@ -52,10 +63,10 @@ def test_a_run_that_keeps_no_parts_keeps_its_deliveries(place):
     assert fwclass(*words, "--set", "train.trees=3", cwd=place).returncode == 0
     missed = fwclass(*words, "--set", "run.keep_intermediate=false", "--set", "assess.min_kappa=1.0", cwd=place)
     assert missed.returncode == 4 and "parts removed" not in missed.stderr
-    held = bytes_used(place / "bare")
+    held = sizes_of(place / "bare", None).total
     ended = fwclass(*words, "--set", "run.keep_intermediate=false", cwd=place)
     assert ended.returncode == 0 and "parts removed (run.keep_intermediate)" in ended.stderr
-    assert bytes_used(place / "bare") < held and not any((place / "bare" / "store").rglob("table.parquet"))
+    assert sizes_of(place / "bare", None).total < held and not any((place / "bare" / "store").rglob("table.parquet"))
     assert len([p for p in (place / "bare" / "generations").iterdir() if p.is_dir()]) >= 2
     assert "have the bytes that were written" in fwclass("status", "bare", "--verify", cwd=place).stdout
     again = fwclass(*words, cwd=place)

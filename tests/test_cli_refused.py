@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from pathlib import Path
 
 import pytest
 from commandline import fwclass
@@ -103,3 +104,18 @@ def test_a_training_without_anything_left_to_test_says_so(tmp_path):
     ended = fwclass("train", path, "--model", tmp_path / "m", "--workers", 0, "--set", "areas.gap=0.2", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert "Nothing is left to test on" in ended.stderr
+
+
+def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text(
+        "survey: {name: x, sources: [a.las], classes: [{name: a}]}\nareas: {train: [[1, 2]], gap: -1}\ngrund: {}\n"
+    )
+    told = fwclass("run", tmp_path / "bad.yaml", "--out", tmp_path / "r")
+    assert told.returncode == 2 and not (tmp_path / "r").exists()
+    for words in ("unknown section 'grund'", "survey.classes.0.code is missing", "areas.train.0.2", "areas.gap"):
+        assert words in told.stderr, told.stderr
+    (tmp_path / "one.yaml").write_text(
+        "survey: {name: x, sources: [a.las], classes: [{name: a, code: 3}, {name: a, code: 4}]}\n"
+    )
+    told = fwclass("run", tmp_path / "one.yaml", "--out", tmp_path / "r")
+    assert told.returncode == 2 and "given twice" in told.stderr and "no training area" in told.stderr

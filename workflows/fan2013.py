@@ -19,7 +19,8 @@ from fwclass.study.papers.begin import features_like, require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
 from fwclass.study.selection import selection
-from workflows.classification import classification
+
+from .classification import classification
 
 NAME = "fan2013"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND
+from fwclass.graph.ground_auto import CHOOSE_PARAMETERS
 from fwclass.graph.ground_classes import without_classifier
 from fwclass.graph.quality import DELIVER_QUALITY
 from fwclass.graph.sources import INDEX
@@ -14,6 +15,9 @@ from fwclass.graph.workflow import Workflow
 quality = Workflow(
     "quality",
     "how good a survey is: density, noise, differences of strips; without labels or a model",
-    stages=(SIMULATE, INDEX, *OF_STRIPS, TILE_ECHOES, FILTER_GROUND, GATHER_GROUND, *OF_QUALITY, DELIVER_QUALITY),
+    stages=(
+        *(SIMULATE, INDEX, *OF_STRIPS, TILE_ECHOES),
+        *(CHOOSE_PARAMETERS, FILTER_GROUND, GATHER_GROUND, *OF_QUALITY, DELIVER_QUALITY),
+    ),
     settle=without_classifier,
 )

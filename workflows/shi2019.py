@@ -19,7 +19,8 @@ from fwclass.study.papers.begin import features_like, require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.shi_scenes import scenes
 from fwclass.study.papers.variants import comparison_tasks, data_tasks
-from workflows.classification import classification
+
+from .classification import classification
 
 NAME = "shi2019"
 

@@ -19,8 +19,9 @@ from fwclass.study.papers.begin import require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
 from fwclass.study.select.thinning import measure_rates
-from fwclass.study.selection import selection
-from workflows.classification import classification
+from fwclass.study.selection import with_selected
+
+from .classification import classification
 
 NAME = "xiong2018"
 
@@ -34,7 +35,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     printed, names = paper(NAME), config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     aside = runner.beside()
-    choice, final = select_features(config, aside)
+    choice, final = with_selected(config, aside)
     chosen = final.features_asked
     plan = without_corrections(until_tiles(Plan(config, names, names), runner))
     best = replace(plan, config=final, names=chosen, tiled=replace(plan.layout, config=final))
@@ -54,13 +55,6 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         return deliver(config, runner, plan.layout, report, facts)
 
     return runner.tell(page)
-
-
-def select_features(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
-    """The selection among the survey's features, as plain data, and `config` with the set that it chose."""
-    choice = selection(config, runner, config.features_asked, "rffs")
-    survey = config.survey.model_copy(update={"features": tuple(choice["chosen"])})
-    return choice, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))
 
 
 xiong2018 = Workflow(NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk)

@@ -46,9 +46,9 @@ def train(
         raise click.UsageError("--compare names its classifiers itself")
     if method is not None:
         settings = (*settings, f"train.method={_known(method, '--method')}")
-    from fwclass import conf as configuration
+    from fwclass.operate.configured import configured
 
-    config = configuration.load(conf, settings)
+    config = configured(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
     if target is not None:
         _train(config, root, target, options)

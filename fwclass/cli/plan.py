@@ -46,24 +46,24 @@ def plan(
     Nothing is run but the tiles of --dry-run. Polygons of the tiles, a picture and the numbers go to plan/ in the run
     directory. What cannot fit is refused, with the numbers (exit code 2).
     """
-    from fwclass import conf as configuration
     from fwclass.errors import visible
     from fwclass.graph.stages import STAGES
     from fwclass.graph.survey import check_areas
+    from fwclass.operate.configured import configured
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
     from fwclass.operate.estimate.output import check_free, deliver
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
     from fwclass.operate.estimate.whole import make_plan
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
     if count is not None and chosen.settle is not None:
         raise ConfigError(
             "tiles are tried with the stages of `classification` alone", where="--dry-run", do="leave one of them out"
         )
-    config = configuration.load(conf, settings, chosen.classifies)
+    config = configured(conf, settings, chosen.classifies)
     if graph:
         _tell_graph(config, workflow, as_json)
         return
@@ -110,7 +110,7 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
 
 def _check(config: Any, workflow: str) -> None:
     """`ConfigError` for features that no stage writes; what is said of stages whose cost is not known."""
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
     chosen.begin(config)
@@ -122,7 +122,7 @@ def _check(config: Any, workflow: str) -> None:
 def _tell_graph(config: Any, workflow: str, as_json: bool) -> None:
     """The stages of a workflow in the order of the run: what a part of each is, and which others it reads."""
     from fwclass.graph.stages import graph_of
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
     stages = graph_of(chosen.begin(config), chosen.stages)

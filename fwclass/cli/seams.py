@@ -39,7 +39,7 @@ def seams(
 
     The run is only read. Exit code 0 if no value differs, 4 if one does.
     """
-    from fwclass import conf as configuration
+    from fwclass.operate.configured import configured
     from fwclass.operate.request import Request
     from fwclass.operate.seams.places import shift_of
     from fwclass.operate.seams.summary import as_data, as_text, check_free, write_gpkg
@@ -47,7 +47,7 @@ def seams(
     from fwclass.operate.seams.walk import seams as measured
     from fwclass.run.progress import Display
     from fwclass.store.run_location import open_store
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     if share is not None and length is not None:
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
@@ -56,7 +56,7 @@ def seams(
     location = run_at(run)
     request = Request.kept(open_store(location, read_only=True), own_file(workflow))
     classifies = workflow_of(request.workflow).classifies
-    config = configuration.load(request.conf, (*request.settings, *settings), classifies)
+    config = configured(request.conf, (*request.settings, *settings), classifies)
     asked = SeamRequest(
         shift_of(shift, config.tile.size),
         config.seams.share if share is None else share,

@@ -66,13 +66,13 @@ def select(
     `--set survey.features=FILE` takes. thinning tells accuracy and time if only a share of the echoes is classified.
     scales chooses among the radii of a second layer (classify.refine).
     """
-    from fwclass import conf as configuration
+    from fwclass.operate.configured import configured
     from fwclass.study.scales import scale_selection
     from fwclass.study.select import output
     from fwclass.study.select.thinning import thinning
     from fwclass.study.selection import selection
 
-    config = configuration.load(conf, settings)
+    config = configured(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
     names = output.candidates_of(config, candidates)
     if method != "forward" and options["order"]:

@@ -12,7 +12,7 @@ import click
 from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
 from fwclass.cli.runner import open_runner, tell_failures
 from fwclass.errors import PARTIAL, ConfigError, StoreError, visible
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
 AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
@@ -55,14 +55,14 @@ def read_request(
     conf: Path, out: Any, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | Path | None
 ) -> tuple[Any, Any]:
     """The configuration, and the `Request` that the words of the command make."""
-    from fwclass import conf as configuration
+    from fwclass.operate.configured import configured
     from fwclass.operate.request import Request
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     classifies = workflow_of(workflow).classifies
     if workflow.endswith(".py"):
         workflow = str(Path(workflow).resolve())
-    config = configuration.load(conf, settings, classifies)
+    config = configured(conf, settings, classifies)
     return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
 
 
@@ -106,7 +106,7 @@ def _remote(place: Any) -> Any:
 def _look(config: Any, request: Any) -> Any:
     """The parts of the run, looked at."""
     from fwclass.operate.status.walk import look_at
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     return look_at(
         location_of_run(request, config),
@@ -176,11 +176,11 @@ def status(
     Exit code 0 if all is done (and, with --verify, undamaged), 3 if not.
     """
     little_garbage()
-    from fwclass import conf as configuration
+    from fwclass.operate.configured import configured
     from fwclass.operate.request import Request
     from fwclass.store.run_location import held_by, open_store
     from fwclass.store.url import is_url
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     if is_url(conf_or_run) or conf_or_run.is_dir():
         if out is not None or settings or tiles or aoi or (workflow != "classification" and not own_file(workflow)):
@@ -196,7 +196,7 @@ def status(
             if not verify:
                 raise
             _verify_alone(location, fault, as_json)
-        config = configuration.load(request.conf, request.settings, workflow_of(request.workflow).classifies)
+        config = configured(request.conf, request.settings, workflow_of(request.workflow).classifies)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():
             raise ConfigError(
@@ -208,6 +208,7 @@ def status(
             )
         config, request = read_request(conf_or_run, out, settings, workflow, chosen_tiles(tiles, aoi))
     from fwclass.operate.schedule.state import standing
+    from fwclass.operate.sizes import sizes_of
     from fwclass.operate.status.summary import as_data, as_text
 
     location = location_of_run(request, config)
@@ -215,9 +216,11 @@ def status(
     looked = _look(config, request)
     from fwclass.operate.status import verify as verifying
 
+    shown = looked.store.generations.current()
+    sizes = sizes_of(location, None if shown is None else shown.name)
     verified = verifying.verify(looked.store) if verify else None
     if as_json:
-        data = {**as_data(looked, request, writer, every), "schedule": scheduled}
+        data = {**as_data(looked, request, writer, every), "schedule": scheduled, "disk": sizes.as_data()}
         if verified is not None:
             data |= verified.as_data()
         click.echo(json.dumps(data, indent=1))
@@ -228,6 +231,7 @@ def status(
             sentence = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
             click.echo(visible(sentence))
         click.echo(as_text(looked, request, writer, every))
+        click.echo(sizes.as_text())
         if verified is not None:
             click.echo(verifying.as_text(verified, request))
     if not looked.all_done or (verified is not None and not verified.sound):

@@ -101,7 +101,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.graph.report_summary import summary
     from fwclass.operate.clean import clean
     from fwclass.quality.judge import judge_quality
-    from workflows import workflow_of
+    from fwclass.workflows import workflow_of
 
     with open_runner(entry.location, how.workers or 0, how.scheduler, config.run, performance) as runner:
         runner.store.generations.check_links()

@@ -6,7 +6,7 @@ Everything is checked before anything runs; an unknown key is an error that name
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,9 @@ from fwclass.conf.files import conf_directory, find, merge, read, setting
 from fwclass.conf.model import PARAMS, Config
 from fwclass.conf.schedule import SECRET
 from fwclass.errors import ConfigError, nearest
+from fwclass.ground.params import MAX_HALO
 from fwclass.ground.terrain.params import MOST_CELLS
+from fwclass.ground.tuning_params import largest_halo
 from fwclass.redact import redacted_setting
 
 __all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
@@ -98,18 +100,41 @@ def preset(name: str) -> dict[str, Any]:
 def build(path: Path, raw: dict[str, Any], where: str = "", classifies: bool = True) -> Config:
     """A checked configuration; `where` names its origin in messages, `classifies` as for `load`."""
     where = where or str(path)
-    for name in raw:
-        if name not in PARAMS:
-            raise ConfigError(f"unknown section {name!r}", where=where, got=name, do=nearest(str(name), PARAMS))
-    values = {n: _build(n, raw.get(n), where) for n in PARAMS if n != "simulate"}
-    simulated = values["survey"].simulated and values["survey"].directory is None
-    simulate = _build("simulate", raw.get("simulate"), where) if simulated else None
+    faults = [
+        ConfigError(f"unknown section {name!r}", where=where, got=name, do=nearest(str(name), PARAMS))
+        for name in raw
+        if name not in PARAMS
+    ]
+    values: dict[str, Any] = {}
+    for name in PARAMS:
+        simulated = "survey" in values and values["survey"].simulated and values["survey"].directory is None
+        if name != "simulate" or simulated:
+            try:
+                values[name] = _build(name, raw.get(name), where)
+            except ConfigError as fault:
+                faults.append(fault)
+    _raise(faults, where)
     sections = {name: value for name, value in raw.items() if name != "schedule"}  # it may hold secrets
-    config = Config(path=path, raw=sections, simulate=simulate, **values)
-    _check(config)
-    if classifies:
-        _check_learning(config)
+    config = Config(path=path, raw=sections, simulate=values.pop("simulate", None), **values)
+    _raise([*_faults(lambda: _check(config)), *(_faults(lambda: _check_learning(config)) if classifies else [])], where)
     return config
+
+
+def _faults(look: Callable[[], object]) -> list[ConfigError]:
+    try:
+        look()
+    except ConfigError as fault:
+        return [fault]
+    return []
+
+
+def _raise(faults: Sequence[ConfigError], where: object) -> None:
+    """The one fault as it is, or all of several together, so that a file is mended once."""
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        told = [f"{k}. {f.what}: {f.got or ''} {f.do or ''}".strip(" :") for k, f in enumerate(faults, 1)]
+        raise ConfigError(f"the configuration has {len(faults)} faults", where=where, got="; ".join(told))
 
 
 def checked(name: str, value: Any, where: object) -> Any:
@@ -140,7 +165,7 @@ def _apart(errors: Sequence[Any]) -> list[Any]:
 
 
 def _explain(name: str, model: type[BaseModel], error: Any) -> str:
-    key = ".".join([name, *(str(p) for p in error["loc"])])
+    key = ".".join([name, *(str(p).removesuffix("_by") for p in error["loc"])])
     if error["type"] == "extra_forbidden":
         fields = model.model_fields if len(error["loc"]) == 1 else {}
         return f"unknown key {key} ({nearest(str(error['loc'][-1]), fields)})" if fields else f"unknown key {key}"
@@ -205,6 +230,14 @@ def _check(config: Config) -> None:
                 got=f"{cell:g} m",
                 do="choose another edge, 2 or 4 m for example",
             )
+    if config.ground.method == "auto" and (reach := largest_halo(config.ground, config.ground_auto)) > MAX_HALO:
+        raise ConfigError(
+            "the filter may read too far around a block",
+            where=f"{where}: ground_auto",
+            expected=f"at most {MAX_HALO:,.0f} m",
+            got=f"{reach:,.0f} m",
+            do="a smaller ground_auto.building_most, or candidates with smaller windows",
+        )
     weights = config.train.class_weights
     weighted = weights if isinstance(weights, Mapping) else ()
     for key, called in (("classify.refine.between", config.classify.refine.between), ("train.class_weights", weighted)):
@@ -240,7 +273,7 @@ def _check_learning(config: Config) -> None:
     if config.survey.model is None:
         if config.survey.reference.kind == "none":
             lacking.append("nothing to train on (survey.reference: source, cloud, polygons or echoes; or survey.model)")
-        if not config.areas.train:
+        if not config.areas.train and config.areas.train_by is None:
             lacking.append("no training area (areas.train: at least one box [xmin, ymin, xmax, ymax])")
     if lacking:
         raise ConfigError(

@@ -30,6 +30,7 @@ from fwclass.radiometry.params import RadiometryParams
 from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
+from fwclass.stage import ShapeFileParams
 from fwclass.store.params import StoreParams
 from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.thin.params import ThinParams
@@ -39,7 +40,7 @@ from fwclass.train.params import TrainParams
 from fwclass.vectors.params import VectorParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
-from fwclass.water.params import BreaklineParams, WaterParams
+from fwclass.water.params import WaterParams
 
 
 class Section(BaseModel):
@@ -142,15 +143,46 @@ EVERYWHERE = (-1e8, -1e8, 1e8, 1e8)
 """m, the box that ``areas.train: all`` stands for: no projected coordinate lies beyond it."""
 
 
+class AreaFilesSection(Section):
+    """Areas by files: where `files` (patterns) of the survey lie, by their bounds, or what `polygons`, one file, cover.
+
+    Of polygons only: `layer` of a file with several, `crs` where the file names no system or a wrong one.
+    """
+
+    files: tuple[str, ...] = ()
+    polygons: str | None = None
+    layer: str | None = None
+    crs: str | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> AreaFilesSection:
+        if bool(self.files) == (self.polygons is not None):
+            raise ValueError("either `files` or `polygons` names an area")
+        if self.polygons is None and (self.layer or self.crs):
+            raise ValueError("`layer` and `crs` belong to `polygons`")
+        return self
+
+
 class AreasSection(Section):
     """Where to train and where to test, boxes [xmin, ymin, xmax, ymax) [m]; `train` may be ``all``.
 
     `test` empty: all that lies further than `gap` from every training box. `gap` also keeps listed test boxes apart.
+    Where either is a mapping, it names files or polygons: `train_by`, `test_by`, until these are looked up.
     """
 
     train: tuple[tuple[float, float, float, float], ...]
     test: tuple[tuple[float, float, float, float], ...]
     gap: float = Field(ge=0, le=1_000_000)
+    train_by: AreaFilesSection | None = None
+    test_by: AreaFilesSection | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_files(cls, value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            return value
+        by = {f"{k}_by": value[k] for k in ("train", "test") if isinstance(value.get(k), Mapping)}
+        return {**value, **by, **{name.removesuffix("_by"): () for name in by}}
 
     @field_validator("train", mode="before")
     @classmethod
@@ -263,7 +295,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "terrain": TerrainParams,
     "contours": ContourParams,
     "water": WaterParams,
-    "breaklines": BreaklineParams,
+    "breaklines": ShapeFileParams,
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
@@ -315,7 +347,7 @@ class Config:
     terrain: TerrainParams
     contours: ContourParams
     water: WaterParams
-    breaklines: BreaklineParams
+    breaklines: ShapeFileParams
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams

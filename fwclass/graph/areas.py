@@ -16,8 +16,13 @@ IDENTITY_AND_PLACE = ("strip", "pulse", "echo_number", "x", "y")
 def within(table: Table, boxes: tuple[Box, ...]) -> NDArray[np.bool_]:
     """Rows that lie in any of `boxes`."""
     inside = np.zeros(table.rows, bool)
+    if not table.rows:
+        return inside
+    x, y = table["x"], table["y"]
+    around = Box(x.min() - 1.0, y.min() - 1.0, x.max() + 1.0, y.max() + 1.0)
     for box in boxes:
-        inside |= box.contains(table["x"], table["y"])
+        if box.touches(around):
+            inside |= box.contains(x, y)
     return inside
 
 

@@ -71,7 +71,7 @@ def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Point
     ------
     InputError : no text of x, y, z, a point without one of them, or more than `MOST` points.
     """
-    cloud = read_text(path)
+    cloud = read_text(path, ignored=("code",))  # in a surveyor's file: what the point is, no class
     if len(cloud.x) > MOST:
         raise InputError("too many check points", where=path, expected=f"at most {MOST:,}", got=f"{len(cloud.x):,}")
     unknown = np.flatnonzero(~(np.abs(np.stack(cloud.xyz)) <= FAR).all(axis=0))
@@ -126,7 +126,7 @@ def has_check_points(plan: Plan) -> bool:
 
 MEASURE_CHECK_POINTS = Stage(
     CHECK_POINTS,
-    1,
+    2,
     "survey",
     "part",
     compare_heights,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import StoreError
 from fwclass.graph.breaklines import BREAKLINES, breaklines_in, breaklines_needed
+from fwclass.graph.ground_auto import AUTO, adapts, halo_of, parameters_at, parts_for, settled, square_edge, squares
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
@@ -35,6 +36,10 @@ STORED = ("dtm", "dsm", "mask", "distance", "roughness")
 
 WITHIN = 0.01
 """Difference of terrain heights that counts as none [m]."""
+
+EVERYWHERE = Box(-math.inf, -math.inf, math.inf, math.inf)
+BORDER = 5.0
+"""What is told of the border between squares with other parameters is told of the echoes as near to it as this [m]."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +85,16 @@ def surroundings(
     return Surroundings(Table.concat(tables), np.concatenate(owned), tuple(pieces))
 
 
-def around_block(here: StageInputs) -> Surroundings:
-    """The declared columns of a block's echoes and of those in its halo."""
-    return surroundings(here.inputs, here.tile, here.halo, here.tile_size, here.columns, here.present)
+def around_block(here: StageInputs, halo: float | None = None) -> Surroundings:
+    """The declared columns of a block's echoes and of those in its halo, or no further than `halo` [m]."""
+    reach = here.halo if halo is None else halo
+    return surroundings(here.inputs, here.tile, reach, here.tile_size, here.columns, here.present)
 
 
 def filter_block(here: StageInputs, params: GroundParams) -> Result:
     """Ground and noise flags of a block's echoes, tile after tile."""
-    around = around_block(here)
+    params = parameters_at(here, params)
+    around = around_block(here, params.halo)
     return flags_of_block(around, filter_ground(around.table, params))
 
 
@@ -171,12 +178,19 @@ def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], blo
 
 
 def measure_seams(
-    here: StageInputs, ground: GroundParams, terrain: TerrainParams, most_cells: int, bounds: tuple[float, ...]
+    here: StageInputs,
+    ground: GroundParams,
+    terrain: TerrainParams,
+    most_cells: int,
+    bounds: tuple[float, ...],
+    square: float | None = None,
 ) -> Result:
     """The survey filtered once more as a single block, against what its blocks say.
 
     Where it lies in several places, each of them is one: blocks that do not touch know nothing of each other. A place
-    whose box has more than `most_cells` cells of the terrain is left out, and so is a single block among several.
+    whose box has more than `most_cells` cells of the terrain is left out, and so is a single block among several. With
+    parameters chosen for every `square` [m] each of these is a block, and what the parameters of neighbours would
+    change at its border is told.
     """
     box = Box(*bounds)
     table, owned = _every_echo(here, ground.block)
@@ -184,6 +198,7 @@ def measure_seams(
     blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
     mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
     parts = groups(Tile(*place, ground.block) for place in owned)
+    regions = _regions(here, ground, square)
     differences, left_out, water = _Seams(), 0, water_of(here)
     for k, part in enumerate(parts, 1):
         inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
@@ -192,12 +207,21 @@ def measure_seams(
         if math.prod(window.shape) > most_cells or (len(part) == 1 < len(parts)):
             left_out += echoes.rows
             continue
-        points = differences.add_flags(echoes, ground)
+        points = differences.add_flags(echoes, regions)
         echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
         table = table if k < len(parts) else echoes
         knots = _knots(here, water, window.box.grown(terrain.block_halo))
         differences.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
-    return {**differences.facts(), "left_out": left_out}
+    across = {} if square is None else {"across": differences.across()}
+    return {**differences.facts(), **across, "left_out": left_out}
+
+
+def _regions(here: StageInputs, ground: GroundParams, square: float | None) -> list[tuple[Box, GroundParams]]:
+    """Where which parameters hold."""
+    if square is None:
+        return [(EVERYWHERE, ground)]
+    grid = TileGrid(square)
+    return [(grid.tile(key).box, settled(here.inputs.meta(AUTO, key), ground)) for key in here.parts(AUTO)]
 
 
 def _every_echo(here: StageInputs, edge: float) -> tuple[Table, set[tuple[int, int]]]:
@@ -234,14 +258,42 @@ class _Seams:
     counts: Counter[str] = field(default_factory=Counter)
     off: list[NDArray[np.float32]] = field(default_factory=list)
 
-    def add_flags(self, table: Table, params: GroundParams) -> Points:
-        """Filter the echoes of one place as one block, and hold the answer against their flags; the ground."""
+    def add_flags(self, table: Table, regions: Sequence[tuple[Box, GroundParams]]) -> Points:
+        """Filter the echoes of one place as one block (or a block for each of `regions`), and hold the answer against
+        their flags; the ground."""
         give_back(None)  # the whole survey at once: what was freed on the way here is not needed beside it
-        whole = filter_ground(table, params)
-        differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
-        self.counts.update(echoes=table.rows, flags_differ=int(differs.sum()))
-        rows = np.flatnonzero(whole.ground & ~whole.noise)
+        ground = np.zeros(table.rows, bool)
+        for k, (box, params) in enumerate(regions):
+            if box is EVERYWHERE:
+                own, beyond, some = np.ones(table.rows, bool), np.zeros(table.rows, bool), table
+            else:
+                rows = np.flatnonzero(box.grown(params.halo + BORDER).contains(table["x"], table["y"]))
+                some = table.take(rows)
+                own = box.contains(some["x"], some["y"])
+                beyond = self._other_side(some, box, [r for n, r in enumerate(regions) if n != k and r[1] != params])
+            if not own.any():
+                continue
+            whole = filter_ground(some, params)
+            differs = (some["ground"] != whole.ground) | (some["noise"] != whole.noise)
+            self.counts.update(echoes=int(own.sum()), flags_differ=int((differs & own).sum()))
+            self.counts.update(across=int(beyond.sum()), across_differ=int((differs & beyond).sum()))
+            mine = own & whole.ground & ~whole.noise
+            if box is EVERYWHERE:
+                ground = mine
+            else:
+                ground[rows[mine]] = True
+        rows = np.flatnonzero(ground)
         return table["x"][rows], table["y"][rows], table["z"][rows]
+
+    def _other_side(self, table: Table, box: Box, others: Sequence[tuple[Box, GroundParams]]) -> NDArray[np.bool_]:
+        """Rows beyond the border of `box`, as near as `BORDER`, in one of `others`."""
+        near = box.grown(BORDER).contains(table["x"], table["y"])
+        inside = [area.contains(table["x"], table["y"]) for area, _ in others if area.touches(box.grown(BORDER))]
+        return near & np.any(inside, axis=0) if inside else np.zeros(table.rows, bool)
+
+    def across(self) -> dict[str, Any]:
+        """Echoes near borders of squares with other parameters, and how many flags are others by these."""
+        return {"width": BORDER, "echoes": self.counts["across"], "flags_differ": self.counts["across_differ"]}
 
     def add_terrain(
         self,
@@ -330,7 +382,9 @@ FILTER_GROUND = Stage(
     arguments=lambda plan: {"params": plan.config.ground},
     reads=GROUND_FILTER.reads,
     writes=GROUND_FILTER.writes,
-    halo=lambda plan: GROUND_FILTER.halo(plan.config.ground),
+    halo=halo_of,
+    after=(AUTO,),
+    needs=parts_for,
 )
 GATHER_GROUND = _gathers("ground", FILTER_GROUND, GROUND_FILTER.writes, lambda plan: plan.config.ground.block)
 MAKE_TERRAIN = Stage(
@@ -362,11 +416,13 @@ CHECK_SEAMS = Stage(
         "terrain": plan.config.terrain,
         "most_cells": plan.config.run.seam_check_cells,
         "bounds": plan.layout.box.bounds,
+        **({"square": square_edge(plan)} if adapts(plan) else {}),
     },
     reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
-    after=("terrain", LEVELS, BREAKLINES),
+    after=("terrain", AUTO, LEVELS, BREAKLINES),
     needs=lambda plan, part: [
         *((TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)),
+        *((AUTO, square.key) for square in squares(plan) if adapts(plan)),
         *levels_needed(plan),
         *breaklines_needed(plan),
     ],

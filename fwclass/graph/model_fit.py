@@ -62,9 +62,8 @@ def ground_note(model: Model, method: str | None) -> str:
     if learned is None or learned == method:
         return ""
     here = "the file's own ground" if method is None else method
-    return (
-        f"the model learned from heights above the ground of {learned}, here it is that of {here}: --method {learned}"
-    )
+    how = "`fwclass ground --auto` first, then --own-ground" if learned == "auto" else f"--method {learned}"
+    return f"the model learned from heights above the ground of {learned}, here it is that of {here}: {how}"
 
 
 def check_classes(model: Model, classes: Sequence[ClassDef], where: object) -> None:

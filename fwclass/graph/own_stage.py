@@ -92,6 +92,8 @@ def ground_filter_stage(
         function=OfBlock(FILTER_GROUND.name, function),
         arguments=lambda plan: {**arguments(plan), "block": plan.config.ground.block},
         halo=_halo(FILTER_GROUND.name, halo),
+        after=(),
+        needs=lambda plan, block: (),
     )
 
 

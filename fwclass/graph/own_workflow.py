@@ -49,7 +49,7 @@ def own_workflow(path: Path) -> Workflow:
             "the workflow's file cannot be imported",
             where=_line(fault, where),
             got=f"{type(fault).__name__}: {fault}",
-            do="mend it; it can import what is installed, no files beside it",
+            do="mend it; it can import what is installed, no files beside it; fwclass's own are fwclass.workflows.NAME",
         ) from fault
     workflow = getattr(module, "workflow", None)
     if not isinstance(workflow, Workflow):

@@ -242,7 +242,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    1,
+    2,
     "survey",
     "cell",
     deliver_quality,

@@ -19,7 +19,6 @@ from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
-from fwclass.quality.params import AreaParams
 from fwclass.read.polygons import (
     check_field,
     open_polygons,
@@ -30,11 +29,11 @@ from fwclass.read.polygons import (
     values_of,
 )
 from fwclass.read.source import open_source
+from fwclass.stage import ShapeFileParams
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, find_remote, local
 from fwclass.store.url import Url
-from fwclass.water.params import BreaklineParams, WaterParams
 
 
 def reference_clouds(
@@ -108,7 +107,7 @@ _WHAT = {"water": "water", "breaklines": "breakline", "quality.area": "area that
 
 def _file_of_shapes(
     section: Literal["water", "breaklines", "quality.area"],
-    section_params: WaterParams | BreaklineParams | AreaParams,
+    section_params: ShapeFileParams,
     config: Config,
     directory: Path | Url,
     digests: Digests,

@@ -8,6 +8,7 @@ from fwclass.assess.stage import caution
 from fwclass.conf import Config
 from fwclass.graph.classify import OUTSIDE
 from fwclass.graph.drift import drift
+from fwclass.graph.ground_auto import AUTO, auto_facts
 from fwclass.graph.report_facts import receipts_of_run
 from fwclass.model.ranges import RANGES
 from fwclass.run.runner import Runner
@@ -79,8 +80,11 @@ def ground_facts(runner: Runner, config: Config) -> dict[str, Any]:
     blocks = [r.meta for r in receipts_of_run(runner, "ground-filter")]
     seams = next((r.meta for r in receipts_of_run(runner, "seams")), None)
     judged = next((r.meta["ground"] for r in receipts_of_run(runner, "assess")), None)
+    squares = [(r.part, r.meta) for r in receipts_of_run(runner, AUTO)]
+    edge = config.ground.block * config.ground_auto.blocks
     return {
         "method": config.ground.method,
+        "auto": auto_facts(squares, edge) if squares else None,
         "echoes": sum(m["rows"] for m in blocks),
         "ground": sum(m["ground"] for m in blocks),
         "noise": sum(m["noise"] for m in blocks),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
 from fwclass.ground.methods import Method
-from fwclass.ground.params import LEAST_CELL
+from fwclass.ground.params import LEAST_CELL, GroundParams, section_of
 from fwclass.stage import Params
 
 MOST_TRIED = 10_000
@@ -33,6 +33,9 @@ class GroundAutoParams(Params):
     thin : clouds with at least so many times as many points as cells of `cell` are thinned to the lowest of each,
     cell : whose edge this is [m].
     sample, square : larger clouds are judged by evenly spread squares of this edge [m] with about so many points.
+    blocks : in a survey parameters are chosen for squares, so many blocks of the filter (`ground.block`) along an edge,
+    least : where at least so many cells of `cell` hold an echo; others keep what is set,
+    tried : and tried on so many squares of edge `square` of each.
     """
 
     building_margin: float = Field(ge=1, le=100)
@@ -44,6 +47,9 @@ class GroundAutoParams(Params):
     cell: float = Field(ge=LEAST_CELL)
     sample: int = Field(gt=0, le=1_000_000_000)
     square: float = Field(ge=1, le=100_000)
+    blocks: int = Field(ge=1, le=1000)
+    least: int = Field(ge=1, le=1_000_000_000)
+    tried: int = Field(ge=1, le=10_000)
 
     @model_validator(mode="after")
     def _groups_fit(self) -> Self:
@@ -63,6 +69,28 @@ class GroundAutoParams(Params):
         groups = self.candidates.get(method, ())
         steps = [[dict(zip(g, v, strict=True)) for v in zip(*g.values(), strict=True)] for g in groups]
         return [{k: v for part in some for k, v in part.items()} for some in itertools.product(*steps)] if steps else []
+
+
+def with_values(params: GroundParams, update: dict[str, float]) -> GroundParams:
+    """`params` with other values, [name in its section: number in that setting's unit], for its method.
+
+    pydantic's `ValidationError` for a value that cannot be.
+    """
+    section = section_of(params.method)
+    own = getattr(params, section)
+    values: dict[str, Any] = own.model_dump()
+    for name, value in update.items():
+        *part, last = name.split(".")
+        (values[part[0]] if part else values)[last] = value
+    return params.model_copy(update={section: type(own).model_validate(values)})
+
+
+def largest_halo(base: GroundParams, rules: GroundAutoParams) -> float:
+    """What is read around a block at most [m], whichever parameters its square gets."""
+    fixed = base.model_copy(update={"method": rules.method})
+    largest = max(base.max_building_size, rules.building_most)
+    sized = fixed.model_copy(update={"max_building_size": largest})
+    return max(p.halo for p in (fixed, *(with_values(sized, update) for update in ({}, *rules.updates(rules.method)))))
 
 
 class GroundSearchParams(Params):

@@ -22,6 +22,7 @@ def ground(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
     echoes = facts["echoes"]
     rows = [
         ("filter", str(facts["method"])),
+        *chosen_parameters(facts.get("auto")),
         ("ground", f"{number(facts['ground'])} echoes, {percent(facts['ground'] / echoes)} %"),
         ("noise", f"{number(facts['noise'])} echoes"),
         ("without terrain", f"{number(facts['without_terrain'])} echoes"),
@@ -30,6 +31,50 @@ def ground(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
     if accuracy:
         rows.append(("against the reference", _errors(accuracy)))
     return {"rows": rows, "notes": _seams(facts)}
+
+
+NAMED = 3
+"""Squares that are named of those with the same parameters; `report.json` has all, with their bounds."""
+
+
+def chosen_parameters(auto: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """Rows: which parameters were chosen, in how many squares, and by what evidence; nothing where none were."""
+    by_choice: dict[str, list[Mapping[str, Any]]] = {}
+    for square in auto["squares"] if auto else ():
+        by_choice.setdefault(_choice(square), []).append(square)
+    return [(f"in {_squares(some)}", f"{choice}; {_evidence(some)}") for choice, some in by_choice.items()]
+
+
+def _choice(square: Mapping[str, Any]) -> str:
+    told = square["parameters"]
+    values = [f"{name} {value:g}" for name, value in told["values"].items()]
+    words = ", ".join([str(told["method"]), *values, f"largest building {told['max_building_size']:g} m"])
+    return words if square["evidence"] is not None else f"{words} as set, too few echoes to choose by"
+
+
+def _squares(some: list[Mapping[str, Any]]) -> str:
+    edge = some[0]["bounds"][2] - some[0]["bounds"][0]
+    names = ", ".join(str(one["square"]) for one in some[:NAMED])
+    more = f" and {len(some) - NAMED} more" if len(some) > NAMED else ""
+    return f"{len(some)} square{'' if len(some) == 1 else 's'} of {edge:,.0f} m ({names}{more})"
+
+
+def _evidence(some: list[Mapping[str, Any]]) -> str:
+    known = [one["evidence"] for one in some if one["evidence"] is not None]
+    cells = f"{sum(one['occupied'] for one in some):,} cells with an echo"
+    if not known or known[0]["agreement"] is None:
+        return cells
+    now, before = ([one[name] for one in known] for name in ("agreement", "agreement_before"))
+    return (
+        f"{cells}; kappa with the referees {_span(now)}, with the first candidate {_span(before)}; "
+        f"widest building {_span([one['building'] for one in known], 0)} m, "
+        f"slope of nine tenths of the land below {_span([one['slope_steep'] for one in known])}"
+    )
+
+
+def _span(values: list[float], digits: int = 3) -> str:
+    low, high = f"{min(values):.{digits}f}", f"{max(values):.{digits}f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _errors(accuracy: Mapping[str, Any]) -> str:
@@ -50,12 +95,21 @@ def _seams(facts: Mapping[str, Any]) -> list[str]:
             "than run.seam_check_cells."
         ]
     share = seams["flags_differ"] / max(seams["echoes"], 1)
+    across = seams.get("across")
+    whole = "as one block" if across is None else "as one block for every square with parameters of its own"
     off = (seams["cells_off"] + seams["cells_one_sided"]) / max(seams["cells"], 1)
     notes = [
-        f"The filter works in blocks of {facts['block']:g} m. Run once more over the whole survey as one block, it "
+        f"The filter works in blocks of {facts['block']:g} m. Run once more over the whole survey {whole}, it "
         f"changes {number(seams['flags_differ'])} flags ({100 * share:.4f} % of the echoes) and moves the terrain by "
         f"more than {100 * seams['within']:g} cm in {100 * off:.3f} % of the cells."
     ]
+    if across is not None and across["echoes"]:
+        differ = across["flags_differ"]
+        notes.append(
+            f"Within {across['width']:g} m of the borders of squares with other parameters lie "
+            f"{number(across['echoes'])} echoes; {number(differ)} of them ({100 * differ / across['echoes']:.3f} %) "
+            "would have another flag by the parameters of the other side."
+        )
     if left_out:
         notes.append(
             f"{number(left_out)} echoes took no part: they lie in places of a single block, or in places with more "

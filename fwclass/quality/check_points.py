@@ -26,6 +26,9 @@ FEWEST = 30
 SHIFTED = 3.0
 """Standard errors of the mean above which all heights are shifted, and are said to be."""
 
+NEAREST = 32
+"""Ground echoes around a point that are triangulated first: its triangle is nearly always among theirs."""
+
 ANOTHER_DATUM = 1.0
 """m; no survey is so far off in the mean, but heights above an ellipsoid or in feet are."""
 
@@ -59,28 +62,55 @@ def ground_heights(
         inside = np.flatnonzero(square <= far * far)
         if len(inside):
             near[k] = math.sqrt(int(square[inside].min())) / 1000.0
-            height[k] = _of_triangle(dx[inside] / 1000.0, dy[inside] / 1000.0, z[first:last][inside])
+            height[k] = _of_triangle(dx[inside], dy[inside], z[first:last][inside])
     return height, near
 
 
-def _of_triangle(dx: Floats, dy: Floats, z: Floats) -> float:
-    """Height at the origin; NaN where no triangle holds it."""
-    exact = np.flatnonzero((dx == 0.0) & (dy == 0.0))
-    if len(exact):
-        return float(z[exact[0]])
-    if len(z) < 3:
-        return math.nan
+def _of_triangle(dx: NDArray[np.int64], dy: NDArray[np.int64], z: Floats) -> float:
+    """Height at the origin of the Delaunay triangle of places [mm] that holds it; NaN where none does.
+
+    The nearest are triangulated first: a triangle whose circumcircle lies within what they fill is one of all.
+    """
+    square = dx * dx + dy * dy
+    order = np.lexsort((dy, dx, square))
+    dx, dy, z, square = dx[order], dy[order], z[order], square[order]
+    if square[0] == 0:
+        return float(z[0])
+    for count in (NEAREST, 4 * NEAREST, len(z)):
+        some = min(count, len(z))
+        corners = _holding(dx[:some], dy[:some])
+        if some == len(z) or (corners is not None and _circle(dx[corners], dy[corners]) < math.sqrt(square[some])):
+            break
+    return math.nan if corners is None else _plane(dx[corners], dy[corners], z[corners])
+
+
+def _holding(dx: NDArray[np.int64], dy: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """Rows of the corners of the Delaunay triangle that holds the origin, decided in whole numbers; None for none."""
+    if len(dx) < 3:
+        return None
     try:
-        triangles = scipy.spatial.Delaunay(np.stack([dx, dy], axis=1))
+        triangles = scipy.spatial.Delaunay(np.stack([dx, dy], axis=1).astype(np.float64)).simplices
     except scipy.spatial.QhullError:  # all on one line
-        return math.nan
-    chosen = int(triangles.find_simplex(np.zeros((1, 2)))[0])
-    if chosen < 0:
-        return math.nan
-    matrix = triangles.transform[chosen]
-    first, second = (matrix[:2] @ -matrix[2]).tolist()
-    corners = z[triangles.simplices[chosen]]
-    return float(first * corners[0] + second * corners[1] + (1.0 - first - second) * corners[2])
+        return None
+    x, y = dx[triangles], dy[triangles]
+    side = x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y  # twice the area with the origin, by edge
+    holds = ((side >= 0).all(axis=1) | (side <= 0).all(axis=1)) & (side.sum(axis=1) != 0)
+    rows = np.flatnonzero(holds)
+    return np.asarray(triangles[rows[0]], np.int64) if len(rows) else None
+
+
+def _circle(x: NDArray[np.int64], y: NDArray[np.int64]) -> float:
+    """How far from the origin the circumcircle of a triangle reaches."""
+    ax, ay, bx, by = (float(v) for v in (x[1] - x[0], y[1] - y[0], x[2] - x[0], y[2] - y[0]))
+    twice, a, b = 2.0 * (ax * by - ay * bx), ax * ax + ay * ay, bx * bx + by * by
+    cx, cy = (by * a - ay * b) / twice, (ax * b - bx * a) / twice
+    return math.hypot(cx + float(x[0]), cy + float(y[0])) + math.hypot(cx, cy)
+
+
+def _plane(x: NDArray[np.int64], y: NDArray[np.int64], z: Floats) -> float:
+    """Height at the origin of the plane through three points."""
+    side = (x * np.roll(y, -1) - np.roll(x, -1) * y).astype(np.float64)
+    return float(side @ np.roll(z, 1) / side.sum())
 
 
 def height_facts(dz: Floats, code: NDArray[np.integer]) -> dict[str, Any]:

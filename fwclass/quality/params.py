@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from fwclass.stage import Params
+from fwclass.stage import Params, ShapeFileParams
 
 
 class PlaneParams(Params):
@@ -47,21 +47,6 @@ class CheckPointParams(Params):
     reach: float = Field(gt=0, le=100)
 
 
-class AreaParams(Params):
-    """The area that was to be flown.
-
-    Attributes
-    ----------
-    file : polygons (GeoParquet, GeoPackage, GeoJSON, Shapefile), relative to `survey.directory`; null for none.
-    layer : of the file, where it has several.
-    crs : system of the polygons, instead of the one that the file names.
-    """
-
-    file: str | None
-    layer: str | None
-    crs: str | None
-
-
 class QualityParams(Params):
     """What is measured of a survey's quality.
 
@@ -74,7 +59,7 @@ class QualityParams(Params):
     line_gap : a strip by time ends where there is no echo for one to two times this [s].
     planes : where strips are compared.
     check_points : what heights are held against.
-    area : what was to be covered.
+    area : polygons of what was to be covered.
     min_density, min_pulse_density : echoes and pulses per m², at least; None asks for nothing, here and below.
     max_void : area of the largest void, at most [m²].
     max_dz : root mean square difference of strips, at most [m].
@@ -89,7 +74,7 @@ class QualityParams(Params):
     line_gap: float = Field(ge=0.1, le=100)
     planes: PlaneParams
     check_points: CheckPointParams
-    area: AreaParams
+    area: ShapeFileParams
     min_density: float | None = Field(gt=0)
     min_pulse_density: float | None = Field(gt=0)
     max_void: float | None = Field(ge=0)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.hashing import hash_keys
 from fwclass.quality.adjust import Adjusted, Pairs, adjust
 from fwclass.quality.params import PlaneParams
 from fwclass.quality.pieces import Pieces, Strip, groups_of, lines
@@ -108,10 +109,8 @@ def _draw(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDArr
     """About `share` of the cells, by their place, the same whatever the blocks and their order."""
     if share >= 1:
         return np.ones(len(col), bool)
-    mixed = col.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + row.astype(np.uint64)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # splitmix64 (Steele 2014)
-        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
-    return np.asarray((mixed >> np.uint64(11)) < np.uint64(share * 2**53))
+    cell = (col.astype(np.uint64) << np.uint64(32)) ^ (row.astype(np.uint64) & np.uint64(0xFFFFFFFF))
+    return np.asarray((hash_keys(0, cell) >> np.uint64(11)) < np.uint64(share * 2**53))
 
 
 def _finite_or_none(value: float) -> float | None:

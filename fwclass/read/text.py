@@ -8,6 +8,7 @@ x, y, z and, if there is a fourth, the label.
 from __future__ import annotations
 
 import io
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -75,8 +76,8 @@ def is_text(path: str | Path) -> bool:
         return file.read(4) != b"LASF"
 
 
-def read_text(path: str | Path) -> TextCloud:
-    """Every point of a text file.
+def read_text(path: str | Path, ignored: Collection[str] = ()) -> TextCloud:
+    """Every point of a text file, without the columns of the names `ignored`.
 
     A fourth column is a label: class codes where the header calls it so (``classification``, ``class``, ``code``) or
     where it holds anything but 0 and 1, else the labels of the ISPRS filter test, 0 ground and 1 object.
@@ -89,7 +90,7 @@ def read_text(path: str | Path) -> TextCloud:
     """
     path = Path(path)
     data = _text_of(path)
-    layout = layout_of(path, data)
+    layout = layout_of(path, data, ignored)
     body = _tidy(data[layout.start :], layout.delimiter == " ")
     values = _parse_columns(path, body, layout)
     label, kind = _labels(path, values, layout, body)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,8 +37,8 @@ class Layout:
     first: int
 
 
-def layout_of(path: Path, data: bytes) -> Layout:
-    """Separator and columns, from the first lines."""
+def layout_of(path: Path, data: bytes, ignored: Collection[str] = ()) -> Layout:
+    """Separator and columns, from the first lines; columns of the names `ignored` are none that is known."""
     names: list[str] | None = None
     at = 0
     for number, match in enumerate(re.finditer(rb"([^\r\n]*)(\r\n|\r|\n|$)", data), start=1):
@@ -53,7 +54,7 @@ def layout_of(path: Path, data: bytes) -> Layout:
         if not commented and numbers:
             return _named(path, names, words, delimiter, decimal, at, number)
         if names is None and not numbers and (not commented or len(_known(words)) >= 3):
-            names = words
+            names = [f"?{w}" if w.lower() in ignored else w for w in words]
         elif not commented:
             raise refusal(
                 path,

@@ -10,7 +10,7 @@ import os
 import re
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from fwclass.errors import StoreError
@@ -53,6 +53,17 @@ def log_attempt(location: RunLocation, stage: str, part: str, fields: Mapping[st
         except FileNotFoundError:
             path.parent.mkdir(parents=True, exist_ok=True)
             _append(path, text)
+
+
+def remove_logs(location: RunLocation, parts: Iterable[tuple[str, str]]) -> None:
+    """The logs of `parts` (stage and part) go; what cannot be removed is left."""
+    for stage, part in parts:
+        if isinstance(location, Remote):
+            with contextlib.suppress(StoreError):
+                location.objects.delete([f"logs/{stage}/{part}.log"])
+        else:
+            with contextlib.suppress(OSError):
+                (location / "logs" / stage / f"{part}.log").unlink()
 
 
 def _append(path: Path, text: str) -> None:

@@ -94,10 +94,11 @@ def _linked(package: str, attribute: str) -> str:
 def source_digest() -> str:
     """Digest of this program's own code, 16 hex digits: two commits of one version differ in it."""
     state = hashlib.blake2b(digest_size=8)
-    root = Path(fwclass.__file__).parents[1]
-    for top in ("fwclass", "workflows"):
-        for path in sorted((root / top).rglob("*.py")):
-            state.update(f"{path.relative_to(root).as_posix()}\0".encode() + path.read_bytes())
+    package = Path(fwclass.__file__).parent
+    beside = [] if (package / "_workflows").is_dir() else [package.parent / "workflows"]  # of a checkout
+    for top in (package, *beside):
+        for path in sorted(top.rglob("*.py")):
+            state.update(f"{path.relative_to(package.parent).as_posix()}\0".encode() + path.read_bytes())
     return state.hexdigest()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -118,3 +119,10 @@ def _check(config: Config, candidates: Names, order: Sequence[str]) -> None:
             where=config.path,
             do="name a reference (survey.reference) and boxes (areas.train)",
         )
+
+
+def with_selected(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
+    """The selection among the survey's features, as plain data, and `config` with the set that it chose."""
+    choice = selection(config, runner, config.features_asked, "rffs")
+    survey = config.survey.model_copy(update={"features": tuple(choice["chosen"])})
+    return choice, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))

@@ -40,7 +40,7 @@ def one(path, optimum):
     measure(*points, last)
     spent = time.process_time() - start
     start = time.process_time()
-    params, _ = adapt_filter(points, last, base, rules)
+    params = adapt_filter(points, last, base, rules).params
     adapting = time.process_time() - start
     row = [told(truth, ground_points(*points, last, p).ground) for p in (base, params)]
     if optimum:

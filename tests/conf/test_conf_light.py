@@ -7,14 +7,18 @@ import sys
 
 import pytest
 
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 HEAVY = {"numba", "scipy", "matplotlib", "pyproj", "rasterio", "pyogrio", "laspy", "pyarrow", "zarr", "dask"}
 
 
 @pytest.mark.parametrize(
     "statement",
-    ["import fwclass.conf", "from workflows import WORKFLOWS; 'classification' in WORKFLOWS", "import fwclass.cli"],
+    [
+        "import fwclass.conf",
+        "from fwclass.workflows import WORKFLOWS; 'classification' in WORKFLOWS",
+        "import fwclass.cli",
+    ],
 )
 def test_nothing_heavy_is_loaded(statement: str) -> None:
     line = [sys.executable, "-c", f"import sys; {statement}; print(*sys.modules)"]

@@ -29,7 +29,7 @@ from fwclass.store.atomic import staged
 from fwclass.store.lock import writer
 from fwclass.store.run_location import locked
 from fwclass.store.run_store import Store
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 pytestmark = pytest.mark.faults
 

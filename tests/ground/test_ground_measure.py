@@ -125,7 +125,8 @@ def test_wide_halls_are_removed_with_adapted_parameters_only():
     x, y, z, inside = town(52.0, 1.0, 240.0)
     base, rules = conf.section("ground"), conf.section("ground_auto")
     last = np.ones(len(x), bool)
-    params, measured = adapt_filter((x, y, z), last, base, rules)
+    adapted = adapt_filter((x, y, z), last, base, rules)
+    params, measured = adapted.params, adapted.measured
     assert measured.building == pytest.approx(52.0, abs=4.0)
     taken = [ground_points(x, y, z, last, p).ground[inside].mean() for p in (base, params)]
     assert taken[0] > 0.5
@@ -137,8 +138,8 @@ def test_adapted_parameters_depend_neither_on_order_nor_on_labels():
     x, y, z, _ = town(24.0, 1.0, slope=0.1)
     base, rules = conf.section("ground"), conf.section("ground_auto")
     mixed = np.random.default_rng(5).permutation(len(x))
-    one = adapt_filter((x, y, z), np.ones(len(x), bool), base, rules)[0]
-    two = adapt_filter((x[mixed], y[mixed], z[mixed]), np.ones(len(x), bool), base, rules)[0]
+    one = adapt_filter((x, y, z), np.ones(len(x), bool), base, rules).params
+    two = adapt_filter((x[mixed], y[mixed], z[mixed]), np.ones(len(x), bool), base, rules).params
     assert one == two
     assert one.method == rules.method
 
@@ -146,9 +147,9 @@ def test_adapted_parameters_depend_neither_on_order_nor_on_labels():
 def test_a_filter_without_candidates_keeps_its_own_parameters():
     points = town(36.0)[:3]
     base, rules = conf.section("ground"), conf.section("ground_auto")
-    made, _ = adapt_filter(
+    made = adapt_filter(
         points, np.ones(len(points[0]), bool), base, rules.model_copy(update={"candidates": {}}), "pmf"
-    )
+    ).params
     assert made.pmf == base.pmf
     assert made.method == "pmf"
     assert made.max_building_size > 36.0
@@ -160,7 +161,7 @@ def test_on_a_steep_hillside_every_filter_keeps_no_less_than_before(method):
     x, y, z = plane(0.6, size=120.0, slope=0.7)
     base = conf.section("ground").model_copy(update={"method": method})
     rules, last = conf.section("ground_auto"), np.ones(len(x), bool)
-    params, _ = adapt_filter((x, y, z), last, base, rules, method)
+    params = adapt_filter((x, y, z), last, base, rules, method).params
     assert params.method == method
     before, after = (ground_points(x, y, z, last, p).ground.mean() for p in (base, params))
     assert after >= before
@@ -198,6 +199,6 @@ def test_adapted_parameters_on_hand_labelled_samples(sample, limit):
     x, y, z, label = np.loadtxt(DATA / "isprs" / f"samp{sample}.txt").T
     base, rules = conf.section("ground"), conf.section("ground_auto")
     last = np.ones(len(x), bool)
-    params, _ = adapt_filter((x, y, z), last, base, rules)
+    params = adapt_filter((x, y, z), last, base, rules).params
     wrong = [100 * (ground_points(x, y, z, last, p).ground != (label == 0)).mean() for p in (base, params)]
     assert wrong[1] < min(wrong[0] + 0.5, limit)

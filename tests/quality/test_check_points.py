@@ -55,6 +55,19 @@ def test_neither_order_nor_what_lies_beyond_matters():
     assert (again == height).all() and not close.all()
 
 
+def test_the_triangle_of_a_hole_is_found_beyond_the_nearest_echoes():
+    """Nearest are the many of a strip beside the hole: their triangles do not hold the point."""
+    rng = np.random.default_rng(7)
+    near = np.c_[rng.uniform(1, 2, 400), rng.uniform(-3, 3, 400)]
+    far = np.array([[-4.0, 0.5], [-3.9, -1.0], [-2.0, 4.0]])
+    x, y = np.round(np.concatenate([near, far]), 3).T
+    z = 2.0 * x - y + 50
+    height, distance = ground_heights((np.array([0.0]), np.array([0.0])), (x, y, z), REACH)
+    assert height[0] == pytest.approx(50.0, abs=1e-9) and 1.0 <= distance[0] < 1.2
+    height, _ = ground_heights((np.array([0.0]), np.array([0.0])), (x[:400], y[:400], z[:400]), REACH)
+    assert np.isnan(height[0])
+
+
 def test_no_ground_around_is_no_height():
     one = (np.array([0.0]), np.array([0.0]))
     for x, y in (([], []), ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]), ([1.0, 2.0, 1.5], [1.0, 1.0, 2.0]), ([9.0], [9.0])):

@@ -8,7 +8,7 @@ import pytest
 import zarr
 from runmaker import walk
 
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 pytestmark = pytest.mark.slow
 

@@ -19,7 +19,7 @@ from fwclass.operate.status.walk import Silent
 from fwclass.run.cluster import Cluster
 from fwclass.store.run_location import open_store
 from fwclass.store.tables import read_table
-from workflows import workflow_of
+from fwclass.workflows import workflow_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 FEATURES = "survey.features=[zc, echo_number, amplitude, unevenness]"
@@ -144,12 +144,12 @@ def test_an_output_format(survey, files, tmp_path):
         ("x = 1", "has no workflow"),
         ("workflow = 3", "has no workflow"),
         (
-            "from workflows.classification import classification\n"
+            "from fwclass.workflows.classification import classification\n"
             "workflow = classification.with_stage(classification.stages[0], after='nowhere')",
             "no stage of this name",
         ),
         (
-            "from dataclasses import replace\nfrom workflows.classification import classification as c\n"
+            "from dataclasses import replace\nfrom fwclass.workflows.classification import classification as c\n"
             "workflow = replace(c, stages=c.stages[::-1])",
             "comes before what it reads",
         ),
@@ -189,7 +189,7 @@ import numpy as np
 from functools import partial
 from fwclass.graph.own_stage import chunk_stage, classifier_stage, delivery_stage, ground_filter_stage
 from fwclass.schema import Column
-from workflows.classification import classification
+from fwclass.workflows.classification import classification
 MY = Column("my", "f4", "m", "mine")
 def f(chunk, **settings):
     return {"my": np.zeros(len(chunk.core))}

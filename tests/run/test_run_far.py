@@ -23,7 +23,7 @@ from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.store.run_location import locked
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 SETTINGS = (
     "train.trees=2",

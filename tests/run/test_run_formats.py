@@ -16,7 +16,7 @@ from fwclass.read.stage import open_source, read_span
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 CONFIG = """
 survey:

@@ -23,7 +23,7 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.store.lock import writer
 from fwclass.store.run_store import Store
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 SMALL = (
     *SETTINGS,

@@ -22,7 +22,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.store.lock import writer
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 CHECK = ("seams.width=4", "seams.share=1")
 SMALL = "tile.size=30"

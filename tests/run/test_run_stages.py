@@ -16,7 +16,7 @@ from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_TILES, graph_of, providers
 from fwclass.publish.stage_graph import drop_implied, stage_graph
 from fwclass.schema import Table
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 
 def test_every_workflow_has_stages_of_the_list_in_its_order():

@@ -24,7 +24,7 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner, require_all
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.lock import holder, writer
-from workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS
 
 
 def written(text):

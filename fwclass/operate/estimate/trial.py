@@ -22,7 +22,7 @@ from fwclass.read.source import open_source
 from fwclass.run.runner import Runner
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
-from workflows.classification import classification
+from fwclass.workflows import workflow_of
 
 
 @dataclass(frozen=True)
@@ -124,5 +124,5 @@ def run_trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str,
             do="--dry-run with more tiles, or smaller tile.size",
         )
     chosen = tuple(sorted(whole, key=lambda key: (-runner.store.rows("tile", key), key))[:count])
-    until_report(plan, runner, after_tiles(classification.stages), frozenset(chosen))
+    until_report(plan, runner, after_tiles(workflow_of("classification").stages), frozenset(chosen))
     return chosen

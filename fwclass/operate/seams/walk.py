@@ -31,7 +31,8 @@ from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
 from fwclass.run.progress import Display
 from fwclass.store.run_location import RunLocation, address_of
-from workflows import workflow_of, xiong2018
+from fwclass.study.selection import with_selected
+from fwclass.workflows import workflow_of
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,8 @@ def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Di
 def _make_plan(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple[Stage, ...]) -> Plan:
     """The plan of a finished run, whose parts of `stages` are looked at."""
     plan = until_tiles(workflow.begin(config), look, workflow.stages)
-    if workflow.name == xiong2018.NAME:
-        _, config = xiong2018.select_features(config, look.beside())
+    if workflow.name == "xiong2018":
+        _, config = with_selected(config, look.beside())
         names = config.features_asked
         plan = replace(plan, config=config, names=names, tiled=replace(plan.layout, config=config))
     for stage in stages:

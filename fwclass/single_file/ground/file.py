@@ -258,11 +258,11 @@ def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -
     rules: GroundAutoParams = conf.section("ground_auto", settings)
 
     def adapt(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> tuple[GroundParams, dict[str, Any]]:
-        method = rules.method if choose else params.method
+        method = rules.method if choose or params.method == "auto" else params.method
         tried = len(rules.updates(method))
         tell(f"measuring, then trying {tried} settings of {method}" if tried else "measuring")
         points = cloud.x[shown], cloud.y[shown], cloud.z[shown]
-        suited, measured = adapt_filter(points, cloud.last[shown], params, rules, None if choose else params.method)
-        return suited, measured.plain()
+        suited = adapt_filter(points, cloud.last[shown], params, rules, method)
+        return suited.params, suited.measured.plain()
 
     return adapt

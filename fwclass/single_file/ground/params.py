@@ -126,7 +126,15 @@ def closest(name: str, known: Iterable[str]) -> str:
 
 
 def _check_method(params: GroundParams) -> None:
-    missing = [m for m in methods_of(params) if m not in FILTERS]
+    if params.method == "auto":
+        raise ConfigError(
+            "a survey chooses filters by squares, and this is a file",
+            where="ground.method",
+            expected=", ".join(FILTERS),
+            got="auto",
+            do="`fwclass ground IN OUT --auto` looks at the points first",
+        )
+    missing = [m for m in params.filters if m not in FILTERS]
     if missing:
         raise ConfigError(
             "there is no such filter",
@@ -135,11 +143,6 @@ def _check_method(params: GroundParams) -> None:
             got=", ".join(missing),
             do=closest(missing[0], FILTERS),
         )
-
-
-def methods_of(params: GroundParams) -> tuple[str, ...]:
-    """The single filters that take part."""
-    return params.consensus.methods if params.method == "consensus" else (params.method,)
 
 
 def _split(text: str) -> tuple[str, Any]:

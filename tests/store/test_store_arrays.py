@@ -1,0 +1,48 @@
+"""Arrays of a part come back as they were, whatever their size, in one file where they are of a usual size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fwclass.store.arrays import PARQUET, SMALL, ZARR, _write_group, arrays_at, read_arrays, write_arrays
+
+
+@pytest.mark.parametrize("edge", [3, 300, 1500])
+def test_values_shapes_and_kinds_come_back(edge: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(edge)
+    height = rng.normal(size=(edge, edge)).astype(np.float32)
+    height[0, 0], height[0, 1], height[0, 2] = np.nan, -0.0, np.inf
+    arrays = {
+        "height": height,
+        "mask": rng.integers(0, 4, (edge, edge), dtype=np.uint8),
+        "key": rng.integers(0, 2**63, edge, dtype=np.uint64),
+        "place": rng.integers(-(10**12), 10**12, (edge, 2)),
+        "yes": rng.random(edge) < 0.5,
+        "none": np.zeros((0, 4), np.float64),
+    }
+    write_arrays(tmp_path / "a", arrays, {"what": "a test"})
+    path = arrays_at(tmp_path / "a")
+    assert path is not None and path.suffix == (PARQUET if sum(a.nbytes for a in arrays.values()) <= SMALL else ZARR)
+    back, about = read_arrays(path)
+    assert about == {"what": "a test"} and set(back) == set(arrays)
+    for name, values in arrays.items():
+        assert back[name].dtype == values.dtype and back[name].shape == values.shape
+        assert back[name].tobytes() == values.tobytes(), name
+    some, _ = read_arrays(path, ["mask"])
+    assert list(some) == ["mask"]
+
+
+def test_a_block_of_rasters_is_one_file_no_larger_than_a_group_of_them(tmp_path: Path) -> None:
+    x = np.tile(np.arange(256.0), (256, 1))
+    rng = np.random.default_rng(2)
+    rasters = {
+        n: (np.sin(x / 30) * 5 + 0.01 * rng.normal(size=x.shape) + k).astype(np.float32) for k, n in enumerate("abc")
+    }
+    write_arrays(tmp_path / "a", rasters)
+    (path,) = tmp_path.iterdir()
+    _write_group(tmp_path / "group.zarr", rasters, {})
+    group = sum(p.stat().st_size for p in (tmp_path / "group.zarr").rglob("*") if p.is_file())
+    assert path.is_file() and path.stat().st_size < 1.05 * group
