@@ -107,7 +107,7 @@ def _item(
         "pc:type": "lidar",
         "pc:encoding": "COPC",
         "pc:schemas": list(schema),
-        "pc:statistics": _statistics(tile["figures"], schema),
+        "pc:statistics": _statistics(tile["figures"], schema, tile["points"]),
         "proj:code": place.code,
         "proj:bbox": tile["bounds"],
     }
@@ -140,13 +140,14 @@ def _text(time: datetime) -> str:
 
 
 def _statistics(
-    figures: Mapping[str, Mapping[str, float]], schema: Sequence[Mapping[str, Any]]
+    figures: Mapping[str, Mapping[str, float]], schema: Sequence[Mapping[str, Any]], points: int
 ) -> list[dict[str, Any]]:
+    """Figures by name; a `count` stands only where some points have no value: thousands of tiles make a long list."""
     names = {field["name"] for field in schema}
     return [
         {
             "name": name,
-            "count": int(figure["count"]),
+            **({"count": int(figure["count"])} if figure["count"] != points else {}),
             "minimum": _short(figure["minimum"]),
             "maximum": _short(figure["maximum"]),
             "average": _short(figure["mean"]),
