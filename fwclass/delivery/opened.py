@@ -26,8 +26,8 @@ class Delivery:
     """What a run delivered, as it stood when it was opened: a run that goes on meanwhile changes nothing of it.
 
     Nothing is read before it is asked for, and nothing is written. Coordinates are those of the survey's CRS [m];
-    a missing value is NaN. `root` is the run, `path` the delivery on this host; of one on object storage it has copies of
-    those files that were asked for.
+    a missing value is NaN. `root` is the run, `path` the delivery on this host: of one on object storage what was asked
+    for.
     """
 
     def __init__(self, root: RunLocation, generation: Path, far: Far | None = None) -> None:
