@@ -10,7 +10,7 @@ import { Relabel } from './relabel.js';
 
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
-const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000 };
+const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000, shade: true };
 let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null;
 useToken(given.get('token') || ''); $('unserved').remove();
 const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
@@ -34,10 +34,11 @@ function frame() {
     let sum = 0;
     return { nodes: nodes.filter((n) => (sum += n.count) <= state.motion / scenes.length || n.level === nodes[0].level) };
   });
-  stats.drawn = drawing.draw(cam, shown, state.look, true);
+  stats.drawn = drawing.draw(cam, shown, state.look, state.shade || !moving); // a slow machine shades what stands still
   if (moving) { // the pixels are read, so that what was asked for is done
     drawing.gl.readPixels(0, 0, 1, 1, drawing.gl.RGBA, drawing.gl.UNSIGNED_BYTE, new Uint8Array(4));
     const took = performance.now() - began; stats.frames.push(took); if (stats.frames.length > 500) stats.frames.shift();
+    state.shade = took < (state.shade ? 80 : 25);
     state.motion = Math.max(100_000, Math.min(BUDGET, state.motion * (took > 80 ? 0.85 : took < 50 ? 1.1 : 1)));
   }
   const now = performance.now() - stats.begun, busy = scenes.some((s) => s.loader.busy);
