@@ -17,6 +17,9 @@ from commandline import fwclass
 from smallsurvey import small_survey
 from test_docs_commands import PAGES, ROOT, command_of, lines
 
+from fwclass.grid import Box
+from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+
 QUICK = ("train.trees=3", "train.samples_per_class=300", "publish.figure_pixels=200")
 TOWN = ("simulate.size=60", "simulate.strips=2", *QUICK, "areas.train=[[512000,5403000,512030,5403060]]", "areas.gap=2")
 
@@ -24,11 +27,12 @@ ELSEWHERE = {
     # They end with Ctrl-C, need another machine, or a city: what runs them, and a word of it that stands there.
     r"--scheduler (tcp|tls)://": ("tests/run/test_run_many_hosts.py", "scheduler"),
     r"s3://": ("tests/run/test_run_many_machines.py", "s3://"),
-    r"^schedule (?!.*--once)": ("tests/test_cli_schedule.py", "--every"),
+    r"^schedule ": ("tests/test_cli_schedule.py", "--every"),
     r"^history s3": ("tests/test_cli_schedule_remote.py", "history"),
     r"^street run": ("tests/street/test_street_online.py", "tcp://"),
     r"^view (?!.*--(export|worklist))": ("tests/view/test_view_page.py", "Server("),
     r"--workflow (fan2013|xiong2018|shi2019|li2018)": ("tests/run/test_run_papers.py", "workflow"),
+    r"^select .* --method thinning": ("tests/run/test_run_select.py", "thinning"),
     r"^compile$": ("tests/test_compiling.py", "ahead"),
 }
 """Lines by pattern, without the word fwclass."""
@@ -47,7 +51,6 @@ NAMES = (
     (r"(?<=--model )DIR|(?<=survey.model=)DIR|\bMODEL\b", "forest-dir"),
     (r"\bDIR\b", "mend"),
     (r"\bOUT\b", "forest"),
-    (r"building, vegetation", "ground, bush"),
     (r"ground=2;vegetation=3,4,5;building=6", "ground=2;bush=5"),
     (r"/data/", "data/"),
     (r"64=20", "5=20"),
@@ -58,6 +61,8 @@ NAMES = (
         r"^select my-survey\.yaml|^run my-survey\.yaml (?=.*(select/|thin))",
         lambda m: f"{m[0].split()[0]} demo --out runs/my-survey ",
     ),
+    (r"^(?!select demo)(.*)building, vegetation", r"\1ground, bush"),
+    (r"--order zc,echo_number,width", "--order zc,height_range_c100 --candidates zc,height_range_c100"),
 )
 """What stands on a page for something of the reader's, and what it is here."""
 
@@ -112,6 +117,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         words = ("run", "demo", "--out", "demo-run", "--workers", "0", *town, "--set", trees)
         assert fwclass(*words, cwd=root).returncode in (0, 4)
     shutil.copytree(root / "runs/my-survey/model", root / "forest-dir")
+    (root / "checks.csv").write_text("x,y,z\n500040,5400020,202\n500050,5400010,202.5\n")
+    write_gpkg(
+        [Layer("contract", box_wkb([Box(500_010, 5_400_010, 500_070, 5_400_030)]), {})], root / "contract.gpkg", None
+    )
     (root / "data" / "in").mkdir(parents=True)
     shutil.copytree(root / "runs" / "my-survey", root / "runs" / "other", symlinks=True)
     yield root

@@ -111,7 +111,7 @@ class Delivery:
 
     @cached_property
     def tiles(self) -> list[dict[str, Any]]:
-        """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax)."""
+        """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax), ``height`` (mean z [m])."""
         listed = self.file("laz/survey.vpc")
         catalogue = read_json(listed if listed.is_file() else self._part("laz") / listed.name)
         return [
@@ -120,6 +120,7 @@ class Delivery:
                 "file": str(self.path / "laz" / item["assets"]["data"]["href"].removeprefix("./")),
                 "echoes": item["properties"]["pc:count"],
                 "bounds": tuple(item["properties"]["proj:bbox"]),
+                "height": next(f["average"] for f in item["properties"]["pc:statistics"] if f["name"] == "Z"),
             }
             for item in catalogue["features"]
         ]

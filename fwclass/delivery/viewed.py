@@ -96,6 +96,7 @@ class ViewedRun:
 
     def index(self) -> dict[str, Any]:
         pyramid, report = self.pyramid, self.delivery.report
+        boxes = np.array([t["bounds"] for t in self.tiles.values()])
         shown = colours(report["classes"])
         tiles = [
             [*map(int, key.split("_")), int(t["echoes"]), t["bounds"][2], t["bounds"][5]]
@@ -110,6 +111,8 @@ class ViewedRun:
             "against": self._other is not None,
             "relabels": self._other is None,
             "origin": self.origin,
+            "bounds": [*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 3:5].max(axis=0).tolist()],
+            "height": sum(int(t["echoes"]) * float(t["height"]) for t in self.tiles.values()) / self.echoes,
             "size": pyramid.size,
             "west": pyramid.west,
             "south": pyramid.south,

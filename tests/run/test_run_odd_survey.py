@@ -46,7 +46,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(0)
     x, y, high = *rng.uniform(0, 1, (2, 6000)) * [[80], [40]], rng.random(6000) < 0.3
     xyz = np.c_[500_000 + x, 5_400_000 + y, 200 + 0.05 * x + high * rng.uniform(0.5, 6, 6000)]
-    xyz = np.vstack([xyz, [*ALONE, 206.0]])
+    xyz = np.vstack([xyz, [*ALONE, 700.0]])
     classes = np.append(np.where(high, 5, 2), 2)
     classes[:300] = 77
     lasmaker.write_las(place / "a.las", xyz, point_format=6, classification=classes, intensity=rng.integers(1, 9, 6001))
@@ -106,6 +106,9 @@ def test_python_and_the_viewer_open_it(root: Path) -> None:
     assert run.crs is None and len(run.echoes()) == 6001
     scene = ViewedRun(run, conf.section("view", ()))
     assert sum(len(scene.level(ECHOES, k)) for k in scene.pyramid.levels()) > 6001
+    x0, y0, x1, y1 = scene.index()["bounds"]
+    assert 199 < scene.index()["height"] < 210, "one echo 500 m up draws no view away"
+    assert 499_999 < x0 < 500_001 and 5_399_999 < y0 < 5_400_001 and x1 == ALONE[0] and y1 < 5_400_040.1
     assert {c["code"] for c in scene.index()["classes"]} >= {2, 255}
     for name in ("amplitude_sigma", "width"):  # discrete returns: no value anywhere
         if name in {c["name"] for c in scene.index()["columns"]}:
