@@ -103,8 +103,8 @@ def _needed(name: str) -> Any:
 def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
     """Columns of a delivered tile as arrays, those of `names` that it has; its rows are those of the store's tile.
 
-    `InputError` where the file is damaged: it was sound when the delivery was opened. One that is gone, as where the run
-    delivered anew, is the system's error.
+    `InputError` where the file is damaged: it was sound when the delivery was opened. One that is gone (the run
+    delivered anew) is the system's error.
     """
     try:
         with pq.ParquetFile(path) as file:
