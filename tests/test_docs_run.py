@@ -63,6 +63,8 @@ NAMES = (
     ),
     (r"^(?!select demo)(.*)building, vegetation", r"\1ground, bush"),
     (r"--order zc,echo_number,width", "--order zc,height_range_c100 --candidates zc,height_range_c100"),
+    (r"^run my-survey\.yaml --workflow mine\.py$", "run my-survey.yaml --workflow mine.py --out runs/mine"),
+    (r"^seams runs/my-survey --workflow mine\.py", "seams runs/mine --workflow mine.py"),
 )
 """What stands on a page for something of the reader's, and what it is here."""
 
