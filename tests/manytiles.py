@@ -51,7 +51,7 @@ def many_tiles(source: Delivery, root: Path, edge: int, echoes: int) -> Path:
         write_geoparquet(moved, out, crs, params, about)
         files[f"parquet/{key}.parquet"] = out
         tiles[f"tiles/{key}.copc.laz"] = tile_facts(moved)
-    write_vpc(tiles, root / "made" / "survey.vpc", crs, point_schema(names), "overview.copc.laz")
+    write_vpc(tiles, root / "made" / "survey.vpc", crs, point_schema(names), overview="overview.copc.laz")
     files["laz/survey.vpc"] = root / "made" / "survey.vpc"
     write_tile_copc(Table.concat(coarse), root / "made" / "overview.copc.laz", crs, params, called)
     files["laz/overview.copc.laz"] = root / "made" / "overview.copc.laz"

@@ -11,6 +11,8 @@ import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
 
+from fwclass.operate.difference.deliveries import _echo_lines
+
 OTHER = "survey.features=[amplitude]"
 
 
@@ -101,3 +103,9 @@ def test_a_report_that_was_changed_is_refused_in_words(runs):
     ended = fwclass("diff", "r", "s", cwd=runs)
     report.write_bytes(before)
     assert ended.returncode == 1 and "the delivery is damaged" in ended.stderr and "Traceback" not in ended.stderr
+
+
+def test_deliveries_without_a_common_echo_are_told() -> None:
+    """As where the later one is of the survey's quality alone, and has no tiles."""
+    nothing = {"common": 0, "only_first": 6000, "only_second": 0, "changed": 0, "classes": [], "matrix": []}
+    assert list(_echo_lines(nothing))[1].split() == ["6,000", "in", "the", "first", "alone"]

@@ -61,7 +61,7 @@ class LocalPath(click.Path):
         if is_url(value):
             self.fail(
                 f"{value} is on object storage, and this command takes files of this host; `fwclass run`, `status`, "
-                "`schedule`, `history` and `seams` take the address of a run (docs/many-machines.md)",
+                "`schedule`, `history`, `seams` and `view` take the address of a run (docs/many-machines.md)",
                 param,
                 ctx,
             )

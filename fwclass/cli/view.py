@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from fwclass.cli.base import OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import OVERWRITE, PATH, RUN, SET, cli
 
 
 @cli.command()
-@click.argument("run", type=PATH)
+@click.argument("run", type=RUN)
 @click.option("--port", type=click.IntRange(0, 65535), help="Listen there (default: any free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address only.")
-@click.option("--against", type=PATH, metavar="OTHER", help="Another run of the same survey, side by side.")
+@click.option("--against", type=RUN, metavar="OTHER", help="Another run of the same survey, side by side.")
 @click.option("--allow-run", is_flag=True, help="Let the page start the run's last command once more.")
 @click.option("--worklist", type=PATH, metavar="FILE", help="Write the unsure places as a GeoPackage, and end.")
 @click.option("--export", type=PATH, metavar="DIR", help="Write the page to a new folder for any web server, and end.")
 @SET
 @OVERWRITE
 def view(
-    run: Path,
+    run: Any,
     port: int | None,
     no_browser: bool,
-    against: Path | None,
+    against: Any,
     allow_run: bool,
     worklist: Path | None,
     export: Path | None,
@@ -35,7 +36,10 @@ def view(
     The page is served on 127.0.0.1 alone, and answers who has the address that is printed. Ctrl-C ends it.
     """
     from fwclass import conf
+    from fwclass.cli.status import run_at
+    from fwclass.store.url import is_url
 
+    run, against = (run_at(place) if is_url(place) else place for place in (run, against))
     params = conf.section("view", settings)
     if worklist is not None and export is not None:
         raise click.UsageError("--worklist and --export are two commands")

@@ -101,10 +101,25 @@ def _needed(name: str) -> Any:
 
 
 def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
-    """Columns of a delivered tile as arrays, those of `names` that it has; its rows are those of the store's tile."""
-    with pq.ParquetFile(path) as file:
-        there = [n for n in names if n in file.schema_arrow.names]
-        arrow = file.read(columns=there, use_threads=False)
+    """Columns of a delivered tile as arrays, those of `names` that it has; its rows are those of the store's tile.
+
+    `InputError` where the file is damaged: it was sound when the delivery was opened. One that is gone (the run
+    delivered anew) is the system's error.
+    """
+    try:
+        with pq.ParquetFile(path) as file:
+            there = [n for n in names if n in file.schema_arrow.names]
+            arrow = file.read(columns=there, use_threads=False)
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as fault:  # Arrow's own are both
+        raise InputError(
+            "a delivered tile cannot be read any more",
+            where=path,
+            expected="the file that was there when the delivery was opened",
+            got=str(fault).splitlines()[0][:200],
+            do="run the survey again with --verify: what is damaged is made anew",
+        ) from fault
     return {n: arrow.column(n).to_numpy() for n in there}
 
 

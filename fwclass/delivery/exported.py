@@ -16,6 +16,7 @@ from fwclass.delivery.viewed_colours import CORRECTED
 from fwclass.publish.copc import copc_columns
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.store.run_location import RunLocation
 from fwclass.view.blocks import DRAWN, identity_block
 from fwclass.view.folder import UnsureEcho, write_folder
 from fwclass.view.params import ViewParams
@@ -27,9 +28,7 @@ class ExportedRun(ViewedRun):
 
     def colours(self) -> Sequence[str]:
         """The columns that the delivered COPC has, strips, and what is right and differs."""
-        delivered = [
-            f["name"] for f in table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
-        ]
+        delivered = [f["name"] for f in table_fields(self.delivery.table(next(iter(self.tiles))))]
         left = {*delivered} - {*copc_columns(delivered), "strip"} | {*DRAWN}
         return [f["name"] for f in self.index()["columns"] if f["name"] not in left]
 
@@ -79,7 +78,7 @@ class ExportedRun(ViewedRun):
     def _unsure_echoes(self, key: str, rows: NDArray[np.int64]) -> list[UnsureEcho]:
         if not len(rows):
             return []
-        path = self.delivery.path / "parquet" / f"{key}.parquet"
+        path = self.delivery.table(key)
         columns = {n: v[rows] for n, v in table_columns(path, [f["name"] for f in self._fields]).items()}
         out = []
         for k, row in enumerate(rows.tolist()):
@@ -105,7 +104,7 @@ def _first_of_each(place: NDArray[np.int64], order: NDArray, most: int) -> NDArr
 
 
 def export_view(
-    run: Path, against: Path | None, params: ViewParams, directory: Path, tell: Callable[[str], object]
+    run: RunLocation, against: RunLocation | None, params: ViewParams, directory: Path, tell: Callable[[str], object]
 ) -> str:
     """Write the page of a run, or of two side by side, to a new directory; a sentence of what is there.
 

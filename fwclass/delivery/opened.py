@@ -15,7 +15,10 @@ from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
 from fwclass.formats.geoparquet import header as geoparquet_header
 from fwclass.store.atomic import read_json
+from fwclass.store.bucket import Remote
 from fwclass.store.directory import CURRENT
+from fwclass.store.generations import Generation, Generations, Manifest
+from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
 
 
@@ -23,11 +26,12 @@ class Delivery:
     """What a run delivered, as it stood when it was opened: a run that goes on meanwhile changes nothing of it.
 
     Nothing is read before it is asked for, and nothing is written. Coordinates are those of the survey's CRS [m];
-    a missing value is NaN.
+    a missing value is NaN. `root` is the run, `path` the delivery on this host: of one on object storage what was asked
+    for.
     """
 
-    def __init__(self, root: Path, generation: Path) -> None:
-        self.root, self.path = root, generation
+    def __init__(self, root: RunLocation, generation: Path, far: Far | None = None) -> None:
+        self.root, self.path, self._far = root, generation, far
 
     def __repr__(self) -> str:
         return f"Delivery({str(self.root)!r}, {self.path.name})"
@@ -47,6 +51,16 @@ class Delivery:
             There is no such column, or the box is none.
         """
         return Echoes(sorted(self._part("parquet").glob("*.parquet")), box, columns, where)
+
+    def table(self, tile: str) -> Path:
+        """The Parquet file of a tile, on this host."""
+        return self.file(f"parquet/{tile}.parquet")
+
+    def file(self, name: str) -> Path:
+        """A file of the delivery on this host, whether or not there is one."""
+        if self._far is not None:
+            self._far([name])
+        return self.path / name
 
     def raster(self, name: str) -> Raster:
         """``classes, confidence, density, dtm, dsm, ndsm, hillshade, slope, roughness, dtm_mask`` or
@@ -93,18 +107,20 @@ class Delivery:
     @cached_property
     def report(self) -> dict[str, Any]:
         """``report.json``: accuracy, counts, inputs, settings."""
-        return dict(read_json(self.path / "report.json"))
+        return dict(read_json(self.file("report.json")))
 
     @cached_property
     def tiles(self) -> list[dict[str, Any]]:
-        """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax)."""
-        catalogue = read_json(self._part("laz") / "survey.vpc")
+        """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax), ``height`` (mean z [m])."""
+        listed = self.file("laz/survey.vpc")
+        catalogue = read_json(listed if listed.is_file() else self._part("laz") / listed.name)
         return [
             {
                 "tile": item["id"],
                 "file": str(self.path / "laz" / item["assets"]["data"]["href"].removeprefix("./")),
                 "echoes": item["properties"]["pc:count"],
                 "bounds": tuple(item["properties"]["proj:bbox"]),
+                "height": next(f["average"] for f in item["properties"]["pc:statistics"] if f["name"] == "Z"),
             }
             for item in catalogue["features"]
         ]
@@ -112,7 +128,7 @@ class Delivery:
     @cached_property
     def crs(self) -> Any:
         """The survey's coordinate system (`pyproj.CRS`), None where it names none."""
-        tile = next(self._part("parquet").glob("*.parquet"), None)
+        tile = next((self.table(t["tile"]) for t in self.tiles), None)
         return geoparquet_header(tile)["crs"] if tile is not None else None
 
     @cached_property
@@ -120,6 +136,8 @@ class Delivery:
         return Store(self.root, read_only=True)
 
     def _part(self, name: str) -> Path:
+        if self._far is not None:
+            self._far([f"{name}/"])
         path = self.path / name
         if not path.exists():
             there = sorted(p.name for p in self.path.iterdir())
@@ -133,7 +151,7 @@ class Delivery:
         return path
 
 
-def open_run(run: str | os.PathLike[str]) -> Delivery:
+def open_run(run: str | os.PathLike[str] | Remote) -> Delivery:
     """The current delivery of a run directory.
 
     Parameters
@@ -145,6 +163,8 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
     InputError
         It is no run, has delivered nothing yet, is on object storage, or files of the delivery are gone.
     """
+    if isinstance(run, Remote):
+        return open_at(run)
     text = os.fspath(run)
     if "://" in text:
         raise InputError(
@@ -152,16 +172,31 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
             where=text,
             expected="a directory",
             got="an address",
-            do="copy the delivery first, for example `rclone copy REMOTE:bucket/run/generations/0001 run`, or read its "
-            "Parquet with DuckDB",
+            do="look at it with `fwclass view`, copy the delivery first, for example `rclone copy "
+            "REMOTE:bucket/run/generations/0001 run`, or read its Parquet with DuckDB",
         )
     root = Path(text).resolve()
     if not root.is_dir():
         raise InputError("there is no such run", where=root, expected="a directory", got="none", do="check the path")
-    generations = Store(root, read_only=True).generations
+    return open_at(root)
+
+
+def open_at(root: RunLocation) -> Delivery:
+    """The current delivery of a run, in a directory or on object storage: there files are fetched when they are asked
+    for, and kept for the next time.
+
+    Raises
+    ------
+    InputError
+        There is no delivery, or files of it are gone.
+    StoreError
+        Object storage does not answer.
+    """
+    store = Store(root, read_only=True)
+    generations = store.generations
     current = generations.current()
     if current is None:
-        under_way = (root / "store").is_dir()
+        under_way = (root / "store").is_dir() if isinstance(root, Path) else bool(store.parts())
         raise InputError(
             "this run has delivered nothing yet" if under_way else "this is not a run directory",
             where=root,
@@ -172,14 +207,27 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
             else "name the directory that was given as --out",
         )
     listed = generations.manifest(current)
-    sizes = {name: facts["bytes"] for name, facts in (listed or {}).items()}
-    gone = [n for n, size in sizes.items() if not (f := current.path / n).is_file() or f.stat().st_size != size]
+    gone = generations.lacking(current, listed or {})
     if listed is None or gone:
         raise InputError(
             "the delivery is damaged",
-            where=current.path,
+            where=current.where,
             expected="every file of its manifest, with its size",
             got=", ".join(gone[:3]) or "no manifest",
             do="run the survey again with --verify: what is damaged is made anew",
         )
-    return Delivery(root, current.path)
+    return Delivery(root, current.path, Far(generations, current, listed) if isinstance(root, Remote) else None)
+
+
+class Far:
+    """Fetches files of a delivery on object storage."""
+
+    def __init__(self, generations: Generations, generation: Generation, listed: Manifest) -> None:
+        self._generations, self._generation, self._listed = generations, generation, listed
+
+    def __call__(self, names: Sequence[str]) -> None:
+        """The files of these names, and for one that ends with ``/`` all below it; what is not there is passed over."""
+        below = tuple(name for name in names if name.endswith("/"))
+        wanted = {n: f for n, f in self._listed.items() if n in names or n.startswith(below)}
+        if wanted:
+            self._generations.files.fetch(self._generation.key, wanted)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
-from fwclass.delivery.opened import Delivery, open_run
+from fwclass.delivery.opened import Delivery, open_at
 from fwclass.delivery.viewed_colours import (
     CORRECTED,
     DIFFERS,
@@ -74,7 +74,7 @@ class ViewedRun:
         self._skimmed: OpenTile | None = None
         self._behind = BehindEchoes(delivery)
         self.relabel = Relabelling(delivery, params, self._in_blocks)
-        self._other = other.path / "parquet" if other is not None else None
+        self._other = other
         self._asked: dict[tuple[int, ...], tuple[str, int]] = {}
 
     @property
@@ -84,7 +84,7 @@ class ViewedRun:
     def reopened(self) -> ViewedRun:
         from fwclass.delivery.viewed_large import view_run  # which is made of this
 
-        current = open_run(self.delivery.root)
+        current = open_at(self.delivery.root)
         return self if current.path == self.delivery.path else view_run(current, self.params)
 
     def prepare(self) -> None:
@@ -96,6 +96,7 @@ class ViewedRun:
 
     def index(self) -> dict[str, Any]:
         pyramid, report = self.pyramid, self.delivery.report
+        boxes = np.array([t["bounds"] for t in self.tiles.values()])
         shown = colours(report["classes"])
         tiles = [
             [*map(int, key.split("_")), int(t["echoes"]), t["bounds"][2], t["bounds"][5]]
@@ -110,6 +111,8 @@ class ViewedRun:
             "against": self._other is not None,
             "relabels": self._other is None,
             "origin": self.origin,
+            "bounds": [*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 3:5].max(axis=0).tolist()],
+            "height": sum(int(t["echoes"]) * float(t["height"]) for t in self.tiles.values()) / self.echoes,
             "size": pyramid.size,
             "west": pyramid.west,
             "south": pyramid.south,
@@ -334,7 +337,7 @@ class ViewedRun:
         return table_columns(self._file(key), names)
 
     def _file(self, key: str) -> Path:
-        return self.delivery.path / "parquet" / f"{key}.parquet"
+        return self.delivery.table(key)
 
     def _bytes(self, name: str, node: Node, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
         if node[0] < self.pyramid.own:
@@ -351,7 +354,7 @@ class ViewedRun:
         if name == CORRECTED:
             return self._accepted(self._tile(key), key)
         if name == DIFFERS and self._other is not None:
-            return compare_classes(self._file(key), self._other / f"{key}.parquet")
+            return compare_classes(self._file(key), self._other.table(key))
         values = self._column(key, name)
         return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
 

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from collections import deque
-from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 
@@ -17,6 +16,7 @@ from fwclass.errors import FwclassError, InputError, visible
 from fwclass.operate.history import word_of
 from fwclass.operate.request import Request
 from fwclass.redact import redacted, redacted_words
+from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
 
 KEPT = 200
@@ -29,7 +29,7 @@ GRACE = 20.0
 class LastCommand:
     """See `fwclass.view.scene.Again`. What is started is what the run itself kept; nothing of a page gets into it."""
 
-    def __init__(self, root: Path, allowed: bool) -> None:
+    def __init__(self, root: RunLocation, allowed: bool) -> None:
         self._root, self._allowed = root, allowed
         self._lines: deque[str] = deque(maxlen=KEPT)
         self._child: subprocess.Popen[str] | None = None

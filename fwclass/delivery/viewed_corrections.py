@@ -17,9 +17,13 @@ from fwclass.formats.echo_labels import LONGEST_NAME, TAKEN_BACK, EchoLabels
 from fwclass.grid import TileGrid
 from fwclass.label.corrections import COLUMNS, match_labels
 from fwclass.schema import Table
+from fwclass.store.bucket import Remote
 from fwclass.store.corrections import CORRECTIONS, add_corrections, check_writable, read_corrections
 from fwclass.store.run_store import Store
 from fwclass.view.scene import Replaced
+
+ASKED = 3.0
+"""s, how long object storage is believed to hold what it held."""
 
 NEVER = -1
 """Version of a tile in which nothing was ever corrected."""
@@ -92,22 +96,33 @@ class Corrections:
         self.reach = float(config["label"]["max_move"])
         self.who = _user()
         self._stamp: object = None
+        self._ask_again = 0.0
         self._rows = Rows(EchoLabels.none(), self._size, self.reach)
         self._lock = Lock()
 
     def rows(self) -> Rows:
         """What the file says now; `InputError` where it is damaged."""
-        path = self._delivery.root / CORRECTIONS
         with self._lock:
-            try:
-                facts = path.stat()
-                stamp: object = (facts.st_mtime_ns, facts.st_size, facts.st_ino)
-            except (FileNotFoundError, NotADirectoryError):
-                stamp = None
+            stamp = self._version()
             if stamp != self._stamp:
                 every = read_corrections(self._delivery.root)
                 self._rows, self._stamp = Rows(every, self._size, self.reach), stamp
             return self._rows
+
+    def _version(self) -> object:
+        """Another one where the file changed. Object storage is asked every `ASKED` seconds, and after additions."""
+        root = self._delivery.root
+        if isinstance(root, Remote):
+            if time.monotonic() < self._ask_again:
+                return self._stamp
+            listed = [item.mark for item in root.objects.list("labels") if item.key == CORRECTIONS]
+            self._ask_again = time.monotonic() + ASKED
+            return listed[0] if listed else None
+        try:
+            facts = (root / CORRECTIONS).stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        return facts.st_mtime_ns, facts.st_size, facts.st_ino
 
     def check(self) -> None:
         """`Replaced` where the run has delivered anew, `StoreError` where nothing can be written."""
@@ -140,6 +155,7 @@ class Corrections:
             )
 
         rows = add_corrections(self._delivery.root, change).rows
+        self._ask_again = 0.0
         return Change(now if rows else 0, rows, wanted.rows - rows)
 
     def revert(self, when: int) -> Change:
@@ -171,6 +187,7 @@ class Corrections:
             return EchoLabels.of({n: getattr(rows, n) for n in COLUMNS[:-1]}, former[last], now, self.who)
 
         rows = add_corrections(self._delivery.root, change).rows
+        self._ask_again = 0.0
         return Change(now if rows else 0, rows, left)
 
 

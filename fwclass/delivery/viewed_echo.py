@@ -122,7 +122,7 @@ class BehindEchoes:
         Usual is the median of the runner-up's training sample; where the run keeps none (a model that was given), of
         the tile's echoes of that class.
         """
-        model = self._delivery.path / "model"
+        model = self._delivery.file("model/")
         if not model.is_dir():
             raise InputError("this delivery has no model to ask", where=self._delivery.path)
         forest = self._trained.get("model", lambda: load_model(model), lambda _: 1 << 20)

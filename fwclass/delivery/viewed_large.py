@@ -36,7 +36,7 @@ TILE = 20_000
 def view_run(delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> ViewedRun:
     """The run as the viewer shows it; a large one by its overview."""
     cost = sum(TILE + int(t["echoes"]) for t in delivery.tiles)
-    large = cost > params.whole and (delivery.path / OVERVIEW).is_file()
+    large = cost > params.whole and delivery.file(OVERVIEW).is_file()
     return (LargeRun if large else ViewedRun)(delivery, params, other)
 
 
@@ -55,7 +55,7 @@ class LargeRun(ViewedRun):
         return {n: v[rank < np.uint64(limit)] for n, v in echoes.items()}
 
     def _overview(self) -> dict[str, NDArray]:
-        source = open_las(self.delivery.path / OVERVIEW)
+        source = open_las(self.delivery.file(OVERVIEW))
         with PointReader(source) as reader:
             points = reader.read(0, source.n_points)
             there = [f["name"] for f in table_fields(self._tile_path(next(iter(self.tiles))))]
@@ -78,7 +78,7 @@ class LargeRun(ViewedRun):
         return {n: v[known] for n, v in echoes.items()}
 
     def _tile_path(self, key: str) -> Path:
-        return self.delivery.path / "parquet" / f"{key}.parquet"
+        return self.delivery.table(key)
 
     def _row_of(self, node: Node, row: int) -> tuple[str, int]:
         opened = self._skim()

@@ -173,7 +173,7 @@ class Relabelling:
         return columns
 
     def _file(self, key: str) -> Path:
-        return self._delivery.path / "parquet" / f"{key}.parquet"
+        return self._delivery.table(key)
 
     def _marked(self, places: Places, values: Mapping[str, NDArray[np.uint8]]) -> bytes:
         """All nodes that have one of the echoes; one that has them of several tiles comes several times."""

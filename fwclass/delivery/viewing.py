@@ -6,17 +6,17 @@ import threading
 import webbrowser
 from collections.abc import Callable
 from contextlib import closing, suppress
-from pathlib import Path
 
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_command import LastCommand
 from fwclass.delivery.viewed_large import view_run
+from fwclass.store.run_location import RunLocation
 from fwclass.view.params import ViewParams
 from fwclass.view.server import Server
 
 
-def scenes_of(run: Path, against: Path | None, params: ViewParams) -> list[ViewedRun]:
+def scenes_of(run: RunLocation, against: RunLocation | None, params: ViewParams) -> list[ViewedRun]:
     """The scene of a run, and that of another with which it is compared."""
     first = open_run(run)
     if against is None:
@@ -26,10 +26,10 @@ def scenes_of(run: Path, against: Path | None, params: ViewParams) -> list[Viewe
 
 
 def serve_view(
-    run: Path,
+    run: RunLocation,
     params: ViewParams,
     port: int,
-    against: Path | None,
+    against: RunLocation | None,
     browser: bool,
     tell: Callable[[str], object],
     allow_run: bool = False,

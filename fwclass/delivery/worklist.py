@@ -14,6 +14,7 @@ from fwclass.delivery.viewed import ViewedRun
 from fwclass.errors import ConfigError
 from fwclass.grid import Box
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.store.run_location import RunLocation
 from fwclass.view.params import ViewParams
 
 LAYER = "places"
@@ -29,7 +30,7 @@ def check_free(path: Path, overwrite: bool) -> None:
         )
 
 
-def write_work_list(run: Path, params: ViewParams, path: Path, overwrite: bool) -> str:
+def write_work_list(run: RunLocation, params: ViewParams, path: Path, overwrite: bool) -> str:
     """Write the places of a run as a GeoPackage, layer `LAYER`, rank 1 the largest; a sentence of what was written.
 
     Raises

@@ -2,69 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from fwclass.errors import InputError
 from fwclass.graph.assess import COUNT_CONFUSION
-from fwclass.graph.outputs import DELIVER_TILE, NO_BYTE, TILE_ENDING, TILES, class_names, columns_of_tiles, crs_of
+from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names, crs_of
+from fwclass.graph.overview import DELIVER_OVERVIEW, cloud_arguments, cloud_columns, overview_parts, overviews_of
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.vectors import vector_layers
 from fwclass.grid import Box, TileGrid
-from fwclass.publish.copc import copc_columns, write_tile_copc
 from fwclass.publish.files import whole
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
-from fwclass.publish.laz import NEEDED, without_reflectance
-from fwclass.publish.octree import echo_hashes
-from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis import write_project
-from fwclass.publish.qgis_layers import cloud_styles, groups_of
+from fwclass.publish.qgis_layers import OVERVIEW, cloud_styles, groups_of
 from fwclass.publish.qgis_style import style_file
 from fwclass.publish.tile_facts import point_schema, sum_tiles
 from fwclass.publish.vpc import write_vpc
-from fwclass.schema import IDENTITY, Table
-
-OVERVIEW = "laz/overview.copc.laz"
-OF_FIELDS = ("intensity", "gps_time")
-"""Columns of a tile that are fields of its point format, beside those it cannot be without."""
-
-
-def deliver_overview(
-    here: StageInputs,
-    params: PublishParams,
-    crs: str | None,
-    standard_time: bool,
-    calibrated: bool,
-    names: Mapping[str, str],
-) -> Result:
-    """A fair sample of all echoes as COPC, drawn by the hash that the tiles' levels are drawn by."""
-    total = sum(here.inputs.meta("tile", tile)["rows"] for tile in here.present)
-    share = min(1.0, params.overview_echoes / max(1, total))
-    bound = np.uint64(min(share * 2.0**64, float(2**64 - 2048)))
-    table = Table.concat(_draw_echoes(here, bound))
-    if not table.rows:
-        return {"rows": 0}
-    path = here.directory / OVERVIEW
-    path.parent.mkdir(parents=True)
-    called = {int(code): name for code, name in names.items()}
-    try:
-        shown = table if calibrated else without_reflectance(table)
-        write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
-    except InputError:  # places further apart than the format's whole numbers reach have no common file
-        return {"rows": 0}
-    return {"rows": table.rows}
-
-
-def _draw_echoes(here: StageInputs, bound: np.uint64) -> Iterator[Table]:
-    """Of every tile the echoes whose hash lies below `bound`."""
-    identity = dict.fromkeys(IDENTITY, "tile")
-    for tile in here.present:
-        rows = np.flatnonzero(echo_hashes(here.inputs.rows(tile, identity)) <= bound)
-        yield here.inputs.rows(tile, here.columns).select(here.columns).take(rows)
 
 
 def deliver_catalogue(
@@ -75,6 +32,7 @@ def deliver_catalogue(
     names: Mapping[str, str],
     title: str,
     polygons: Names,
+    square: float,
     vectors: Names = (),
     contours: bool = False,
 ) -> Result:
@@ -82,7 +40,7 @@ def deliver_catalogue(
     tiles = _facts(here)
     facts, system = sum_tiles(tiles), crs_of(crs)
     present = _present(facts, names)
-    overview = here.inputs.meta(DELIVER_OVERVIEW.name, "all")["rows"]
+    drawn = {key: here.inputs.meta(DELIVER_OVERVIEW.name, key)["rows"] for key in here.parts(DELIVER_OVERVIEW.name)}
     (here.directory / "laz").mkdir(parents=True)
     by_path = {f"{TILES.removeprefix('laz/')}/{key}{TILE_ENDING}": tile for key, tile in tiles.items()}
     listed = write_vpc(
@@ -90,13 +48,14 @@ def deliver_catalogue(
         here.directory / "laz" / "survey.vpc",
         system,
         point_schema(columns),
-        OVERVIEW.removeprefix("laz/") if overview else "",
+        {path: overviews_of(tile["bounds"], square, drawn) for path, tile in by_path.items()},
+        OVERVIEW.removeprefix("laz/") if drawn[WHOLE] else "",
         standard_time=standard_time,
     )
     ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
     _write_style(here, present)
     bounds = facts["bounds"]
-    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours)
+    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours, bool(drawn[WHOLE]))
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
@@ -169,19 +128,9 @@ def _area_layers(areas: Mapping[str, list[list[float]]]) -> list[Layer]:
     return [Layer("areas", box_wkb([box for _, box in rows]), {"kind": [kind for kind, _ in rows]})]
 
 
-def _overview_columns(plan: Plan) -> Names:
-    columns = columns_of_tiles(plan)
-    return tuple(dict.fromkeys((*(c for c in columns if c in (*NEEDED, *OF_FIELDS)), *copc_columns(columns))))
-
-
 def _cloud_columns(plan: Plan) -> Names:
     calibrated = plan.config.radiometry.calibrates
-    return tuple(c for c in _overview_columns(plan) if calibrated or c != "reflectance")
-
-
-def _shared_arguments(plan: Plan) -> dict[str, Any]:
-    survey = plan.survey
-    return {"crs": survey.crs, "standard_time": survey.standard_time, "names": class_names(plan)}
+    return tuple(c for c in cloud_columns(plan) if calibrated or c != "reflectance")
 
 
 def _areas(plan: Plan) -> dict[str, list[list[float]]]:
@@ -191,7 +140,7 @@ def _areas(plan: Plan) -> dict[str, list[list[float]]]:
 def _parts_listed(plan: Plan, part: object) -> list[tuple[str, str]]:
     tiles = [(DELIVER_TILE.name, t.key) for t in plan.layout.tiles]
     rasters = [(DELIVER_RASTERS.name, site.name) for site in sites(plan.layout)]
-    return [*tiles, *rasters, (DELIVER_OVERVIEW.name, "all")]
+    return [*tiles, *rasters, *((DELIVER_OVERVIEW.name, str(key)) for key in overview_parts(plan))]
 
 
 def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
@@ -199,32 +148,18 @@ def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
     return [(stage, t.key) for stage in stages for t in plan.layout.tiles]
 
 
-DELIVER_OVERVIEW = Stage(
-    "publish-overview",
-    1,
-    "survey",
-    "echo",
-    deliver_overview,
-    arguments=lambda plan: {
-        **_shared_arguments(plan),
-        "params": plan.config.publish,
-        "calibrated": plan.config.radiometry.calibrates,
-    },
-    silent=NO_BYTE,
-    reads=_overview_columns,
-    where="deliver",
-)
 DELIVER_CATALOGUE = Stage(
     "publish-catalogue",
-    1,
+    2,
     "survey",
     "part",
     deliver_catalogue,
     arguments=lambda plan: {
-        **_shared_arguments(plan),
+        **cloud_arguments(plan),
         "columns": _cloud_columns(plan),
         "title": plan.config.survey.name,
         "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
+        "square": plan.config.publish.overview_square,
         **({"vectors": vector_layers(plan)} if vector_layers(plan) else {}),
         "contours": plan.config.contours.enabled,
     },

@@ -62,7 +62,7 @@ EXACT = ("range", "confidence")
 
 TILES, TILE_ENDING = "laz/tiles", ".copc.laz"
 
-NO_BYTE = frozenset({"raster_cache", "figure_pixels"})
+NO_BYTE = frozenset({"raster_cache", "figure_pixels", "overview_echoes", "overview_square"})
 """Settings that change no byte of what these parts write."""
 
 _ECHO_BITS = 8

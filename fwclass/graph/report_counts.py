@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
 from fwclass.graph.contours import DELIVER_CONTOURS
 from fwclass.graph.layout import Survey
 from fwclass.graph.learn import TRAIN_FOREST
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
+from fwclass.graph.overview import DELIVER_OVERVIEW
 from fwclass.graph.quality import DELIVER_QUALITY
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.report_facts import receipts_of_run

@@ -19,7 +19,7 @@ from fwclass.graph.backscatter import (
     SAMPLE_WAVES,
 )
 from fwclass.graph.breaklines import READ_BREAKLINES
-from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
 from fwclass.graph.check_points import MEASURE_CHECK_POINTS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
@@ -39,6 +39,7 @@ from fwclass.graph.learn import (
     WEIGH_FEATURES,
 )
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
+from fwclass.graph.overview import DELIVER_OVERVIEW, DRAW_OVERVIEW
 from fwclass.graph.quality import DELIVER_QUALITY, MEASURE_QUALITY
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
@@ -142,6 +143,7 @@ DELIVERY = (
     CONTOUR_BLOCKS,
     DELIVER_CONTOURS,
     DELIVER_QUALITY,
+    DRAW_OVERVIEW,
     DELIVER_OVERVIEW,
     DELIVER_CATALOGUE,
     DELIVER_POLYGONS,

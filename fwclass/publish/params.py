@@ -25,7 +25,9 @@ class PublishParams(Params):
     cog_block : edge of a raster's internal tile [cells].
     cog_compression : compression of the rasters.
     raster_cache : memory that GDAL keeps blocks of rasters in while they are written [MiB].
-    overview_echoes : about so many echoes of the survey are in its overview.
+    overview_echoes : an overview has at most so many echoes.
+    overview_square : edge of the squares of the fixed lattice that have an overview of their own, where a survey of
+        several has more echoes than one overview [m].
     figure_pixels : longer edge of the report's maps [pixels]; a map is never drawn finer than its raster.
     sun_azimuth : where the light of shaded relief comes from, clockwise from north [deg].
     sun_altitude : its height above the horizon [deg].
@@ -43,6 +45,7 @@ class PublishParams(Params):
     cog_compression: Literal["deflate", "zstd"]
     raster_cache: int = Field(ge=16, le=65_536)
     overview_echoes: int = Field(ge=1000, le=100_000_000)
+    overview_square: float = Field(ge=10, le=1_000_000)
     figure_pixels: int = Field(ge=200, le=4000)
     sun_azimuth: float = Field(ge=0, le=360)
     sun_altitude: float = Field(gt=0, le=90)

@@ -11,6 +11,7 @@ from fwclass.publish.qgis import MapLayer
 from fwclass.publish.qgis_style import (
     HEIGHTS,
     SURE,
+    Ramp,
     class_cloud_style,
     graduated_style,
     outline_style,
@@ -18,6 +19,7 @@ from fwclass.publish.qgis_style import (
     ramp_cloud_style,
 )
 from fwclass.publish.raster_styles import raster_style
+from fwclass.schema import column
 
 WORK = 10
 """Tiles of the work list: those with the lowest mean confidence."""
@@ -29,6 +31,9 @@ LEAST_SURE = (0.0, 0.7, 0.8, 0.9, 0.95, 1.0)
 """Edges of the tiles' colours, mean confidence."""
 
 CONTOURS = "contours.gpkg"
+OVERVIEW = "laz/overview.copc.laz"
+
+_OF_OVERVIEW = {"confidence": "by confidence", "height_above_ground": "by height above ground"}
 
 _RASTERS = {
     "classes": ("classes", "Maps"),
@@ -55,9 +60,15 @@ def cloud_styles(names: Mapping[int, str]) -> dict[str, list[Xml.Element]]:
     """Styles of the echoes: by class, confidence and height above ground."""
     return {
         "classes": class_cloud_style(names),
-        "confidence": ramp_cloud_style("confidence", SURE, 0, 1),
-        "height_above_ground": ramp_cloud_style("HeightAboveGround", HEIGHTS, 0, HEIGHT_SHOWN, "m"),
+        "confidence": _by_column("confidence", SURE, 1),
+        "height_above_ground": _by_column("height_above_ground", HEIGHTS, HEIGHT_SHOWN, "m"),
     }
+
+
+def _by_column(name: str, ramp: Ramp, high: float, unit: str = "") -> list[Xml.Element]:
+    """From nought to `high`."""
+    of_column = column(name)
+    return ramp_cloud_style(of_column.las, ramp, 0, high, unit, of_column.las_scale)
 
 
 def groups_of(
@@ -68,6 +79,7 @@ def groups_of(
     whole: str,
     vectors: Sequence[str] = (),
     contours: bool = False,
+    overview: bool = True,
 ) -> dict[str, list[MapLayer]]:
     """Groups of layers, the first on top.
 
@@ -79,12 +91,15 @@ def groups_of(
     polygons : layers of ``tiles.gpkg``.
     vectors : layers of ``vectors.gpkg``.
     contours : there are contour lines.
+    overview : there is an overview of all echoes. Confidence and height are those of its echoes: QGIS cannot read extra
+        bytes of a list of tiles (it takes all of them for eight bytes), of a single file it can.
     """
-    titles = {"classes": "by class", "confidence": "by confidence", "height_above_ground": "by height above ground"}
-    echoes = [
-        MapLayer(titles[name], "pointcloud", "laz/survey.vpc", style, shown=name == "classes")
-        for name, style in cloud_styles(names).items()
-        if name == "classes" or name in columns
+    styles = cloud_styles(names)
+    echoes = [MapLayer("by class", "pointcloud", "laz/survey.vpc", styles["classes"], shown=True)]
+    echoes += [
+        MapLayer(title, "copc", OVERVIEW, styles[name])
+        for name, title in _OF_OVERVIEW.items()
+        if overview and name in columns
     ]
     kinds = {name: "Point" if name == "trees" else "Polygon" for name in vectors}
     shapes = [

@@ -81,7 +81,7 @@ def _blend(multiply: bool) -> Xml.Element:
     return mode
 
 
-def _shader(parent: Xml.Element, ramp: Ramp, low: float, high: float, unit: str) -> None:
+def _shader(parent: Xml.Element, ramp: Ramp, low: float, high: float, unit: str, step: float = 1.0) -> None:
     shader = add(
         parent,
         "colorrampshader",
@@ -93,7 +93,7 @@ def _shader(parent: Xml.Element, ramp: Ramp, low: float, high: float, unit: str)
     )
     for share, colour in ramp:
         value = low + share * (high - low)
-        label = f"{value:.3g} {unit}".strip()
+        label = f"{value * step:.3g} {unit}".strip()
         add(shader, "item", value=value, label=label, color=css(colour), alpha=255)
 
 
@@ -106,12 +106,16 @@ def class_cloud_style(names: Mapping[int, str]) -> list[Xml.Element]:
     return [renderer]
 
 
-def ramp_cloud_style(attribute: str, ramp: Ramp, low: float, high: float, unit: str = "") -> list[Xml.Element]:
-    """Echoes by the value of an attribute."""
+def ramp_cloud_style(
+    attribute: str, ramp: Ramp, low: float, high: float, unit: str = "", step: float = 1.0
+) -> list[Xml.Element]:
+    """Echoes by the value of an attribute that is stored in units of `step`: QGIS colours by the stored number, the
+    legend has the value."""
     renderer = _cloud("ramp", attribute)
-    renderer.set("min", str(low))
-    renderer.set("max", str(high))
-    _shader(renderer, ramp, low, high, unit)
+    least, most = low / step, high / step
+    renderer.set("min", str(least))
+    renderer.set("max", str(most))
+    _shader(renderer, ramp, least, most, unit, step)
     return [renderer]
 
 

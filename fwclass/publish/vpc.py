@@ -36,6 +36,7 @@ def write_vpc(
     path: Path,
     crs: pyproj.CRS | None,
     schema: Sequence[Mapping[str, Any]],
+    overviews: Mapping[str, Sequence[str]] | None = None,
     overview: str = "",
     *,
     standard_time: bool = False,
@@ -50,17 +51,21 @@ def write_vpc(
     ----------
     tiles : `tile_facts.tile_facts` by path, relative to the directory of `path`.
     schema : dimensions of every tile.
-    overview : path of a thinned file of all tiles; "" for none.
+    overviews : by path of a tile thinned files that show it too.
+    overview : a thinned file of all tiles, for those that have none of `overviews`, and before the others for the first
+        and the last of all: QGIS up to 4.0 takes one alone, later versions take all that any item names.
 
     Returns
     -------
     dict with ``path, items, bytes``.
     """
     place = _Place(crs)
-    items = [
-        _item(name, tiles[name], place, schema, overview, standard_time, first=k == 0)
-        for k, name in enumerate(sorted(tiles))
-    ]
+    names = sorted(tiles)
+    items = []
+    for k, name in enumerate(names):
+        near, end = list((overviews or {}).get(name, ())), k in (0, len(names) - 1)
+        thinned = [overview, *near] if overview and (end or not near) else near
+        items.append(_item(name, tiles[name], place, schema, thinned, standard_time, first=k == 0))
     text = json.dumps({"type": "FeatureCollection", "features": items}, separators=(",", ":"), ensure_ascii=False)
     with whole(path) as beside:
         beside.write_text(text + "\n", encoding="utf-8", newline="\n")
@@ -90,7 +95,7 @@ def _item(
     tile: Mapping[str, Any],
     place: _Place,
     schema: Sequence[Mapping[str, Any]],
-    overview: str,
+    overviews: Sequence[str],
     standard_time: bool,
     first: bool,
 ) -> dict[str, Any]:
@@ -102,15 +107,15 @@ def _item(
         "pc:type": "lidar",
         "pc:encoding": "COPC",
         "pc:schemas": list(schema),
-        "pc:statistics": _statistics(tile["figures"], schema),
+        "pc:statistics": _statistics(tile["figures"], schema, tile["points"]),
         "proj:code": place.code,
         "proj:bbox": tile["bounds"],
     }
     if first and place.crs is not None:  # QGIS takes the CRS of the first item; in each it would double the file
         properties["proj:wkt2"] = place.crs.to_wkt("WKT2_2019")
     assets = {"data": {"href": f"./{name}", "roles": ["data"]}}
-    if overview:
-        assets["overview"] = {"href": f"./{overview}", "roles": ["overview"]}
+    for number, path in enumerate(overviews, 1):
+        assets["overview" if number == 1 else f"overview-{number}"] = {"href": f"./{path}", "roles": ["overview"]}
     return {
         "type": "Feature",
         "stac_version": STAC,
@@ -135,13 +140,14 @@ def _text(time: datetime) -> str:
 
 
 def _statistics(
-    figures: Mapping[str, Mapping[str, float]], schema: Sequence[Mapping[str, Any]]
+    figures: Mapping[str, Mapping[str, float]], schema: Sequence[Mapping[str, Any]], points: int
 ) -> list[dict[str, Any]]:
+    """Figures by name; a `count` stands only where some points have no value: thousands of tiles make a long list."""
     names = {field["name"] for field in schema}
     return [
         {
             "name": name,
-            "count": int(figure["count"]),
+            **({"count": int(figure["count"])} if figure["count"] != points else {}),
             "minimum": _short(figure["minimum"]),
             "maximum": _short(figure["maximum"]),
             "average": _short(figure["mean"]),

@@ -143,6 +143,11 @@ class Generations:
             return None
         return dict(json.loads(data[0])["files"])
 
+    def lacking(self, generation: Generation, listed: Manifest) -> list[str]:
+        """Files of a manifest that are gone, or have another size; none is read."""
+        sizes = self.files.sizes(generation.key, listed)
+        return [name for name, facts in listed.items() if sizes.get(name) != facts["bytes"]]
+
     def damage(self) -> tuple[str, list[str]]:
         """The name of the generation that readers see, and files of it that are gone or not what was written: all are
         read; nothing for one of before there were manifests."""

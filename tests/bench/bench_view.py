@@ -6,9 +6,15 @@ FWCLASS_VIEWED=RUN .venv/bin/python -m pytest -q -s tests/bench/bench_view.py   
 
 from __future__ import annotations
 
+import base64
 import os
+import shutil
+import subprocess
+import tarfile
 import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import laspy
@@ -156,6 +162,89 @@ def test_the_page(run: Path) -> None:
             page.until("fwclass.stats.wave && fwclass.stats.why")
             print(f"first waveform and votes {time.monotonic() - began:.2f} s after the last click")
             server.shutdown()
+
+
+OTHER = """<!doctype html><body style="margin:0"><canvas id="c" style="width:100vw;height:100vh;display:block"></canvas>
+<script type="module">
+import * as THREE from './three.module.js';
+const bytes = await (await fetch('echoes.bin')).arrayBuffer();
+const n = bytes.byteLength / 15, canvas = document.getElementById('c');
+const shape = new THREE.BufferGeometry();
+shape.setAttribute('position', new THREE.BufferAttribute(new Float32Array(bytes, 0, 3 * n), 3));
+shape.setAttribute('color', new THREE.BufferAttribute(new Uint8Array(bytes, 12 * n, 3 * n), 3, true));
+const look = new THREE.PointsMaterial({ vertexColors: true, size: PIXELS, sizeAttenuation: false });
+const scene = new THREE.Scene();
+scene.background = new THREE.Color(0xeef1f3); scene.add(new THREE.Points(shape, look));
+const renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
+renderer.setSize(innerWidth, innerHeight, false);
+const camera = new THREE.PerspectiveCamera(FIELD, innerWidth / innerHeight, FAR / 100, FAR * 12);
+camera.up.set(0, 0, 1);
+window.frames_of = async (azimuth) => {
+  const out = [], gl = renderer.getContext();
+  for (let k = 0; k < 40; k += 1) {
+    azimuth += 0.02; const began = performance.now(), s = Math.sin(azimuth), c = Math.cos(azimuth);
+    camera.position.set(FAR * s * Math.cos(TILT), -FAR * c * Math.cos(TILT), FAR * Math.sin(TILT));
+    camera.lookAt(0, 0, 0);
+    renderer.render(scene, camera); gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    out.push(performance.now() - began); await new Promise(requestAnimationFrame);
+  }
+  return out.sort((a, b) => a - b)[20];
+};
+window.ready = n;
+</script>"""
+
+WHOLE = """(async () => { fwclass.stats.frames.length = 0;
+for (let k = 0; k < 40; k += 1) { fwclass.state.motion = 2e6;
+fwclass.cam.azimuth += 0.02; fwclass.moved(); await new Promise(requestAnimationFrame); }
+const f = [...fwclass.stats.frames].sort((a, b) => a - b); return [f[f.length >> 1], fwclass.stats.drawn]; })()"""
+
+DRAWN = """(() => { const { cam } = fwclass, out = [];
+for (const n of fwclass.shown()[0].nodes) { const d = new DataView(n.bytes.buffer, n.bytes.byteOffset);
+for (let k = 0; k < n.count; k += 1) out.push(n.low[0] + n.step * d.getUint16(12 * k, true) - cam.target[0],
+n.low[1] + n.step * d.getUint16(12 * k + 2, true) - cam.target[1],
+n.low[2] + n.rise * d.getUint16(12 * k + 4, true) - cam.target[2]); }
+const b = new Uint8Array(new Float32Array(out).buffer); let t = '';
+for (let k = 0; k < b.length; k += 0x8000) t += String.fromCharCode(...b.subarray(k, k + 0x8000));
+return btoa(t); })()"""
+
+
+def test_a_frame_beside_three_js(run: Path, tmp_path: Path) -> None:
+    """The same echoes, camera, window and size of points, in turns; three.js comes from npm, where that is reached."""
+    npm = shutil.which("npm")
+    if npm is None or subprocess.run([npm, "pack", "three@0.187"], cwd=tmp_path, capture_output=True).returncode:
+        pytest.skip("three.js cannot be had here")
+    with tarfile.open(next(tmp_path.glob("three-*.tgz"))) as archive:
+        for name in ("three.module.js", "three.core.js"):
+            (tmp_path / name).write_bytes(archive.extractfile(f"package/build/{name}").read())  # type: ignore[union-attr]
+    params = conf.section("view", ())
+    with driven() as page, driven() as other, Server(scenes_of(run, None, params), params) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page.open(server.address)
+        page.until("window.fwclass.stats.settled", 300)
+        far, azimuth, tilt, count = page.run(
+            "[fwclass.cam.far, fwclass.cam.azimuth, fwclass.cam.tilt, fwclass.stats.drawn]"
+        )
+        places = base64.b64decode(page.run(DRAWN))
+        colours = np.random.default_rng(0).integers(0, 255, len(places) // 4, np.uint8)
+        (tmp_path / "echoes.bin").write_bytes(places + colours.tobytes())
+        text = (
+            OTHER.replace("FAR", repr(far)).replace("TILT", repr(tilt)).replace("FIELD", repr(float(np.degrees(0.8))))
+        )
+        (tmp_path / "index.html").write_text(text.replace("PIXELS", "1.6"))
+        files = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(tmp_path)))
+        threading.Thread(target=files.serve_forever, daemon=True).start()
+        other.open(f"http://127.0.0.1:{files.server_port}/index.html")
+        assert other.until("window.ready", 60) == count
+        rounds = []
+        for _ in range(3):
+            ours, drawn_in_motion = page.run(WHOLE)
+            assert drawn_in_motion == count
+            rounds.append((ours, other.run(f"frames_of({azimuth})")))
+        files.shutdown()
+        server.shutdown()
+    ours, theirs = (sorted(r[k] for r in rounds)[1] for k in (0, 1))
+    print(f"\n{count:,} echoes: a frame {ours:.0f} ms, of three.js Points {theirs:.0f} ms, ratio {ours / theirs:.2f}")
+    assert ours <= 0.9 * theirs
 
 
 def test_a_survey_of_many_tiles(tmp_path: Path) -> None:

@@ -6,8 +6,10 @@ import json
 import os
 import shutil
 import subprocess
+import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -18,15 +20,17 @@ from pystac.validation.local_validator import LocalValidator
 
 from fwclass.grid import Box, Window
 from fwclass.publish.cog import write_cog
+from fwclass.publish.copc import write_tile_copc
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis import MapLayer, write_project
 from fwclass.publish.qgis_layers import groups_of
-from fwclass.publish.qgis_style import class_cloud_style, class_raster_style, style_file
+from fwclass.publish.qgis_style import HEIGHTS, SURE, class_cloud_style, class_raster_style, style_file
 from fwclass.publish.raster_styles import MASK, STYLED, Spread, raster_style
-from fwclass.publish.tile_facts import point_schema
+from fwclass.publish.tile_facts import point_schema, tile_facts
 from fwclass.publish.vpc import write_vpc
+from fwclass.schema import Table
 
 EVIL = "a\"'<b>&amp;\u202e\u0007]]>"
 NAMES = {2: "ground", 5: EVIL, 64: "car", 255: "other"}
@@ -80,7 +84,10 @@ def test_ten_thousand_tiles_make_a_list_of_twenty_megabytes(tmp_path: Path) -> N
     columns = ("pulse", "amplitude", "amplitude_db", "width", "fit_flags", "height_above_ground", "confidence")
     schema = point_schema((*columns, "entropy", "range", "incidence", "reflectance", "radiometry_flags"))
     tiles = {f"tiles/{5120 + k // 100}_{54030 + k % 100}.copc.laz": facts for k in range(10_000)}
-    made = write_vpc(tiles, tmp_path / "s.vpc", pyproj.CRS(25832), schema, "overview.copc.laz", standard_time=True)
+    seen = dict.fromkeys(tiles, ("overviews/256_2701.copc.laz",))
+    made = write_vpc(
+        tiles, tmp_path / "s.vpc", pyproj.CRS(25832), schema, seen, "overview.copc.laz", standard_time=True
+    )
     assert made["items"] == 10_000 and made["bytes"] <= 20_000_000
 
 
@@ -116,13 +123,32 @@ import os; os._exit(0)
 """
 
 
-def qgis() -> str:
-    """A Python that has QGIS; skips where there is none."""
-    for name in ("/usr/bin/python3", "python3"):
-        path = shutil.which(name)
-        if path and subprocess.run([path, "-c", "import qgis.core"], capture_output=True).returncode == 0:
+def qgis(least: int = 0) -> str:
+    """A Python that has QGIS of a version of `least` (32200 is 3.22) or later, `FWCLASS_QGIS` or the system's; skips
+    where there is none."""
+    for name in (os.environ.get("FWCLASS_QGIS"), "/usr/bin/python3", "python3"):
+        path = shutil.which(name or "")
+        code = "from qgis.core import Qgis; print(Qgis.QGIS_VERSION_INT)"
+        told = subprocess.run([path, "-c", code], capture_output=True, text=True) if path else None
+        if path and told and told.returncode == 0 and int(told.stdout) >= least:
             return path
-    pytest.skip("no QGIS here: apt-get install python3-qgis")
+    pytest.skip(f"no QGIS {least or ''} here: apt-get install python3-qgis")
+
+
+def ask_qgis(python: str, script: str, project: Path) -> Any:
+    """What `script` prints last, of a project; nothing is left in its directory."""
+    before = sorted(p.name for p in project.parent.rglob("*"))
+    with tempfile.TemporaryDirectory() as home:
+        told = subprocess.run(
+            [python, "-c", script, str(project)],
+            env={**os.environ, "QT_QPA_PLATFORM": "offscreen", "HOME": home, "PYTHONPATH": ""},
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+    assert told.returncode == 0, told.stderr[-2000:]
+    assert sorted(p.name for p in project.parent.rglob("*")) == before, "QGIS leaves no file in a delivery"
+    return json.loads(told.stdout.splitlines()[-1])
 
 
 @pytest.mark.slow
@@ -143,27 +169,63 @@ def test_qgis_opens_the_project_and_draws_the_classes(params: PublishParams, tmp
     box = Box(512_000, 5_403_000, 512_008, 5_403_006)
     fields = {"tile": ["5120_54030"], "confidence": np.array([0.8]), "rank": np.array([1], np.int32)}
     write_gpkg([Layer("tiles", box_wkb([box]), fields)], tmp_path / "tiles.gpkg", crs)
-    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all", contours=True)
+    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all")
     write_project("t", groups, box.bounds, tmp_path / "survey.qgz", crs)
-    before = sorted(p.name for p in tmp_path.rglob("*"))
-    (tmp_path / "home").mkdir()
-    told = subprocess.run(
-        [python, "-c", QGIS, str(tmp_path / "survey.qgz")],
-        env={**os.environ, "QT_QPA_PLATFORM": "offscreen", "HOME": str(tmp_path / "home"), "PYTHONPATH": ""},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    made = json.loads(told.stdout.splitlines()[-1])
+    made = ask_qgis(python, QGIS, tmp_path / "survey.qgz")
     assert made["read"] and made["crs"] == "EPSG:25832"
-    echoes = {"by class", "by confidence", "by height above ground"}  # no such file here, and 3.22 knows none
-    assert all(valid for name, valid in made["layers"].items() if name not in echoes), made["layers"]
+    clouds = {"by class", "by confidence", "by height above ground"}  # no such file here, and 3.22 knows none
+    assert all(valid for name, valid in made["layers"].items() if name not in clouds), made["layers"]
     palette = {
         code: css(colour) for code, colour in colours([{"name": n, "code": c} for c, n in names.items()]).items()
     }
     assert made["pixels"] == [[palette[c] for c in row] for row in codes[::-1].tolist()]
-    shutil.rmtree(tmp_path / "home")
-    assert sorted(p.name for p in tmp_path.rglob("*")) == before, "QGIS leaves no file in a delivery"
+
+
+CLOUDS = """
+import json, os, sys
+from qgis.core import QgsApplication, QgsMapRendererParallelJob, QgsMapSettings, QgsProject, QgsRectangle
+from qgis.PyQt.QtCore import QSize
+from qgis.PyQt.QtGui import QColor
+QgsApplication.setPrefixPath('/usr', True)
+app = QgsApplication([], False); app.initQgis()
+project = QgsProject.instance(); project.read(sys.argv[1])
+out = {}
+for layer in (n.layer() for n in project.layerTreeRoot().findGroup('Echoes').findLayers()):
+    s = QgsMapSettings(); s.setLayers([layer]); s.setDestinationCrs(project.crs())
+    s.setExtent(QgsRectangle(512000, 5403000, 512060, 5403060)); s.setOutputSize(QSize(600, 600))
+    s.setBackgroundColor(QColor('white'))
+    job = QgsMapRendererParallelJob(s); job.start(); job.waitForFinished(); image = job.renderedImage()
+    out[layer.name()] = [image.pixelColor(100 * k + 50, 300).name() for k in range(6)]
+print(json.dumps(out)); sys.stdout.flush(); os._exit(0)
+"""
+
+
+@pytest.mark.slow
+def test_qgis_draws_echoes_by_class_confidence_and_height(params: PublishParams, echoes: Any, tmp_path: Path) -> None:
+    """Six echoes 10 m apart, each with its own class, confidence and height; two more far out, as QGIS draws boxes of
+    tiles that are smaller than the window."""
+    python, crs = qgis(33200), pyproj.CRS(25832)
+    table, codes, share = dict(echoes(8)), np.array([2, 64] * 4, np.uint8), np.linspace(0, 1, 6)
+    table |= {"x": np.append(512_005.0 + 10 * np.arange(6), [511_500, 512_500]), "z": 300 + np.arange(8.0)}
+    table |= {"y": np.append(np.full(6, 5_403_030.0), [5_402_500, 5_403_500]), "classification": codes}
+    table |= {"confidence": np.append(share, [1, 1]).astype(np.float32)}
+    table |= {"height_above_ground": np.append(25 * share, [0, 0]).astype(np.float32)}
+    made, names = Table(table), {2: "ground", 64: "car"}
+    for path in ("laz/tiles/5120_54030.copc.laz", "laz/overview.copc.laz"):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        write_tile_copc(made, tmp_path / path, crs, params, names)
+    tiles, schema = {"tiles/5120_54030.copc.laz": tile_facts(made)}, point_schema(tuple(table))
+    write_vpc(tiles, tmp_path / "laz" / "survey.vpc", crs, schema, overview="overview.copc.laz")
+    groups = groups_of(names, tuple(table), {}, (), "all")
+    write_project("t", groups, (512_000, 5_403_000, 512_060, 5_403_060), tmp_path / "survey.qgz", crs)
+    drawn = ask_qgis(python, CLOUDS, tmp_path / "survey.qgz")
+    palette = {c: css(rgb) for c, rgb in colours([{"name": n, "code": c} for c, n in names.items()]).items()}
+    assert drawn["by class"] == [palette[c] for c in codes[:6].tolist()]
+    for layer, ramp in (("by confidence", SURE), ("by height above ground", HEIGHTS)):
+        shares, rgbs = zip(*ramp, strict=True)
+        wanted = np.stack([np.interp(share, shares, [c[k] for c in rgbs]) for k in range(3)], axis=1)
+        got = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in drawn[layer]])
+        assert np.abs(got - wanted).max() <= 2, (layer, got, wanted)
 
 
 COMPOUND = pyproj.CRS("EPSG:25832+5773")

@@ -260,7 +260,8 @@ def _echo_lines(echoes: Mapping[str, Any]) -> Iterator[str]:
     for key, word in (("only_first", "first"), ("only_second", "second")):
         if echoes[key]:
             yield f"{'':<12}{echoes[key]:,} in the {word} alone"
-    names, matrix = echoes["classes"], np.array(echoes["matrix"], np.int64).reshape(len(echoes["classes"]), -1)
+    names = echoes["classes"]
+    matrix = np.array(echoes["matrix"], np.int64).reshape(len(names), len(names))
     moves = [(int(matrix[i, j]), i, j) for i, j in np.argwhere(matrix) if i != j]
     for n, i, j in sorted(moves, reverse=True)[:SHOWN]:
         yield f"{'':<12}{n:>10,} from {names[i]} to {names[j]}"

@@ -1,10 +1,10 @@
 // Points with WebGL2: coloured from what a block has, and shaded where depths jump.
 import { matrix } from './camera.js';
 
-const POINTS = `#version 300 es
-uniform mat4 m; uniform vec3 low; uniform vec2 step_; uniform float size; uniform int mode; uniform vec2 range; uniform sampler2D palette, ramp;
+const points = (mode) => `#version 300 es
+const int mode = ${mode}; uniform mat4 m; uniform vec3 low; uniform vec2 step_; uniform float size; uniform vec2 range; uniform sampler2D palette, ramp;
 layout(location=0) in uvec4 p; layout(location=1) in uvec4 q; layout(location=2) in uint e; layout(location=3) in uint k;
-out vec3 colour;
+flat out vec3 colour;
 vec3 ramped(vec3 place) {
   bool none = mode == 1 ? q.w == 255u : mode == 3 ? p.w == 0u : mode == 5 ? e == 255u : false;
   float v = mode == 1 ? float(q.w) / 200.0 : mode == 2 ? place.z : mode == 3 ? float(p.w) * 0.01 - 100.01 : mode == 4 ? float(q.x | (q.y << 8u)) : float(e) / 254.0;
@@ -20,12 +20,12 @@ void main() {
   if (k == 1u) { colour = mix(colour, vec3(0.91, 0.0, 0.69), 0.7); gl_PointSize = max(gl_PointSize, 2.5); }
 }`;
 const COLOUR = `#version 300 es
-precision mediump float; in vec3 colour; out vec4 o; void main() { o = vec4(colour, 1.0); }`;
+precision mediump float; flat in vec3 colour; out vec4 o; void main() { o = vec4(colour, 1.0); }`;
 const QUAD = `#version 300 es
 void main() { gl_Position = vec4(float((gl_VertexID & 1) * 4 - 1), float((gl_VertexID & 2) * 2 - 1), 0.0, 1.0); }`;
 // Eye-dome lighting (Boucheny 2009): a pixel is as dark as its neighbours stand before it, in logarithms of the depth.
 const SHADE = `#version 300 es
-precision highp float; uniform sampler2D seen, depth; uniform vec2 planes; uniform float strength; out vec4 o;
+precision highp float; uniform sampler2D seen, depth; uniform vec2 planes; out vec4 o;
 float far(ivec2 at) { float d = texelFetch(depth, at, 0).r; return d >= 1.0 ? 0.0 : log2(2.0 * planes.x * planes.y / (planes.y + planes.x - (2.0 * d - 1.0) * (planes.y - planes.x))); }
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy), size = textureSize(depth, 0) - 1;
@@ -36,7 +36,7 @@ void main() {
     float n = far(clamp(at + by, ivec2(0), size));
     if (n != 0.0) sum += max(0.0, d - n);
   }
-  o = vec4(texelFetch(seen, at, 0).rgb * exp(-strength * sum * 60.0), 1.0);
+  o = vec4(texelFetch(seen, at, 0).rgb * exp(-sum * 60.0), 1.0);
 }`;
 const RAMP = [68, 1, 84, 59, 82, 139, 33, 145, 140, 94, 201, 98, 253, 231, 37]; // viridis
 export const MODES = { classification: 0, confidence: 1, height: 2, height_above_ground: 3, intensity: 4 };
@@ -53,7 +53,7 @@ export class Drawing {
 
   start() {
     const gl = this.gl;
-    this.points = this.program(POINTS, COLOUR); this.shade = this.program(QUAD, SHADE);
+    this.points = {}; this.shade = this.program(QUAD, SHADE);
     const texture = (filter) => { const t = gl.createTexture(); gl.bindTexture(gl.TEXTURE_2D, t); for (const [k, v] of [[gl.TEXTURE_MIN_FILTER, filter], [gl.TEXTURE_MAG_FILTER, filter], [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE], [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE]]) gl.texParameteri(gl.TEXTURE_2D, k, v); return t; };
     this.paletteTexture = texture(gl.NEAREST);
     this.rampTexture = texture(gl.LINEAR);
@@ -73,6 +73,9 @@ export class Drawing {
     const at = {};
     return { p, at: (name) => (at[name] ??= gl.getUniformLocation(p, name)) };
   }
+
+  // Of one way to colour: software GL runs every branch of a shader, whatever a uniform says.
+  coloured(mode) { return (this.points[mode] ??= this.program(points(mode), COLOUR)); }
 
   setPalette() {
     const gl = this.gl;
@@ -114,23 +117,23 @@ export class Drawing {
     node.stale = false;
   }
 
-  // Views side by side: [{nodes}], one camera; returns the echoes drawn.
+  // Views side by side: [{nodes}], one camera; returns the echoes drawn. Without `shade` straight to the canvas.
   draw(cam, views, look, shade) {
     const gl = this.gl;
     this.resize();
     const [width, h] = this.size, w = Math.floor(width / views.length);
     if (!w || !h) return 0;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target); gl.viewport(0, 0, width, h); gl.enable(gl.DEPTH_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, shade ? this.target : null); gl.viewport(0, 0, width, h); gl.enable(gl.DEPTH_TEST);
     gl.clearColor(0.933, 0.945, 0.953, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.useProgram(this.points.p);
+    const { p, at } = this.coloured(look.mode);
+    gl.useProgram(p);
     gl.activeTexture(gl.TEXTURE0); gl.bindTexture(gl.TEXTURE_2D, this.paletteTexture); gl.activeTexture(gl.TEXTURE1); gl.bindTexture(gl.TEXTURE_2D, this.rampTexture);
-    const at = this.points.at;
     gl.uniform1i(at('palette'), 0); gl.uniform1i(at('ramp'), 1);
     let drawn = 0;
     views.forEach(({ nodes }, k) => {
       gl.viewport(k * w, 0, w, h);
       const about = cam.target, m = matrix(cam, w / h, about);
-      gl.uniformMatrix4fv(at('m'), false, m); gl.uniform1i(at('mode'), look.mode);
+      gl.uniformMatrix4fv(at('m'), false, m);
       const rise = look.mode === 2 ? about[2] : 0;
       gl.uniform2f(at('range'), look.low - rise, look.high - rise);
       for (const n of nodes) {
@@ -142,9 +145,11 @@ export class Drawing {
         gl.uniform1f(at('size'), (h / 0.845) * look.metres); gl.drawArrays(gl.POINTS, 0, n.count); drawn += n.count;
       }
     });
-    gl.bindVertexArray(null); gl.bindFramebuffer(gl.FRAMEBUFFER, null); gl.viewport(0, 0, width, h); gl.disable(gl.DEPTH_TEST); gl.useProgram(this.shade.p);
+    gl.bindVertexArray(null);
+    if (!shade) { gl.viewport(0, 0, width, h); gl.activeTexture(gl.TEXTURE0); return drawn; }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null); gl.viewport(0, 0, width, h); gl.disable(gl.DEPTH_TEST); gl.useProgram(this.shade.p);
     gl.activeTexture(gl.TEXTURE0); gl.bindTexture(gl.TEXTURE_2D, this.seen); gl.activeTexture(gl.TEXTURE1); gl.bindTexture(gl.TEXTURE_2D, this.depth);
-    gl.uniform1i(this.shade.at('seen'), 0); gl.uniform1i(this.shade.at('depth'), 1); gl.uniform2f(this.shade.at('planes'), cam.far / 100, cam.far * 12); gl.uniform1f(this.shade.at('strength'), shade ? 1 : 0);
+    gl.uniform1i(this.shade.at('seen'), 0); gl.uniform1i(this.shade.at('depth'), 1); gl.uniform2f(this.shade.at('planes'), cam.far / 100, cam.far * 12);
     gl.drawArrays(gl.TRIANGLES, 0, 3); gl.activeTexture(gl.TEXTURE0);
     return drawn;
   }

@@ -10,7 +10,7 @@ import { Relabel } from './relabel.js';
 
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
-const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000 };
+const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000, shade: true };
 let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null;
 useToken(given.get('token') || ''); $('unserved').remove();
 const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
@@ -34,11 +34,12 @@ function frame() {
     let sum = 0;
     return { nodes: nodes.filter((n) => (sum += n.count) <= state.motion / scenes.length || n.level === nodes[0].level) };
   });
-  stats.drawn = drawing.draw(cam, shown, state.look, true);
+  stats.drawn = drawing.draw(cam, shown, state.look, state.shade || !moving); // a slow machine shades what stands still
   if (moving) { // the pixels are read, so that what was asked for is done
     drawing.gl.readPixels(0, 0, 1, 1, drawing.gl.RGBA, drawing.gl.UNSIGNED_BYTE, new Uint8Array(4));
     const took = performance.now() - began; stats.frames.push(took); if (stats.frames.length > 500) stats.frames.shift();
-    state.motion = Math.max(100_000, Math.min(BUDGET, state.motion * (took > 80 ? 0.85 : took < 50 ? 1.1 : 1)));
+    state.shade = took < (state.shade ? 80 : 25);
+    state.motion = Math.max(100_000, Math.min(BUDGET, state.motion * (took > 80 ? Math.max(0.4, 65 / took) : took < 50 ? 1.1 : 1)));
   }
   const now = performance.now() - stats.begun, busy = scenes.some((s) => s.loader.busy);
   if (stats.drawn && !stats.first) stats.first = now;
@@ -60,9 +61,9 @@ function remember() {
   if (relabel?.open) p.set('relabel', '1');
   history.replaceState(null, '', `#${p.toString().replaceAll('%2C', ',')}`);
 }
-function whole() {
-  const b = scenes[0].box, [w, h] = size(), wide = Math.max((b[3] - b[0]) / Math.min(w / h, 1), b[4] - b[1]);
-  cam.target = [(b[0] + b[3]) / 2, (b[1] + b[4]) / 2, b[2] + (b[5] - b[2]) * 0.2]; cam.far = wide * 1.08; cam.azimuth = start.azimuth; cam.tilt = start.tilt; moved();
+function whole() { // heights by their mean, as one stray echo would draw the middle away
+  const { bounds: b, height, origin: o } = scenes[0], [w, h] = size(), wide = Math.max((b[2] - b[0]) / Math.min(w / h, 1), b[3] - b[1], 5);
+  cam.target = [(b[0] + b[2]) / 2 - o[0], (b[1] + b[3]) / 2 - o[1], height - o[2]]; cam.far = wide * 1.25; cam.azimuth = start.azimuth; cam.tilt = start.tilt; moved();
 }
 function recall() {
   const o = scenes[0].origin, v = (given.get('at') || '').split(',').map(Number);
