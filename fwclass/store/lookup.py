@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,13 +26,40 @@ AT_A_TIME = 256
 IN_MEMORY = 1 << 26
 """Bytes of receipts that are kept in memory, some 20 000 of a tile of 100 m; the one kept longest goes first."""
 
-REMEMBERED = 4096
-"""Receipts in a directory that a process remembers: a worker asks for those of a tile's neighbours again and again."""
+REMEMBERED = 1 << 23
+"""Bytes of receipts in a directory that a process remembers, some 2 500 of a tile, which take eight times as much in
+memory: a worker asks for those of a tile's neighbours again and again."""
 SETTLED = 100_000_000
 """ns since a receipt was written after which it is remembered: the clocks of file systems tick up to 20 ms apart, and
 what is written again within a tick looks the same."""
 
-_known: dict[str, tuple[Looks, tuple[Receipt | None, Mark]]] = {}
+
+class _Remembered:
+    """Receipts by path, each with how its file looked; those that were kept longest go when they are too many bytes."""
+
+    def __init__(self) -> None:
+        self._receipts: dict[str, tuple[Looks, tuple[Receipt | None, Mark]]] = {}
+        self._bytes, self._guard = 0, threading.Lock()
+
+    def get(self, path: str, looks: Looks) -> tuple[Receipt | None, Mark] | None:
+        """What was kept of the file, None where it looks otherwise now."""
+        known = self._receipts.get(path)
+        return known[1] if known is not None and known[0] == looks else None
+
+    def keep(self, path: str, looks: Looks, receipt: tuple[Receipt | None, Mark]) -> None:
+        with self._guard:
+            self._drop(path)
+            while self._receipts and self._bytes + looks[0] > REMEMBERED:
+                self._drop(next(iter(self._receipts)))
+            self._receipts[path] = looks, receipt
+            self._bytes += looks[0]
+
+    def _drop(self, path: str) -> None:
+        known = self._receipts.pop(path, None)
+        self._bytes -= known[0][0] if known else 0
+
+
+_remembered = _Remembered()
 
 
 class Lookup:
@@ -63,14 +91,12 @@ class Lookup:
         if looks is None:
             return None
         path = f"{self._files.root}/{key}"
-        known = _known.get(path)
-        if known is not None and known[0] == looks:
-            return known[1]
+        known = _remembered.get(path, looks)
+        if known is not None:
+            return known
         receipt = self._read(key, self._files.get(key))
         if receipt is not None and time.time_ns() - max(looks[1:]) > SETTLED:
-            while len(_known) >= REMEMBERED:
-                _known.pop(next(iter(_known)), None)
-            _known[path] = looks, receipt
+            _remembered.keep(path, looks, receipt)
         return receipt
 
     def look_up(self, names: Iterable[Name]) -> None:
