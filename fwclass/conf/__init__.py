@@ -133,8 +133,8 @@ def _raise(faults: Sequence[ConfigError], where: object) -> None:
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        told = [f"{k}. {f.what}: {f.got or ''} {f.do or ''}".strip(" :") for k, f in enumerate(faults, 1)]
-        raise ConfigError(f"the configuration has {len(faults)} faults", where=where, got="; ".join(told))
+        lines = [f"{k}. {f.what}: {f.got or ''} {f.do or ''}".strip(" :") for k, f in enumerate(faults, 1)]
+        raise ConfigError(f"the configuration has {len(faults)} faults", where=where, got="; ".join(lines))
 
 
 def checked(name: str, value: Any, where: object) -> Any:

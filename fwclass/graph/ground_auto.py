@@ -95,9 +95,9 @@ def parameters_at(here: StageInputs, ground: GroundParams) -> GroundParams:
 
 def settled(meta: Mapping[str, Any], ground: GroundParams) -> GroundParams:
     """`ground` with the parameters that a receipt of the stage tells."""
-    told = meta["parameters"]
-    params = ground.model_copy(update={"method": told["method"], "max_building_size": told["max_building_size"]})
-    return with_values(params, told["values"])
+    chosen = meta["parameters"]
+    params = ground.model_copy(update={name: chosen[name] for name in ("method", "max_building_size")})
+    return with_values(params, chosen["values"])
 
 
 def parts_for(plan: Plan, block: Tile) -> list[Name]:
@@ -119,10 +119,8 @@ def halo_of(plan: Plan) -> float:
 
 def auto_facts(receipts: Iterable[tuple[str, Mapping[str, Any]]], edge: float) -> dict[str, Any]:
     """For the report: the squares, each with its bounds [m], its parameters and the evidence for them."""
-    told = []
-    for key, meta in receipts:
-        told.append({"square": key, "bounds": list(TileGrid(edge).tile(key).box.bounds), **meta})
-    return {"edge": edge, "squares": told, "fixed": sum(one["evidence"] is None for one in told)}
+    facts = [{"square": key, "bounds": list(TileGrid(edge).tile(key).box.bounds), **meta} for key, meta in receipts]
+    return {"edge": edge, "squares": facts, "fixed": sum(square["evidence"] is None for square in facts)}
 
 
 CHOOSE_PARAMETERS = Stage(

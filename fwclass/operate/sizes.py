@@ -42,14 +42,14 @@ class Sizes:
 
     def as_text(self) -> str:
         """In one line."""
-        told = [f"the delivery {_mb(self.delivery)}"] if self.delivery else []
-        told += [f"earlier ones {_mb(self.earlier)}"] if self.earlier else []
-        told += [f"the simulated survey {_mb(self.survey)}"] if self.survey else []
+        words = [f"the delivery {_mb(self.delivery)}"] if self.delivery else []
+        words += [f"earlier ones {_mb(self.earlier)}"] if self.earlier else []
+        words += [f"the simulated survey {_mb(self.survey)}"] if self.survey else []
         if self.parts:
             most = sorted(self.parts, key=lambda stage: -self.parts[stage])[:NAMED]
             some = ", ".join(f"{stage} {_mb(self.parts[stage])}" for stage in most)
-            told.append(f"parts {_mb(sum(self.parts.values()))} ({some}{', …' if len(self.parts) > NAMED else ''})")
-        return f"disk: {_mb(self.total)} MB in {self.files:,} files" + (f": {', '.join(told)}" if told else "")
+            words.append(f"parts {_mb(sum(self.parts.values()))} ({some}{', …' if len(self.parts) > NAMED else ''})")
+        return f"disk: {_mb(self.total)} MB in {self.files:,} files" + (f": {', '.join(words)}" if words else "")
 
 
 def _mb(size: int) -> str:

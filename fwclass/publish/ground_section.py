@@ -46,9 +46,9 @@ def chosen_parameters(auto: Mapping[str, Any] | None) -> list[tuple[str, str]]:
 
 
 def _choice(square: Mapping[str, Any]) -> str:
-    told = square["parameters"]
-    values = [f"{name} {value:g}" for name, value in told["values"].items()]
-    words = ", ".join([str(told["method"]), *values, f"largest building {told['max_building_size']:g} m"])
+    chosen = square["parameters"]
+    values = [f"{name} {value:g}" for name, value in chosen["values"].items()]
+    words = ", ".join([str(chosen["method"]), *values, f"largest building {chosen['max_building_size']:g} m"])
     return words if square["evidence"] is not None else f"{words} as set, too few echoes to choose by"
 
 
