@@ -2,8 +2,8 @@
 words, as a user would. What is loaded and compiled is so once.
 
 Reads lines ``COMMAND CASE RECIPE`` or ``COMMAND * NUMBER`` (a drawn one) and answers with a line of JSON each. An input
-may take `CPU_FIXED` s + `CPU_EACH` s a byte of the processor (`CPU_EACH_OF_RUNS` of a run) and grow by `MEMORY_FIXED` + `MEMORY_EACH` bytes a byte
-beyond what its command takes for the sound files.
+may take `CPU_FIXED` s + `CPU_EACH` s a byte of the processor (`CPU_EACH_OF_RUNS` of a run) and grow by `MEMORY_FIXED` +
+`MEMORY_EACH` bytes a byte beyond what its command takes for the sound files.
 """
 
 from __future__ import annotations
