@@ -341,7 +341,7 @@ class Cluster:
         scheduler is gone.
         """
         in_flight = InFlight(self, location, Losses(location, self._retries), as_completed())
-        bundles = Bundles(self.workers, self._window)
+        bundles = Bundles(max(1, self.workers), self._window)  # a scheduler may get its workers later
 
         def ended() -> Iterator[Outcome]:
             for outcome in in_flight.ended():
