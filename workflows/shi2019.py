@@ -38,7 +38,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     check_features(config, computed, f"{config.path}: survey.features, features.also")
     check_features(config, config.classify.refine.shares, f"{config.path}: classify.refine.scales")
     names = features_like(config, (*printed["fscore"]["kept"], *printed["fscore"]["dropped"]))
-    plan = without_corrections(until_tiles(Plan(config, used, computed), runner))
+    plan = without_corrections(until_tiles(Plan(config, used, computed), runner, delivers=True))
     report = until_report(plan, runner, after_tiles(classification.stages))
     if runner.failures:
         return report

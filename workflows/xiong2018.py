@@ -37,7 +37,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     aside = runner.beside()
     choice, final = with_selected(config, aside)
     chosen = final.features_asked
-    plan = without_corrections(until_tiles(Plan(config, names, names), runner))
+    plan = without_corrections(until_tiles(Plan(config, names, names), runner, delivers=True))
     best = replace(plan, config=final, names=chosen, tiled=replace(plan.layout, config=final))
     report = until_report(best, runner, after_tiles(classification.stages))
     if runner.failures:

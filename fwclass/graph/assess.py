@@ -27,7 +27,7 @@ from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
 from fwclass.graph.kept import deciding_column, kept_argument
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.model import ClassDef, class_index
+from fwclass.model import ClassDef, class_index, code_index
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 
@@ -87,7 +87,7 @@ PERCENT = 101
 
 def by_confidence(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
     """(2, 101) labelled echoes: wrong and right ones (rows), by the confidence of their class [%]."""
-    reference, answer = (class_index(table[n], classes) for n in ("reference", "classification"))
+    reference, answer = class_index(table["reference"], classes), code_index(table["classification"], classes)
     known = (reference >= 0) & np.isfinite(table["confidence"])
     percent = np.floor(100 * table["confidence"][known].astype(np.float64) + 1e-4).astype(np.int64)
     cells = PERCENT * (reference[known] == answer[known]) + np.clip(percent, 0, PERCENT - 1)

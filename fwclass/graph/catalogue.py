@@ -20,7 +20,7 @@ from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.qgis import write_project
 from fwclass.publish.qgis_layers import OVERVIEW, cloud_styles, groups_of
 from fwclass.publish.qgis_style import style_file
-from fwclass.publish.tile_facts import point_schema, sum_tiles
+from fwclass.publish.tile_facts import least_sure_first, point_schema, sum_tiles
 from fwclass.publish.vpc import write_vpc
 
 
@@ -88,13 +88,13 @@ def _write_style(here: StageInputs, names: Mapping[int, str]) -> None:
 def _tile_layer(
     here: StageInputs, tiles: Mapping[str, Mapping[str, Any]], names: Mapping[int, str], size: float
 ) -> Layer:
-    """Every tile with counts by class, accuracy where it is known, mean confidence, and its rank: 1 is least sure."""
+    """Every tile with counts by class, accuracy where it is known, mean confidence, and its rank: 1 is least sure of
+    those worth a look."""
     keys, grid = sorted(tiles), TileGrid(size)
     confidence = np.array([np.nan if (c := tiles[k]["confidence"]) is None else c for k in keys])
     judged = set(here.parts(COUNT_CONFUSION.name))
     accuracy = np.array([_accuracy(here.inputs.meta(COUNT_CONFUSION.name, k)) if k in judged else np.nan for k in keys])
-    rank = np.empty(len(keys), np.int32)
-    rank[np.argsort(confidence, kind="stable")] = np.arange(1, len(keys) + 1, dtype=np.int32)
+    ranks = {key: rank for rank, key in enumerate(least_sure_first(tiles), 1)}
     counts = {
         f"class_{code}": np.array([tiles[k]["classes"].get(str(code), 0) for k in keys], np.int64) for code in names
     }
@@ -106,7 +106,7 @@ def _tile_layer(
             "file": [f"{TILES}/{k}{TILE_ENDING}" for k in keys],
             "echoes": np.array([tiles[k]["points"] for k in keys], np.int64),
             "confidence": confidence,
-            "rank": rank,
+            "rank": np.array([ranks[k] for k in keys], np.int32),
             "accuracy": accuracy,
             "state": ["classified"] * len(keys),
             **counts,
@@ -150,7 +150,7 @@ def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
 
 DELIVER_CATALOGUE = Stage(
     "publish-catalogue",
-    2,
+    3,
     "survey",
     "part",
     deliver_catalogue,
@@ -169,7 +169,7 @@ DELIVER_CATALOGUE = Stage(
 )
 DELIVER_POLYGONS = Stage(
     "publish-polygons",
-    1,
+    2,
     "survey",
     "part",
     deliver_polygons,

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.classify.kept import Kept
-from fwclass.errors import StoreError
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, StoreError
 from fwclass.graph.classify import classes_written
 from fwclass.graph.kept import deciding_column, kept_argument, kept_names
-from fwclass.graph.layout import Strip
+from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
@@ -23,7 +24,7 @@ from fwclass.publish.copc import write_tile_copc
 from fwclass.publish.geoparquet import about_delivery, round_floats, write_geoparquet
 from fwclass.publish.laz import without_reflectance
 from fwclass.publish.params import PublishParams
-from fwclass.publish.strips import write_strip_laz
+from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.publish.tile_facts import tile_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
@@ -179,6 +180,21 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
     return {"codes": codes}
 
 
+def check_class_codes(survey: Survey, config: Config) -> None:
+    """`ConfigError` where the points of a strip cannot hold the code of a class: told before anything is computed."""
+    beyond = [c for c in config.survey.classes if (c.code if c.legacy_code is None else c.legacy_code) > LEGACY_MAX]
+    legacy = [s for s in survey.strips if 0 <= s.point_format <= 5]
+    if beyond and legacy:
+        raise ConfigError(
+            f"the points of {len(legacy)} strips, as {legacy[0].path.name}, cannot hold the codes of all classes",
+            where=f"{config.path}: survey.classes",
+            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5 (this one has {legacy[0].point_format})",
+            got=", ".join(f"{c.name} {c.code}" for c in beyond),
+            do=f"give {'it' if len(beyond) == 1 else 'each'} a legacy_code up to {LEGACY_MAX}, which is written there "
+            "instead, or convert the files to LAS 1.4",
+        )
+
+
 def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
     """The chunks whose returns are asked for their own class."""
     waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if deciding_column(plan) else ()
@@ -202,7 +218,7 @@ def class_names(plan: Plan) -> dict[str, str]:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    4,
+    5,
     "tile",
     "echo",
     deliver_tile,

@@ -10,13 +10,12 @@ import numpy as np
 from pyproj import CRS
 
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
+from fwclass.publish.tile_facts import WORTH, least_sure_first
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
 
 GPS_EPOCH, ADJUSTED, LEAP_SECONDS = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000, 18
 LEAST_SURE = 5
-WORTH = 100
-"""Echoes of a tile that is worth a look; one of three strays is not."""
 
 
 def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
@@ -67,8 +66,8 @@ def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> 
         rows.append(
             {"name": one["name"], "code": one["code"], "echoes": count, "confidence": total / count if count else None}
         )
-    worth = [key for key in facts if facts[key]["points"] >= WORTH] or list(facts)
-    least = sorted(worth, key=lambda key: (facts[key]["confidence"], key))[:LEAST_SURE]
+    order = least_sure_first(facts)
+    least = ([key for key in order if facts[key]["points"] >= WORTH] or order)[:LEAST_SURE]
     listed = [
         {
             "tile": key,

@@ -15,7 +15,7 @@ from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
 from fwclass.graph.model_fit import check_computed, check_model
-from fwclass.graph.outputs import DELIVER_TILE
+from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE, check_class_codes
 from fwclass.graph.quantities import check_learned, joint_quantities
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
 from fwclass.graph.reference import check_polygons
@@ -54,7 +54,9 @@ def with_classes(config: Config) -> Config:
     if config.survey.classes or config.survey.model is None:
         return config
     model = load_model(local(_place_of_model(config, config.survey.model)))
-    classes = tuple(ClassSection(name=c.name, code=c.code, codes=c.codes) for c in model.classes)
+    classes = tuple(
+        ClassSection(name=c.name, code=c.code, codes=c.codes, legacy_code=c.legacy_code) for c in model.classes
+    )
     return replace(config, survey=config.survey.model_copy(update={"classes": classes}))
 
 
@@ -93,11 +95,14 @@ def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan
     return replace(plan, providers=providers(plan, stages))
 
 
-def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) -> Plan:
-    """Make all parts up to the tiles; the plan with what is known then."""
+def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, delivers: bool = False) -> Plan:
+    """Make all parts up to the tiles; the plan with what is known then. What `delivers` must be able to write its
+    classes into strips."""
     stages = tuple(stages)
     config, plan = plan.config, replace(plan, providers=providers(plan, stages))
     survey = gather(config, runner)
+    if delivers and DELIVER_STRIP in stages:
+        check_class_codes(survey, config)
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
     quantities = joint_quantities(survey.quantities, plan.names, f"{config.path}: survey.sources")
     for note in check_learned(learned, survey.quantities, config.survey.model) if learned else ():

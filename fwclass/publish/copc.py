@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -122,10 +123,16 @@ def _cube(tree: Octree, offset: NDArray[np.int64], times: NDArray[np.float64]) -
     return Cube((x, y, z), half, 2 * half / (1 << GRID_BITS), (first, last))
 
 
+def _plain(name: str) -> bytes:
+    """A class's name without accents, as the record has ASCII; as it is where nothing of it would be left."""
+    folded = unicodedata.normalize("NFKD", name.replace("ß", "ss")).encode("ascii", "ignore")
+    return folded if folded.strip() or not name else name.encode()
+
+
 def class_lookup(names: Mapping[int, str]) -> bytes:
     """The record that names the classes of a file."""
     entries = []
     for code in range(CODES):
-        name = names.get(code, "").encode()[:LONGEST].decode(errors="ignore").encode()
+        name = _plain(names.get(code, ""))[:LONGEST].decode(errors="ignore").encode()
         entries.append(bytes([code]) + name.ljust(LONGEST, b"\0"))
     return record("LASF_Spec", 0, "classification lookup", b"".join(entries))

@@ -19,6 +19,7 @@ from fwclass.publish.qgis_style import (
     ramp_cloud_style,
 )
 from fwclass.publish.raster_styles import raster_style
+from fwclass.publish.tile_facts import WORTH
 from fwclass.schema import column
 
 WORK = 10
@@ -126,7 +127,7 @@ def _polygons(layers: Sequence[str]) -> list[MapLayer]:
         map_layers.append(
             MapLayer("training and test areas", "vector", _source("areas"), outline_style((220, 30, 90), 0.6))
         )
-    work = f'{_source("tiles")}|subset="rank" <= {WORK}'
+    work = f'{_source("tiles")}|subset="rank" <= {WORK} AND "echoes" >= {WORTH}'
     map_layers.append(
         MapLayer("work list: least sure tiles", "vector", work, graduated_style("confidence", SURE, LEAST_SURE))
     )

@@ -15,6 +15,9 @@ from fwclass.schema import Table
 MEASURED = ("z", "height_above_ground", "confidence")
 """Columns whose figures are told."""
 
+WORTH = 100
+"""Echoes of a tile that is worth a look; one of three strays is not."""
+
 PER_METRE = 1000
 
 _FIELDS = (
@@ -88,6 +91,16 @@ def point_schema(columns: tuple[str, ...]) -> list[dict[str, Any]]:
         kind = np.dtype(col.las_dtype or col.dtype)
         more.append((col.las, 8, "floating") if col.las_scale != 1 else (col.las, kind.itemsize, kinds[kind.kind]))
     return [{"name": name, "size": size, "type": kind} for name, size, kind in (*_FIELDS, *more)]
+
+
+def least_sure_first(tiles: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Keys of tiles by their mean confidence, those of fewer than `WORTH` echoes and those without any behind."""
+
+    def place(key: str) -> tuple[bool, bool, float, str]:
+        sure = tiles[key]["confidence"]
+        return sure is None, tiles[key]["points"] < WORTH, sure or 0.0, key
+
+    return sorted(tiles, key=place)
 
 
 def sum_tiles(tiles: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

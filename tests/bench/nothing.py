@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,3 +13,9 @@ def nothing(inputs: PartInputs, directory: Path) -> Mapping[str, object]:
     """Write an empty file."""
     (directory / "nothing.txt").write_text("")
     return {}
+
+
+def waiting(seconds: float, inputs: PartInputs, directory: Path) -> Mapping[str, object]:
+    """Take so long, and no processor."""
+    time.sleep(seconds)
+    return nothing(inputs, directory)

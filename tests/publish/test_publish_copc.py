@@ -168,10 +168,12 @@ def test_the_octree_holds_each_echo_once_inside_its_node(places: list, leaf: int
 
 
 def test_names_of_classes_are_cut_to_what_fits() -> None:
-    body = class_lookup({5: "ä" * 20, 255: 'a"<b>'})[54:]
+    names = {5: "ä" * 20, 6: "Gebäude", 7: "Straße", 8: "végétation", 9: "樹" * 20, 10: "", 255: 'a"<b>'}
+    body = class_lookup(names)[54:]
     assert len(body) == 256 * 16
-    assert body[5 * 16 + 1 : 6 * 16].rstrip(b"\0").decode() == "ä" * 7
-    assert body[255 * 16 : 255 * 16 + 6] == b'\xffa"<b>'
+    written = {code: body[code * 16 + 1 : code * 16 + 16].rstrip(b"\0").decode() for code in names}
+    wanted = {5: "a" * 15, 6: "Gebaude", 7: "Strasse", 8: "vegetation", 9: "樹" * 5, 10: "", 255: 'a"<b>'}
+    assert written == wanted, "the record has ASCII, and what has none stays as it is"
 
 
 def _root(path: Path) -> tuple[int, int]:
