@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +38,16 @@ class Echoes:
         self._filter = self._condition(box, where)
 
     def _condition(self, box: Bounds | None, where: Any) -> Any:
-        condition = pq.filters_to_expression(where) if isinstance(where, (list, tuple)) else where
+        try:
+            condition = pq.filters_to_expression(where) if isinstance(where, (list, tuple)) else where
+        except (ValueError, TypeError) as fault:
+            raise InputError(
+                "this is no condition",
+                where="where",
+                expected="triples of column, operator (==, !=, <, >, <=, >=, in, not in) and value, or a pyarrow "
+                "expression",
+                got=str(fault).splitlines()[0],
+            ) from fault
         if box is None:
             return condition
         xmin, ymin, xmax, ymax = box
@@ -49,11 +58,20 @@ class Echoes:
         return inside if condition is None else inside & condition
 
     def __len__(self) -> int:
-        return int(self._data.count_rows(filter=self._filter))
+        return int(self._read(lambda: self._data.count_rows(filter=self._filter)))
+
+    def _read(self, work: Callable[[], Any]) -> Any:
+        """What `work` reads; `InputError` with the file where one cannot be read any more."""
+        try:
+            return work()
+        except (OSError, ValueError) as fault:  # Arrow's own are both
+            for file in self._files:
+                _check_readable(Path(file))
+            raise InputError("the echoes cannot be read", where="fwclass.open", got=fault) from fault
 
     def to_arrow(self) -> pa.Table:
         """A pyarrow table; metadata of its fields tell unit and meaning."""
-        return self._data.to_table(columns=self.columns, filter=self._filter)
+        return self._read(lambda: self._data.to_table(columns=self.columns, filter=self._filter))
 
     def to_pandas(self) -> Any:
         """A pandas data frame."""
@@ -66,7 +84,8 @@ class Echoes:
         geopandas = _needed("geopandas")
         import pyproj
 
-        table = self._data.to_table(columns=[*self.columns, "geometry"], filter=self._filter)
+        columns = [*self.columns, "geometry"]
+        table = self._read(lambda: self._data.to_table(columns=columns, filter=self._filter))
         about = json.loads(self._data.schema.metadata[b"geo"])["columns"]["geometry"]
         crs = pyproj.CRS.from_json_dict(about["crs"]) if about["crs"] else None
         points = geopandas.GeoSeries.from_wkb(table["geometry"].to_pandas(), crs=crs)
@@ -113,14 +132,28 @@ def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
     except FileNotFoundError:
         raise
     except (OSError, ValueError) as fault:  # Arrow's own are both
-        raise InputError(
-            "a delivered tile cannot be read any more",
-            where=path,
-            expected="the file that was there when the delivery was opened",
-            got=str(fault).splitlines()[0][:200],
-            do="run the survey again with --verify: what is damaged is made anew",
-        ) from fault
+        raise _damaged(path, fault) from fault
     return {n: arrow.column(n).to_numpy() for n in there}
+
+
+def _check_readable(path: Path) -> None:
+    """`InputError` where a tile's file cannot be read."""
+    try:
+        with pq.ParquetFile(path) as file:
+            for group in range(file.num_row_groups):
+                file.read_row_group(group, use_threads=False)
+    except (OSError, ValueError) as fault:
+        raise _damaged(path, fault) from fault
+
+
+def _damaged(path: Path, fault: Exception) -> InputError:
+    return InputError(
+        "a delivered tile cannot be read any more",
+        where=path,
+        expected="the file that was there when the delivery was opened",
+        got=str(fault).splitlines()[0][:200],
+        do="run the survey again with --verify: what is damaged is made anew",
+    )
 
 
 def table_fields(path: Path) -> list[dict[str, str]]:

@@ -12,6 +12,7 @@ from urllib.parse import quote
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from fwclass.errors import first_few
 from fwclass.publish.files import whole
 from fwclass.publish.ground_section import ground
 from fwclass.publish.overview_section import (
@@ -153,7 +154,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
             for n, f in figures.items()
             if n not in (PULSE, SAMPLING, *LAYERS)
         ],
-        "remarks": [str(text) for text in report.get("remarks") or ()],
+        "remarks": [*_lacking(report), *(str(text) for text in report.get("remarks") or ())],
         "waveforms": waveforms(report.get("waveforms")),
         "plausibility": _plausibility(report.get("plausibility")),
         "ground": ground(report.get("ground")),
@@ -197,8 +198,23 @@ def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], co
     if training and (named := classifier(training)):
         samples = sum(int(n) for n in (training.get("samples") or {}).values())
         second = f" The {named} learned from {number(samples)} samples"
-        second += " and was assessed where it did not learn." if report.get("accuracy") else "."
+        second += " and was assessed outside of its training areas." if report.get("accuracy") else "."
     return f"{first}.{second}"
+
+
+def _lacking(report: Mapping[str, Any]) -> list[str]:
+    """What is not there since parts failed: the first thing that a reader must know of a delivery."""
+    failed = report.get("failed") or ()
+    if not failed:
+        return []
+    named = first_few([f"{one['stage']} {one['part']}" for one in failed], 3)
+    first = str(failed[0]["message"]).splitlines()[:1]
+    why = f" The first: {first[0]}." if first else ""
+    some = f"{len(failed)} part{'s' * (len(failed) != 1)}"
+    return [
+        f"This delivery is not whole: {some} failed ({named}), and what they make is missing, or as an earlier run "
+        f"made it.{why} Mend the cause and run again: only what is missing is made."
+    ]
 
 
 def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[str, str]]:

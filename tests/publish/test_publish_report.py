@@ -220,14 +220,20 @@ def test_a_lost_echo_is_shown(tmp_path: Path) -> None:
     report = full()
     report["counts"]["echoes_in_tiles"] = 1230
     _, page = rendered(report, tmp_path)
-    assert "incomplete" in page.text and "4 differ" in page.text
+    assert "not all in tiles" in page.text and "4 differ" in page.text
 
 
 def test_failed_parts_are_shown_only_where_there_are_any(tmp_path: Path) -> None:
     assert "failed" not in rendered(full(), tmp_path)[1].text
     report = full()
     report["stages"][0]["failed"] = 2
-    assert "failed" in rendered(report, tmp_path)[1].text
+    report["failed"] = [
+        {"stage": "publish-strip", "part": "a", "message": "class code 67 does not fit\n  where: a.las"},
+        {"stage": "publish-strip", "part": "b<i>", "message": ""},
+    ]
+    text = rendered(report, tmp_path)[1].text
+    assert "This delivery is not whole: 2 parts failed (publish-strip a, publish-strip b<i>)" in text
+    assert "The first: class code 67 does not fit. Mend" in text
 
 
 def test_notes_on_training_are_told(tmp_path: Path) -> None:

@@ -218,6 +218,21 @@ def test_what_cannot_be_opened_is_said(root: Path, tmp_path: Path) -> None:
         fwclass.open(root).raster("dtn")
     with pytest.raises(InputError, match="no such column"):
         fwclass.open(root).echoes(columns=["clasification"])
+    with pytest.raises(InputError, match="this is no condition"):
+        fwclass.open(root).echoes(where=[("confidence", "~", 1)])
+
+
+def test_a_tile_whose_bytes_were_overwritten_is_named(root: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(root, copy, symlinks=True)
+    victim = max((copy / "current" / "parquet").iterdir(), key=lambda path: path.stat().st_size).resolve()
+    victim.chmod(0o644)
+    data = bytearray(victim.read_bytes())
+    data[200 : len(data) // 2] = bytes(len(data) // 2 - 200)
+    victim.write_bytes(data)
+    with pytest.raises(InputError, match="cannot be read any more") as fault:
+        fwclass.open(copy).echoes().to_pandas()
+    assert victim.name in str(fault.value) and "--verify" in str(fault.value)
 
 
 def test_importing_takes_no_time() -> None:
