@@ -130,7 +130,9 @@ def _not_private(place: Path) -> str:
         return "it is a link"
     if facts.st_uid != os.geteuid():
         return "it belongs to another user"
-    if facts.st_mode & 0o022 or (above.st_mode & 0o002 and not above.st_mode & stat.S_ISVTX):
+    if above.st_uid not in (os.geteuid(), 0):
+        return "the directory above it belongs to another user"
+    if facts.st_mode & 0o022 or (above.st_mode & 0o022 and not above.st_mode & stat.S_ISVTX):
         return "other users may write there"
     return "" if os.access(place, os.W_OK | os.X_OK) else "it cannot be written to"
 

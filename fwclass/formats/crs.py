@@ -8,6 +8,8 @@ from typing import Any, Protocol
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from fwclass.errors import visible
+from fwclass.formats.grid_files import without_paths
 from fwclass.formats.las_header import Record
 
 _USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
@@ -53,9 +55,13 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
         if not text:
             continue
         try:
-            return _in_degrees(CRS.from_wkt(text), faults)
+            crs, paths = without_paths(CRS.from_wkt(text))
         except CRSError:
             faults.append("the CRS record holds no valid WKT")
+            continue
+        if paths:
+            faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
+        return _in_degrees(crs, faults)
     return None
 
 

@@ -11,6 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
+from fwclass.formats.grid_files import without_paths
 from fwclass.formats.parquet_footer import SPARE, check_unpacked
 from fwclass.formats.vector import Header
 from fwclass.lazy_module import LazyModule
@@ -137,7 +138,10 @@ def _crs(path: Path, own: dict[str, Any]) -> CRS | None:
     if isinstance(stated, str) and not _CODE.fullmatch(stated):  # PROJ's own words could name files
         raise _foreign(path, "a coordinate system that is neither PROJJSON nor a code")
     try:
-        return CRS.from_user_input(stated) if stated is not None else None
+        crs = CRS.from_user_input(stated) if stated is not None else None
+        if crs is not None and without_paths(crs)[1]:
+            raise _foreign(path, "a coordinate system that names a file by its path")
+        return crs
     except (CRSError, TypeError) as fault:
         raise _foreign(path, "a coordinate system that cannot be understood") from fault
 

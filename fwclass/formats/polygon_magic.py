@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import json
 import mmap
 import re
 import sqlite3
@@ -10,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from fwclass.errors import InputError, visible
+from fwclass.formats.grid_files import paths_named
 from fwclass.paths import open_regular, strange_kind
 
 SQLITE = b"SQLite format 3\0"
@@ -37,6 +39,7 @@ HEAD = 65536
 """Bytes of a JSON file in which its type, or a member that tells it, must be found."""
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s"{}\[\]:,]+')
+_CALLED = re.compile(rb'"crs"\s*:\s*\{[^{}]*\{[^{}]*"name"\s*:\s*("(?:[^"\\]|\\.)*")', re.IGNORECASE)
 _LINKED = re.compile(rb'"crs"\s*:\s*\{[^{}]*("type"\s*:\s*"(link|url)"|\{[^{}]*"(href|url)"\s*:)', re.IGNORECASE)
 
 
@@ -76,7 +79,9 @@ def check_format(path: Path) -> None:
         )
     if ending == ".gpkg":
         _check_tables(path)
-    elif ending != ".shp":
+    elif ending == ".shp":
+        _check_beside(path)
+    else:
         _check_system(path)
 
 
@@ -122,6 +127,25 @@ def _check_system(path: Path) -> None:
                 "a coordinate system that is to be fetched from an address",
                 "export it with a coordinate system that is named, such as EPSG:25832",
             )
+        for name in _CALLED.findall(text):
+            _refuse_paths(path, json.loads(name.decode("utf-8", "replace"), strict=False))
+
+
+def _check_beside(path: Path) -> None:
+    """`InputError` where the coordinate system beside a Shapefile names a file by its path, which GDAL would open."""
+    for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):
+        if beside.suffix.lower() == ".prj":
+            with open_regular(beside) as file:
+                _refuse_paths(path, file.read(HEAD).decode("utf-8", "replace"))
+
+
+def _refuse_paths(path: Path, text: str) -> None:
+    if paths := paths_named(text):
+        raise _other(
+            path,
+            f"a coordinate system that names the file {visible(paths[0])}",
+            "export it with a coordinate system that is named, such as EPSG:25832",
+        )
 
 
 def _check_tables(path: Path) -> None:
@@ -133,12 +157,24 @@ def _check_tables(path: Path) -> None:
         opened.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
             fault = _virtual(opened) or _computed(opened)
+            systems = [] if fault else _systems(opened)
         finally:
             opened.close()
     except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite quotes damaged names in its messages
         raise _other(path, f"a GeoPackage that cannot be read: {error}", "export the polygons again") from error
     if fault:
         raise _other(path, fault, "export the polygons alone, as a table (ogr2ogr does)")
+    for text in systems:
+        _refuse_paths(path, text)
+
+
+def _systems(opened: sqlite3.Connection) -> list[str]:
+    """Texts of the coordinate systems that the file defines."""
+    name = "gpkg_spatial_ref_sys"
+    known = [str(row[1]) for row in opened.execute(f"PRAGMA table_info({name})")]
+    texts = [column for column in known if column.lower().startswith("definition")]
+    rows = opened.execute(f"SELECT {', '.join(texts)} FROM {name}") if texts else ()  # noqa: S608 (names of two columns)
+    return [str(text) for row in rows for text in row if text]
 
 
 def _virtual(opened: sqlite3.Connection) -> str:

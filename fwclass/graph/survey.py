@@ -15,6 +15,7 @@ from fwclass.conf.files import PUBLIC, public_data
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
+from fwclass.formats.grid_files import without_paths
 from fwclass.formats.projected import project
 from fwclass.graph.check_points import check_point_file
 from fwclass.graph.file_digests import Digests
@@ -350,7 +351,10 @@ def given_crs(text: str | None, where: str) -> CRS | None:
     if text is None or text == "none":
         return None
     try:
-        return CRS.from_user_input(text)
+        crs, paths = without_paths(CRS.from_user_input(text))
+        if paths:
+            raise CRSError(f"it names the file {paths[0]} by its path")
+        return crs
     except CRSError as fault:
         raise ConfigError(
             "this is not a coordinate system", where=where, expected="for example EPSG:25832, or none", got=text

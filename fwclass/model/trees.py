@@ -9,6 +9,8 @@ from fwclass.kernel import kernel
 from fwclass.model.base import LEAF
 
 MAX_TREES = 65535
+DEEPEST = 10_000
+"""Nodes from a tree's root to a leaf, at most: every sample walks them. Those that are trained have some fifty."""
 
 
 def offsets_fault(offsets: NDArray[np.int64], nodes: int) -> str:
@@ -24,7 +26,8 @@ def node_fault(
     feature: NDArray[np.uint16], child: NDArray[np.uint32], offsets: NDArray[np.int64], features: int, classes: int
 ) -> str:
     """What is wrong with the nodes (nodes,): every one asks for one of `features`, or is a leaf whose `child` is below
-    `classes`; children come after their parent in the same tree. "" if nothing is."""
+    `classes`; children come after their parent in the same tree, none more than `DEEPEST` nodes down. "" if
+    nothing is."""
     return _FAULTS[_first_fault(feature, child, offsets, features, classes)]
 
 
@@ -42,6 +45,7 @@ _FAULTS = (
     "a node asks for a feature that the card does not name",
     "a leaf gives a class that the card does not name",
     "a node's children do not come after it in its tree",
+    f"a tree has more than {DEEPEST} nodes one after the other",
 )
 
 
@@ -50,6 +54,7 @@ def _first_fault(feature, child, offsets, n_features, n_classes):  # type: ignor
     """Index into `_FAULTS`."""
     for t in range(len(offsets) - 1):
         first, size = offsets[t], offsets[t + 1] - offsets[t]
+        depth = np.zeros(size, np.int32)
         for k in range(size):
             f, c = feature[first + k], np.int64(child[first + k])
             if f == LEAF:
@@ -59,4 +64,9 @@ def _first_fault(feature, child, offsets, n_features, n_classes):  # type: ignor
                 return 1
             elif c <= k or c + 1 >= size:
                 return 3
+            elif depth[k] >= DEEPEST:
+                return 4
+            else:
+                depth[c] = max(depth[c], depth[k] + 1)
+                depth[c + 1] = max(depth[c + 1], depth[k] + 1)
     return 0

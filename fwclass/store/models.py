@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, KINDS, LAYERS, Forest, Model, TwoLayer
 from fwclass.paths import open_regular
-from fwclass.store.atomic import digest_of, file_digest, files_below
+from fwclass.store.atomic import digest_of, file_digest
 
 CARD = "card.json"
 _CARD_LIMIT = 1 << 24
 """Bytes of a card; one of 127 features has some ten thousand."""
+_ARRAY_LIMIT = 1 << 32
+"""Bytes of an array: a forest of a thousand trees of a million nodes each has so many."""
 _NPY = b"\x93NUMPY\x01\x00"
 """What numpy writes for arrays without fields."""
 _DECIDES = ("format", "kind", "features", "classes", "params", "computed", "preparation", "refine", "layers")
@@ -140,6 +142,7 @@ def _no_number(text: str) -> NoReturn:
 
 def _array(path: Path, kind: str, dimensions: int) -> NDArray:
     """One array; memory-mapped first, so that a header cannot make us allocate more than the file holds."""
+    _check_size(path)
     with open_regular(path) as stream:
         head = stream.read(len(_NPY))
     if head != _NPY:  # later versions let a header be as long as it says
@@ -155,5 +158,28 @@ def _array(path: Path, kind: str, dimensions: int) -> NDArray:
 
 
 def model_digest(path: Path) -> str:
-    """Digest of a model directory's files."""
-    return digest_of([[p.relative_to(path).as_posix(), file_digest(p)] for p in files_below(path)])
+    """Digest of a model's files, those that `load_model` reads alone; `InputError` where there is no model."""
+    try:
+        names = sorted(_files(path))
+    except (OSError, ValueError, RecursionError):
+        load_model(path)  # tells what is wrong
+        raise
+    return digest_of([[name, file_digest(path / name)] for name in names])
+
+
+def _files(directory: Path) -> Iterator[str]:
+    """Names of the card and the arrays of a model, those of its layers too."""
+    yield CARD
+    cls = KINDS[_card(directory / CARD)["kind"]]
+    for name in cls.layout:
+        _check_size(directory / f"{name}.npy")
+        yield f"{name}.npy"
+    for layer in LAYERS if cls is TwoLayer else ():
+        of_layer = KINDS[_card(directory / layer / CARD)["kind"]]
+        if of_layer is not TwoLayer:
+            yield from (f"{layer}/{name}" for name in _files(directory / layer))
+
+
+def _check_size(path: Path) -> None:
+    if path.stat().st_size > _ARRAY_LIMIT:
+        raise ValueError(f"{path.name} has {path.stat().st_size} bytes")

@@ -206,10 +206,9 @@ def test_any_bytes_are_a_sound_model_or_an_error(data, trees):
 
 def test_a_tree_too_large_for_its_links_is_refused():
     splits = 40_000  # with 40 000 features a link has 16 bits for the node
-    feature = np.tile(np.array([0, LEAF], np.uint16), splits)
-    feature = np.append(feature[[0]], np.tile(np.array([LEAF, 0], np.uint16), splits))
-    feature[-1] = LEAF
-    child = np.where(feature == LEAF, 0, np.arange(len(feature)) + 1).astype(np.uint32)
+    node = np.arange(2 * splits + 1)
+    feature = np.where(node < splits, 0, LEAF).astype(np.uint16)
+    child = np.where(node < splits, 2 * node + 1, 0).astype(np.uint32)
     forest = assemble([(feature, np.zeros(len(feature), np.float32), child)], card([f"f{k}" for k in range(40_000)]))
     with pytest.raises(InputError, match="too large"):
         votes(np.zeros((1, 40_000), np.float32), forest)

@@ -324,6 +324,17 @@ def test_compiled_code_is_not_taken_from_another_user(home: Path) -> None:
     assert "it belongs to another user" in refused(home)
 
 
+def test_nor_from_below_a_directory_that_others_may_change(home: Path) -> None:
+    """Who may write above it can put another directory in its place, after it was looked at."""
+    home.mkdir(parents=True, mode=0o700)
+    home.parent.chmod(0o770)
+    assert "other users may write there" in refused(home)
+    home.parent.chmod(0o700)
+    if os.geteuid() == 0:
+        os.chown(home.parent, 65534, 65534)
+        assert "the directory above it belongs to another user" in refused(home)
+
+
 def test_a_file_where_the_cache_should_be_is_told(home: Path, tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("")
     assert "compiled code cannot be kept in" in refused(home)

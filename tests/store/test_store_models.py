@@ -13,8 +13,8 @@ from modelmaker import NAMES, card, models, two_layers
 
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
-from fwclass.model import FORMAT, KINDS, LEAF, Boosted, KernelMachine, TwoLayer
-from fwclass.store.models import load_forest, load_model, save_model
+from fwclass.model import FORMAT, KINDS, LEAF, Boosted, KernelMachine, TwoLayer, trees
+from fwclass.store.models import load_forest, load_model, model_digest, save_model
 
 ONE_LAYER = sorted(set(KINDS) - {TwoLayer.kind})
 
@@ -337,3 +337,30 @@ def test_a_second_layer_names_classes_of_the_first():
     fine = replace(made.fine, card={**made.fine.card, "classes": alien})
     with pytest.raises(InputError, match="boat"):
         TwoLayer(made.coarse, fine, made.card).check()
+
+
+def test_a_tree_of_one_long_chain_is_refused():
+    """Every sample would walk it: so many steps an echo that no command would end."""
+    for length, refused in ((trees.DEEPEST, False), (trees.DEEPEST + 1, True)):
+        node = np.arange(2 * length + 1)
+        inner = (node % 2 == 0) & (node < 2 * length)
+        feature = np.where(inner, 0, LEAF).astype(np.uint16)
+        child = np.where(inner, node + 1, 0).astype(np.uint32)
+        fault = trees.node_fault(feature, child, np.array([0, len(node)]), 1, 2)
+        assert ("one after the other" in fault) == refused, fault
+
+
+def test_a_digest_reads_what_a_model_has_and_nothing_else(tmp_path):
+    path = tmp_path / "m"
+    save_model(path, models()["forest"])
+    before = model_digest(path)
+    with (path / "extra.npy").open("wb") as stream:
+        stream.truncate(1 << 42)  # takes no disk, and hours to read
+    assert model_digest(path) == before
+    (path / "child.npy").chmod(0o644)
+    with (path / "child.npy").open("ab") as stream:
+        stream.truncate(1 << 42)
+    with pytest.raises(InputError, match="not a model of fwclass"):
+        model_digest(path)
+    with pytest.raises(InputError):
+        model_digest(tmp_path)

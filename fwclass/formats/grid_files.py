@@ -1,0 +1,77 @@
+"""Grid files that a coordinate system names: whoever makes it, PROJ and GDAL open what lies under the name.
+
+Names of PROJ's own grids (``us_noaa_conus.tif``) are looked for where it keeps them. A path leads anywhere, to a pipe
+that never answers for example, so no system that comes from a file is used with one.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+_NAMED = re.compile(
+    r"""
+    PROJ4_GRIDS ["']? \s* , \s* ["'] ([^"']*)                        # WKT 1, GDAL's extension
+    | PARAMETERFILE \s* [\[(] \s* "[^"]*" \s* , \s* "([^"]*)         # WKT 2
+    | (?:grids|file|catalog|tinshift) \s* = \s* ["']? ([^\s"'+]+)    # PROJ's words: nadgrids, geoidgrids, xy_grids …
+    | "value" \s* : \s* "((?:[^"\\]|\\.)*)                           # PROJJSON: other values are numbers
+    """,
+    re.IGNORECASE | re.VERBOSE,
+)
+
+
+def paths_named(text: str) -> list[str]:
+    """Grid files that a text of a coordinate system (WKT, PROJJSON, PROJ's words) names by a path."""
+    names = (name for groups in _NAMED.findall(text) for name in groups)
+    return [one.strip().lstrip("@") for name in names for one in name.split(",") if is_path(one)]
+
+
+def is_path(name: str) -> bool:
+    """A name that is not looked for among PROJ's own files alone."""
+    plain = name.strip().lstrip("@")
+    return plain.startswith(("~", ".")) or any(mark in plain for mark in "/\\:")
+
+
+def without_paths(crs: CRS) -> tuple[CRS, list[str]]:
+    """`crs` without the shifts of its datum that need a file by its path, and these files.
+
+    `CRSError` where the system itself is made by such a file.
+    """
+    paths: list[str] = []
+    try:
+        plain = _unbound(crs.to_json_dict(), paths)
+        left = [name for name in _text_values(plain) if is_path(name)] if paths else []
+    except RecursionError as fault:
+        raise CRSError("a coordinate system nested too deep") from fault
+    if left:
+        raise CRSError(f"a coordinate system made by the file {left[0]}")
+    return (CRS.from_json_dict(plain), paths) if paths else (crs, [])
+
+
+def _unbound(node: Any, paths: list[str]) -> Any:
+    """`node` of a PROJJSON with the source in place of every system that is bound by a file; `paths` gets the files."""
+    if isinstance(node, list):
+        return [_unbound(one, paths) for one in node]
+    if not isinstance(node, dict):
+        return node
+    if node.get("type") == "BoundCRS":
+        files = [name for name in _text_values(node.get("transformation")) if is_path(name)]
+        paths += files
+        if files:
+            return _unbound(node["source_crs"], paths)
+    elif isinstance(node.get("parameters"), list):
+        paths += [name for name in _text_values(node["parameters"]) if is_path(name)]
+    return {key: _unbound(value, paths) for key, value in node.items()}
+
+
+def _text_values(node: Any) -> list[str]:
+    """Values of parameters below `node` that are texts: names of files."""
+    if isinstance(node, list):
+        return [name for one in node for name in _text_values(one)]
+    if not isinstance(node, dict):
+        return []
+    value = node.get("value")
+    return [*([value] if isinstance(value, str) else ()), *(n for one in node.values() for n in _text_values(one))]

@@ -1,0 +1,154 @@
+"""A coordinate system that names a file by its path: PROJ and GDAL would open it, whatever it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import lasmaker
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pyogrio
+import pyproj
+import pytest
+import shapely
+from commandline import fwclass
+
+from fwclass.formats.grid_files import is_path, paths_named, without_paths
+
+GRID = "/tmp/x/fifo"  # noqa: S108 (only a name)
+PROJ4 = "+proj=utm +zone=33 +ellps=bessel +nadgrids={} +type=crs"
+FORMS = {
+    "WKT 1": lambda grid: pyproj.CRS(PROJ4.format(grid)).to_wkt("WKT1_GDAL"),
+    "WKT 2": lambda grid: pyproj.CRS(PROJ4.format(grid)).to_wkt(),
+    "PROJJSON": lambda grid: pyproj.CRS(PROJ4.format(grid)).to_json(),
+    "PROJ": PROJ4.format,
+    "vertical": lambda grid: (
+        'COMPD_CS["a",PROJCS["WGS 84 / UTM zone 33N",GEOGCS["WGS 84",DATUM["WGS_1984",'
+        'SPHEROID["WGS 84",6378137,298.257]],'
+        'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+        'PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",15],PARAMETER["scale_factor",0.9996],'
+        'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1]],VERT_CS["h",'
+        f'VERT_DATUM["d",2005,EXTENSION["PROJ4_GRIDS","{grid}"]],UNIT["metre",1],AXIS["Up",UP]]]'
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_path_is_seen_in_every_form(form: str):
+    text = FORMS[form]
+    assert paths_named(text(GRID)) == [GRID] * text(GRID).count(GRID)
+    assert paths_named(text("us_noaa_conus.tif")) == [] and paths_named(text("@null")) == []
+    bound = pyproj.CRS(text(GRID))
+    plain, paths = without_paths(bound)
+    assert set(paths) == {GRID} and not plain.is_bound and "PARAMETERFILE" not in plain.to_wkt().upper()
+    assert plain.to_epsg() == bound.to_epsg() and plain.is_compound == bound.is_compound
+    kept = pyproj.CRS(text("us_noaa_conus.tif"))
+    assert without_paths(kept) == (kept, [])
+
+
+@pytest.mark.parametrize("code", [25832, 32633, 2056, 31370, 3857, 4326, 7423, 27700, 5514])
+def test_systems_of_the_registry_are_left_alone(code: int):
+    crs = pyproj.CRS.from_epsg(code)
+    assert without_paths(crs) == (crs, [])
+    assert paths_named(crs.to_wkt()) == paths_named(crs.to_wkt("WKT1_GDAL")) == paths_named(crs.to_json()) == []
+
+
+def test_what_a_path_is():
+    assert all(map(is_path, ["/a", "a/b", "./a", "~/a", "..\\a", "C:\\a", "@/a", "http://h/a", ".a"]))
+    assert not any(map(is_path, ["a.gsb", "@null", "us_noaa_conus.tif", ""]))
+
+
+def las(path: Path, wkt: str) -> Path:
+    """A LAS file of a slope with that WKT record."""
+    r = np.random.default_rng(0)
+    x, y = r.uniform(0, 20, (2, 400))
+    lasmaker.write_las(path, np.c_[500_000 + x, 5_400_000 + y, 100 + 0.1 * x], point_format=6)
+    data, body = bytearray(path.read_bytes()), wkt.encode() + b"\0"
+    record = struct.pack("<H16sHH32s", 0, b"LASF_Projection", 2112, len(body), b"") + body
+    start, records = struct.unpack_from("<II", data, 96)
+    struct.pack_into("<II", data, 96, start + len(record), records + 1)
+    struct.pack_into("<H", data, 6, struct.unpack_from("<H", data, 6)[0] | 16)
+    path.write_bytes(data[:375] + record + data[375:])
+    return path
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+@pytest.mark.parametrize("form", ["WKT 1", "WKT 2", "vertical"])
+def test_a_pipe_holds_no_command_up(tmp_path: Path, form: str):
+    os.mkfifo(tmp_path / "pipe")
+    las(tmp_path / "a.las", FORMS[form](str(tmp_path / "pipe")))
+    code = "from fwclass.cli import main; main()"
+    words = ["ground", "a.las", "o.laz", "--dtm", "dtm.tif", "--method", "slope"]
+    ended = subprocess.run([sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr.decode()
+    assert "names files" in fwclass("info", "a.las", cwd=tmp_path).stdout
+
+
+def geopackage(path: Path, text: str) -> None:
+    pyogrio.raw.write(
+        path,
+        shapely.to_wkb([shapely.box(0, 0, 9, 9)]),
+        [np.array([2])],
+        ["code"],
+        geometry_type="Polygon",
+        crs="EPSG:32633",
+    )
+    with sqlite3.connect(path) as opened:
+        opened.execute("UPDATE gpkg_spatial_ref_sys SET definition = ?, srs_id = srs_id", (text,))
+
+
+def shapefile(path: Path, text: str) -> None:
+    pyogrio.raw.write(
+        path,
+        shapely.to_wkb([shapely.box(0, 0, 9, 9)]),
+        [np.array([2])],
+        ["code"],
+        geometry_type="Polygon",
+        crs="EPSG:32633",
+    )
+    path.with_suffix(".prj").write_text(text)
+
+
+def geojson(path: Path, text: str) -> None:
+    crs = {"type": "name", "properties": {"name": text}}
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": []}))
+
+
+def geoparquet(path: Path, text: str) -> None:
+    column = {"encoding": "WKB", "geometry_types": ["Polygon"], "crs": json.loads(text)}
+    geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": column}}
+    table = pa.table({"geometry": pa.array([shapely.to_wkb(shapely.box(0, 0, 9, 9))]), "code": [2]})
+    pq.write_table(table.replace_schema_metadata({"geo": json.dumps(geo)}), path)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "form"),
+    [
+        ("a.gpkg", geopackage, "WKT 1"),
+        ("b.gpkg", geopackage, "WKT 2"),
+        ("a.shp", shapefile, "WKT 1"),
+        ("b.shp", shapefile, "WKT 2"),
+        ("a.geojson", geojson, "PROJ"),
+        ("a.parquet", geoparquet, "PROJJSON"),
+    ],
+)
+def test_polygons_with_such_a_system_are_refused(tmp_path: Path, name: str, write, form: str):
+    write(tmp_path / name, FORMS[form](GRID))
+    ended = fwclass("info", name, cwd=tmp_path)
+    assert ended.returncode == 1 and "names" in ended.stderr and "file" in ended.stderr, ended.stderr
+
+
+def test_so_is_a_configuration(tmp_path: Path):
+    las(tmp_path / "a.las", pyproj.CRS.from_epsg(32633).to_wkt())
+    (tmp_path / "c.yaml").write_text(
+        f"survey: {{name: a, directory: ., sources: [a.las], crs: '{PROJ4.format(GRID)}'}}\n"
+    )
+    ended = fwclass("run", "c.yaml", "--workflow", "ground", "--out", "r", "--workers", "0", cwd=tmp_path)
+    assert ended.returncode == 2 and "not a coordinate system" in ended.stderr
