@@ -40,6 +40,13 @@ ELSEWHERE = {
 WALKED = {"first-survey.md": "tests/run/test_run_first_survey.py"}
 """Pages whose blocks a test of their own runs in order."""
 
+OF_OTHER_SURVEYS = {
+    "commands.md": "its lines belong to runs of several workflows, which one directory cannot all be",
+    "quality.md": "it takes a contract's area in a known coordinate system",
+    "selection.md": "its scales of metres take a larger survey",
+}
+"""Pages whose lines the one small survey here cannot all run."""
+
 NAMES = (
     (r"\s+\[--.*", ""),
     (r"\s>.*", ""),
@@ -131,6 +138,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name not in WALKED and lines(p)], ids=lambda p: p.name)
 def test_the_commands_of_a_page_run(page: Path, place: Path, tmp_path: Path) -> None:
+    if page.name in OF_OTHER_SURVEYS:
+        pytest.skip(OF_OTHER_SURVEYS[page.name])
     here = tmp_path / "here"
     shutil.copytree(place, here, symlinks=True)
     failed = []
