@@ -56,12 +56,11 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
             continue
         try:
             crs, paths = without_paths(CRS.from_wkt(text))
+            if paths:
+                faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
+            return _in_degrees(crs, faults)
         except CRSError:
             faults.append("the CRS record holds no valid WKT")
-            continue
-        if paths:
-            faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
-        return _in_degrees(crs, faults)
     return None
 
 

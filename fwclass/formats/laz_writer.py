@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.formats.las_bytes import AT_FORMAT, AT_OFFSET
-
-RECORD_HEADER = 54
-"""Bytes before the data of a variable length record: two of no meaning, user, number, length, description."""
+from fwclass.formats.las_header import VLR_HEADER
 
 COUNTS = (107, 131), (247, 375)
 """Bytes of a header with the number of points, in all and by return: as before LAS 1.4, and of LAS 1.4."""
@@ -62,7 +60,7 @@ class LazWriter:
         self.file.write(whole)
         for at in _records(self.head):
             self.file.seek(at)
-            self.file.write(self.head[at : at + RECORD_HEADER])
+            self.file.write(self.head[at : at + VLR_HEADER])
         self.file.seek(end)
         return end
 
@@ -72,7 +70,7 @@ def _records(head: bytes) -> Iterator[int]:
     (at,), (number,) = struct.unpack_from("<H", head, 94), struct.unpack_from("<I", head, AT_OFFSET + 4)
     for _ in range(number):
         yield at
-        at += RECORD_HEADER + struct.unpack_from("<H", head, at + 20)[0]
+        at += VLR_HEADER + struct.unpack_from("<H", head, at + 20)[0]
 
 
 def _without_names(head: bytes) -> bytes:

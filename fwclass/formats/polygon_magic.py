@@ -128,7 +128,11 @@ def _check_system(path: Path) -> None:
                 "export it with a coordinate system that is named, such as EPSG:25832",
             )
         for name in _CALLED.findall(text):
-            _refuse_paths(path, json.loads(name.decode("utf-8", "replace"), strict=False))
+            written = name.decode("utf-8", "replace")
+            try:
+                _refuse_paths(path, json.loads(written, strict=False))
+            except ValueError:  # an escape that is none
+                _refuse_paths(path, written)
 
 
 def _check_beside(path: Path) -> None:
@@ -136,7 +140,10 @@ def _check_beside(path: Path) -> None:
     for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):
         if beside.suffix.lower() == ".prj":
             with open_regular(beside) as file:
-                _refuse_paths(path, file.read(HEAD).decode("utf-8", "replace"))
+                text = file.read(HEAD + 1)
+            if len(text) > HEAD:
+                raise _other(path, f"a coordinate system of more than {HEAD} bytes, {beside.name}")
+            _refuse_paths(path, text.decode("utf-8", "replace"))
 
 
 def _refuse_paths(path: Path, text: str) -> None:

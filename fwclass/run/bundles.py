@@ -87,8 +87,11 @@ class Bundles:
     def note(self, outcome: Outcome) -> None:
         """A part has ended."""
         took = self._took[outcome.stage]
-        took.ended += 1
-        took.seconds += outcome.seconds
+        if outcome.status in ("computed", "failed"):
+            took.ended += 1
+            took.seconds += outcome.seconds
+        else:  # it took nothing, and tells nothing of those that do
+            took.given -= 1
 
     def _expected(self, task: Task) -> float:
         """Seconds that the part will take, as others of its stage, or else as those that it needs; infinite where

@@ -55,6 +55,16 @@ def test_what_a_part_takes_is_waited_for():
     assert not known.waits and sizes(known, [task("a", k) for k in range(44)]) == [22, 22]
 
 
+def test_parts_that_are_not_made_tell_nothing_of_those_that_are():
+    """Else some that are blocked would send 64 long ones to one worker."""
+    known = Bundles(2, 2000)
+    assert sizes(known, [task("a", k) for k in range(16)]) == [1] * 16 and known.waits
+    for _ in range(8):
+        known.note(Outcome("a", "0", "blocked"))
+        known.note(Outcome("a", "0", "skipped"))
+    assert not known.waits and sizes(known, [task("a", k) for k in range(5)]) == [1] * 5
+
+
 @pytest.mark.parametrize(("each", "size"), [(0.0001, 64), (0.009, 22), (0.07, 2), (0.15, 1), (3.0, 1)])
 def test_as_many_go_together_as_take_a_fifth_of_a_second(each: float, size: int):
     assert set(sizes(noted(2, a=each), [task("a", k) for k in range(640)])) <= {size, 640 % size or size}

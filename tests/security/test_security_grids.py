@@ -91,28 +91,20 @@ def test_a_pipe_holds_no_command_up(tmp_path: Path, form: str):
     assert "names files" in fwclass("info", "a.las", cwd=tmp_path).stdout
 
 
+def square(path: Path) -> None:
+    """A file of one polygon, as its ending says."""
+    shapes = shapely.to_wkb([shapely.box(0, 0, 9, 9)])
+    pyogrio.raw.write(path, shapes, [np.array([2])], ["code"], geometry_type="Polygon", crs="EPSG:32633")
+
+
 def geopackage(path: Path, text: str) -> None:
-    pyogrio.raw.write(
-        path,
-        shapely.to_wkb([shapely.box(0, 0, 9, 9)]),
-        [np.array([2])],
-        ["code"],
-        geometry_type="Polygon",
-        crs="EPSG:32633",
-    )
+    square(path)
     with sqlite3.connect(path) as opened:
-        opened.execute("UPDATE gpkg_spatial_ref_sys SET definition = ?, srs_id = srs_id", (text,))
+        opened.execute("UPDATE gpkg_spatial_ref_sys SET definition = ?", (text,))
 
 
 def shapefile(path: Path, text: str) -> None:
-    pyogrio.raw.write(
-        path,
-        shapely.to_wkb([shapely.box(0, 0, 9, 9)]),
-        [np.array([2])],
-        ["code"],
-        geometry_type="Polygon",
-        crs="EPSG:32633",
-    )
+    square(path)
     path.with_suffix(".prj").write_text(text)
 
 
@@ -143,6 +135,17 @@ def test_polygons_with_such_a_system_are_refused(tmp_path: Path, name: str, writ
     write(tmp_path / name, FORMS[form](GRID))
     ended = fwclass("info", name, cwd=tmp_path)
     assert ended.returncode == 1 and "names" in ended.stderr and "file" in ended.stderr, ended.stderr
+
+
+def test_a_path_behind_a_long_beginning_or_a_wrong_escape_is_refused_too(tmp_path: Path):
+    shapefile(tmp_path / "a.shp", " " * 70_000 + FORMS["WKT 1"](GRID))
+    ended = fwclass("info", "a.shp", cwd=tmp_path)
+    assert ended.returncode == 1 and "more than 65536 bytes" in ended.stderr
+    geojson(tmp_path / "a.geojson", "QQ" + FORMS["PROJ"](GRID))
+    broken = tmp_path / "a.geojson"
+    broken.write_text(broken.read_text().replace("QQ", "\\q"))
+    ended = fwclass("info", "a.geojson", cwd=tmp_path)
+    assert ended.returncode == 1 and GRID in ended.stderr
 
 
 def test_so_is_a_configuration(tmp_path: Path):
