@@ -43,10 +43,11 @@ class BehindEchoes:
 
     def prepare(self) -> None:
         """Load what the first click would wait for: what fits and draws, the model, the training sample."""
-        import fwclass.single_file.waveforms.view  # noqa: F401
-
         for strip in sorted({int(p.split("-")[0]) for s, p in self._store.parts() if s == "read"}):
             self._parts(strip)
+        begins = next(((strip, parts[0][0]) for strip, parts in self._firsts.items() if parts), None)
+        if begins is not None:
+            self.pulse(*begins)
         tile = next((p for s, p in self._store.parts() if s == "tile"), None)
         if tile is not None:
             self.why(tile, 0)

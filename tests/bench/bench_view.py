@@ -41,9 +41,20 @@ pytestmark = pytest.mark.bench
 HEAP = "performance.memory.usedJSHeapSize"
 
 WALK = """(() => { const c = document.getElementById('view'), out = [];
+delete fwclass.stats.wave_ms; delete fwclass.stats.why_ms;
 for (let k = 0; k < 60; k += 1) {
 const x = c.clientWidth * (0.3 + 0.4 * ((k * 7) % 13) / 13), y = c.clientHeight * (0.35 + 0.3 * ((k * 5) % 11) / 11);
 if (fwclass.click(x, y)) out.push(fwclass.stats.pick); } return out.sort((a, b) => a - b); })()"""
+
+STRIPS = """(async () => { const c = document.getElementById('view'), out = {};
+for (let k = 0; k < 400 && Object.keys(out).length < 8; k += 1) {
+const x = c.clientWidth * ((k * 7) % 29 + 0.5) / 29, y = c.clientHeight * (0.1 + 0.8 * ((k * 5) % 23) / 23);
+delete fwclass.stats.wave_ms; delete fwclass.stats.why_ms; fwclass.stats.echo = null;
+if (!fwclass.click(x, y)) continue;
+const wait = async (done) => { while (!done()) await new Promise((go) => setTimeout(go, 2)); };
+await wait(() => fwclass.stats.echo); await wait(() => fwclass.stats.wave_ms && fwclass.stats.why_ms);
+const strip = fwclass.stats.echo.values.strip; out[strip] ??= [];
+out[strip].push([fwclass.stats.wave_ms, fwclass.stats.why_ms]); } return out; })()"""
 
 TURN = """(async () => { fwclass.stats.frames.length = 0;
 for (let k = 0; k < 40; k += 1) {
@@ -155,12 +166,20 @@ def test_the_page(run: Path) -> None:
             )
             n, middle, most = page.run(TURN)
             print(f"in motion {n} frames, median {middle:.0f} ms, longest {most:.0f} ms")
+            clicks = page.run(STRIPS)
+            firsts = [waits[0] for waits in clicks.values()]
+            later = sorted(wave for waits in clicks.values() for wave, _ in waits[1:]) or [np.nan]
+            votes = [why for waits in clicks.values() for _, why in waits]
+            print(
+                f"waveform {firsts[0][0]:.0f} ms after the first click, {max(w for w, _ in firsts):.0f} ms at most "
+                f"after that of each of {len(firsts)} strips, median of later ones {later[len(later) // 2]:.0f} ms; "
+                f"votes {firsts[0][1]:.0f} ms after the first, {max(votes):.0f} ms at most"
+            )
             picks = page.run(WALK)
             assert stats["drawn"] > 0 and picks and page.faults == []
             print(f"pick: median {picks[len(picks) // 2]:.0f} ms, longest {picks[-1]:.0f} ms of {len(picks)}")
-            began = time.monotonic()
-            page.until("fwclass.stats.wave && fwclass.stats.why")
-            print(f"first waveform and votes {time.monotonic() - began:.2f} s after the last click")
+            page.until("fwclass.stats.wave_ms && fwclass.stats.why_ms")
+            print(f"after the last of them, at once: waveform {page.run('fwclass.stats.wave_ms'):.0f} ms")
             server.shutdown()
 
 

@@ -1,25 +1,33 @@
-"""Whether one scheduler keeps many workers busy: parts that only wait, as long as those of a run took, on a cluster
-whose workers are threads of this process.
+"""Whether one scheduler keeps many workers busy: parts that only wait, as long as those of a run took. As on a cluster
+the driver and its scheduler are one process, the workers others: here threads of one, `--processes` of them.
 
-    python tests/bench/bench_workers.py [--run DIR] [--workers 50] [--tiles 4000] [--stages 4]
+    python tests/bench/bench_workers.py [--run DIR] [--workers 50] [--tiles 4000] [--stages 4] [--slower 1]
 
 The plan has `--stages` parts for each tile, each after its tile's one before; with ``--run`` they take what the tile
 stages of that run took, else the 93 ms that the city's parts take on average, between a fifth of it and twice as much.
-Printed is the share of the workers' time that is waiting, which is their work here, and the driver's processor time.
-Receipts are written as ever: 2 ms of a processor each, here of the one process. Run it when nothing else runs.
+Printed are the share of the workers' time that is waiting, which is their work here, and the processor time of driver
+and workers. What a worker does about a part (inputs, receipt, commit) is as ever; fifty of them share the processors
+that this machine has, so on two cores what is printed is a lower bound. Run it when nothing else runs.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import itertools
+import os
+import subprocess
+import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
+import dask
 import psutil
-from distributed import LocalCluster
+from distributed import LocalCluster, Worker
 from nothing import waiting
 
 from fwclass.run.cluster import Cluster
@@ -28,6 +36,13 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.run.tasks import Tasks
 from fwclass.store.run_store import Store
+
+QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+}
+"""Fifty workers in two processes look at themselves fifty times as often as one in each."""
 
 MEAN = 0.093
 """Seconds of a part of `city-1200m` (docs/performance.md)."""
@@ -43,14 +58,50 @@ def durations(run: Path | None) -> list[float]:
     return [receipt.seconds for stage in TILE_STAGES for receipt in store.receipts(stage)]
 
 
+async def work(address: str, count: int) -> None:
+    """`count` workers of one thread each in this process, until they are stopped."""
+    dask.config.set(QUIET)
+    workers = [Worker(address, nthreads=1, memory_limit=None, dashboard=False) for _ in range(count)]
+    await asyncio.gather(*workers)
+    await asyncio.gather(*(w.finished() for w in workers))
+
+
+@contextmanager
+def workers_of(address: str, count: int, processes: int) -> Iterator[list[psutil.Process]]:
+    """Processes that hold `count` workers together."""
+    shares = [count // processes + (k < count % processes) for k in range(processes)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    started = [
+        subprocess.Popen([sys.executable, __file__, "--work", address, "--workers", str(n)], env=environment)
+        for n in shares
+    ]
+    try:
+        yield [psutil.Process(p.pid) for p in started]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def seconds_of(processes: list[psutil.Process]) -> float:
+    """Of processors, until now."""
+    return sum(sum(p.cpu_times()[:2]) for p in processes)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", type=Path)
     parser.add_argument("--workers", type=int, default=50)
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--tiles", type=int, default=4_000)
     parser.add_argument("--stages", type=int, default=4)
+    parser.add_argument("--slower", type=float, default=1.0, help="parts take so many times as long")
+    parser.add_argument("--work", help=argparse.SUPPRESS)
     asked = parser.parse_args()
-    seconds = durations(asked.run)
+    if asked.work:
+        asyncio.run(work(asked.work, asked.workers))
+        return
+    seconds = [asked.slower * one for one in durations(asked.run)]
     total = asked.stages * sum(itertools.islice(itertools.cycle(seconds), asked.tiles))
 
     def plan() -> Tasks:
@@ -63,22 +114,26 @@ def main() -> None:
 
     with (
         tempfile.TemporaryDirectory() as scratch,
-        LocalCluster(n_workers=asked.workers, threads_per_worker=1, processes=False, dashboard_address=None) as threads,
-        Cluster(threads.scheduler_address, 0, 1.0, 2000) as cluster,
-        Display() as display,
+        LocalCluster(n_workers=0, processes=False, dashboard_address=None, host="127.0.0.1", protocol="tcp") as local,
+        workers_of(local.scheduler_address, asked.workers, asked.processes) as others,
     ):
-        runner = Runner(Path(scratch), cluster, display)
-        began, before = time.perf_counter(), psutil.Process().cpu_times()
-        runner.do(plan())
-        wall, after = time.perf_counter() - began, psutil.Process().cpu_times()
-        assert not runner.failures
-    cpu = after.user + after.system - before.user - before.system
+        while len(local.scheduler.workers) < asked.workers:
+            time.sleep(0.1)
+        with Cluster(local.scheduler_address, 0, 1.0, 2000) as cluster, Display() as display:
+            runner = Runner(Path(scratch), cluster, display)
+            mine = [psutil.Process()]
+            began, driver, theirs = time.perf_counter(), seconds_of(mine), seconds_of(others)
+            runner.do(plan())
+            wall = time.perf_counter() - began
+            driver, theirs = seconds_of(mine) - driver, seconds_of(others) - theirs
+            assert not runner.failures
     parts = asked.tiles * asked.stages
     print(f"{parts} parts of {1e3 * total / parts:.0f} ms on {asked.workers} workers: {wall:.1f} s")
     print(f"busy {100 * total / (asked.workers * wall):.1f} % of the workers' time")
     print(
-        f"processor, receipts and workers with it: {1e3 * cpu / parts:.2f} ms a part, {100 * cpu / wall:.0f} % of one"
+        f"driver and scheduler {1e3 * driver / parts:.2f} ms of a processor a part, {100 * driver / wall:.0f} % of one"
     )
+    print(f"workers {1e3 * theirs / parts:.2f} ms a part, {100 * theirs / wall:.0f} %")
 
 
 if __name__ == "__main__":

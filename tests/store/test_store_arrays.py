@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from fwclass.store.arrays import PARQUET, SMALL, ZARR, _write_group, arrays_at, read_arrays, write_arrays
@@ -33,6 +35,14 @@ def test_values_shapes_and_kinds_come_back(edge: int, tmp_path: Path) -> None:
         assert back[name].tobytes() == values.tobytes(), name
     some, _ = read_arrays(path, ["mask"])
     assert list(some) == ["mask"]
+
+
+def test_arrays_of_an_older_run_are_read(tmp_path: Path) -> None:
+    """Lists of values without their type."""
+    rows = pa.schema([pa.field("z", pa.list_(pa.float32()), metadata={"shape": "[2, 2]"})], {"attributes": '{"a": 1}'})
+    pq.write_table(pa.table({"z": [[1.0, 2.0, 3.0, 4.0]]}, schema=rows), tmp_path / "a.parquet")
+    back, about = read_arrays(tmp_path / "a.parquet")
+    assert about == {"a": 1} and np.array_equal(back["z"], np.array([[1, 2], [3, 4]], np.float32))
 
 
 def test_a_block_of_rasters_is_one_file_no_larger_than_a_group_of_them(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import { Relabel } from './relabel.js';
 
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
-const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000, shade: true };
+const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, sketched: false, section: null, selected: null, motion: 600_000, shade: true };
 let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null;
 useToken(given.get('token') || ''); $('unserved').remove();
 const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
@@ -23,9 +23,11 @@ const canvas = $('view');
 const size = () => [canvas.clientWidth / scenes.length, canvas.clientHeight];
 function frame() {
   requestAnimationFrame(frame);
-  if (!state.dirty || document.hidden) return;
+  if (!(state.dirty || state.sketched) || document.hidden) return;
   const began = performance.now(), [w, h] = size(), m = matrix(cam, w / h), moving = began - state.moving < 250;
   if (!w || !h) return;
+  state.sketched = false;
+  if (!state.dirty) { marks(m, w, h); if (state.section?.picture) sketch(state.section); return; }
   state.dirty = moving;
   const line = state.section, full = line && ((low, high) => touches(low, high, line.A, line.B, line.half));
   shown = scenes.map((s) => {
@@ -49,6 +51,7 @@ function frame() {
   if (line && !busy && line.stale) profile(); else if (line?.picture) sketch(line);
 }
 const redraw = () => { state.dirty = true; stats.settled = 0; if (state.section) state.section.stale = true; };
+const overlay = () => { state.sketched = true; }; // only what lies over the echoes has changed
 function moved() { state.moving = performance.now(); state.dirty = true; stats.settled = 0; clearTimeout(moved.timer); moved.timer = setTimeout(() => { state.dirty = true; remember(); }, 300); }
 
 // ------------------------------------------------------------------ the address
@@ -179,20 +182,26 @@ $('exaggeration').onchange = redraw;
 $('close-profile').onclick = () => { $('profile').hidden = true; state.section = null; if (relabel?.along) relabel.use(''); redraw(); };
 
 // ------------------------------------------------------------------ one echo
+// One request of a kind at a time: what a hand that clicks on does not wait for any more is not asked for.
+const asked = {};
+async function alone(kind, path, late) {
+  await asked[kind]?.catch(() => null);
+  return late() ? null : (asked[kind] = json(path));
+}
 async function show(number_, hit) {
-  state.selected = hit; redraw();
-  const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), late = () => mine !== show.turn;
+  state.selected = hit; overlay();
+  const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), began = performance.now(), late = () => mine !== show.turn;
   try {
-    const about = s.folder ? await kept(s, hit) : await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
+    const about = s.folder ? await kept(s, hit) : await alone('echo', `${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`, late), v = about?.values; if (late()) return;
     stats.echo = about;
     const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
     $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}${about.little && s.rows ? ' (corrections in place)' : ''}`;
     $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? LITTLE : '';
     if (about.little) return;
-    json(`${number_}/pulse/${v.strip}-${v.pulse}.json`).then((p) => { if (late()) return; stats.wave = p; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
-    json(`${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`).then((a) => { if (late()) return; stats.why = a; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
-  } catch (e) { failed(e.message, e.status); }
+    alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
+    alone('why', `${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`, late).then((a) => { if (late()) return; stats.why = a; stats.why_ms = performance.now() - began; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
+  } catch (e) { if (!late()) failed(e.message, e.status); }
 }
 function click(x, y) {
   const began = performance.now(), [w, h] = size(), k = Math.min(scenes.length - 1, Math.floor(x / w));
@@ -236,9 +245,9 @@ canvas.onpointercancel = (e) => { fingers.delete(e.pointerId); relabel?.cancel()
 canvas.oncontextmenu = (e) => e.preventDefault();
 canvas.addEventListener('wheel', (e) => { e.preventDefault(); nearer(Math.exp(Math.max(-200, Math.min(200, e.deltaY)) * 0.0015)); }, { passive: false });
 const fromAbove = () => { cam.tilt = 1.5707; cam.azimuth = 0; moved(); };
-const sized = (by) => { $('brush-size').value = Number($('brush-size').value) + by; redraw(); };
+const sized = (by) => { $('brush-size').value = Number($('brush-size').value) + by; overlay(); };
 const relabelling = { l: () => relabel.use('lasso'), b: () => relabel.use('brush'), a: () => relabel.use('above'), u: () => relabel.use('below'), Enter: () => relabel.apply(), z: () => relabel.undo(), y: () => relabel.redo(), '[': () => sized(-4), ']': () => sized(4) };
-const keys = { r: () => edit(), ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.last || relabel?.mode) { if (relabel.last) relabel.drop(); else relabel.use(''); return; } tool(''); state.measured = state.selected = null; redraw(); } };
+const keys = { r: () => edit(), ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.last || relabel?.mode) { if (relabel.last) relabel.drop(); else relabel.use(''); return; } tool(''); state.measured = state.selected = null; overlay(); } };
 addEventListener('keydown', (e) => { if (e.ctrlKey || e.metaKey || e.altKey || /INPUT|SELECT/.test(e.target.tagName) || (e.key === 'Enter' && /BUTTON|SUMMARY/.test(e.target.tagName))) return; const act = keys[e.key] || (relabel?.open && relabelling[e.key]); if (act) { e.preventDefault(); act(); } });
 $('whole').onclick = whole; $('top').onclick = fromAbove; $('section').onclick = () => tool('section'); $('measure').onclick = () => tool('measure');
 $('next').onclick = () => step(1); $('previous').onclick = () => step(-1); $('by').onchange = () => colourBy($('by').value);
@@ -254,7 +263,7 @@ function relabels(first) {
   useDelivery(first.delivery);
   if (first.rows) noClass(first);
   const section = () => state.section, wantSection = () => { if (state.tool !== 'section') tool('section'); };
-  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, redraw, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
+  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, redraw, overlay, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
   again = new Again({ take });
   $('relabel').hidden = false; $('relabel').onclick = edit;
   if (given.get('relabel')) edit();

@@ -9,14 +9,14 @@ const MODES = ['lasso', 'brush', 'above', 'below'];
 const counted = (n, one, more) => `${n.toLocaleString('en')} ${one}${n === 1 ? '' : more}`, echoes = (n) => counted(n, 'echo', 'es');
 
 export class Relabel {
-  // `page`: scene, cam, size, hidden, section, wantSection, redraw, pressed, failed.
+  // `page`: scene, cam, size, hidden, section, wantSection, redraw, overlay, pressed, failed.
   constructor(page) {
     Object.assign(this, page);
     this.open = false; this.mode = ''; this.stroke = []; this.selection = null; this.rows = this.scene.rows; this.busy = false; this.turn = 0;
     this.done = this.kept('done'); this.undone = this.kept('undone');
     for (const mode of MODES) $(mode).onclick = () => this.use(mode);
     $('apply').onclick = () => this.apply(); $('undo').onclick = () => this.undo(); $('redo').onclick = () => this.redo();
-    $('brush-size').oninput = this.redraw; $('give').onchange = () => this.steps();
+    $('brush-size').oninput = this.overlay; $('give').onchange = () => this.steps();
     for (const id of ['least-sure', 'most-sure', 'lowest', 'highest']) $(id).onchange = () => this.select();
     this.classes();
     setInterval(() => { if (!document.hidden && !this.gone) this.follow().catch((e) => this.told(e)); }, EVERY);
@@ -56,11 +56,11 @@ export class Relabel {
 
   // ---------------------------------------------------------------- the hand
   draws(where) { return this.open && this.mode && !this.busy && (where === 'section' || !this.along); }
-  down(where, x, y) { this.where = where; this.stroke = [[x, y]]; this.redraw(); }
+  down(where, x, y) { this.where = where; this.stroke = [[x, y]]; this.overlay(); }
   move(x, y) {
     const last = this.stroke.at(-1);
     if (Math.hypot(x - last[0], y - last[1]) >= 2) this.stroke.push([x, y]);
-    this.redraw();
+    this.overlay();
   }
 
   up() {
@@ -70,7 +70,7 @@ export class Relabel {
     this.last = { ...this.projection(this.where), points, radius }; this.select();
   }
 
-  cancel() { if (this.stroke.length) { this.stroke = []; this.redraw(); } }
+  cancel() { if (this.stroke.length) { this.stroke = []; this.overlay(); } }
 
   // What a stroke means: corners of a polygon, or places of the brush.
   corners(stroke) {
