@@ -9,6 +9,7 @@ import re
 import sqlite3
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from fwclass.errors import InputError, visible
 from fwclass.formats.grid_files import paths_named
@@ -39,8 +40,8 @@ HEAD = 65536
 """Bytes of a JSON file in which its type, or a member that tells it, must be found."""
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s"{}\[\]:,]+')
-_CALLED = re.compile(rb'"crs"\s*:\s*\{[^{}]*\{[^{}]*"name"\s*:\s*("(?:[^"\\]|\\.)*")', re.IGNORECASE)
-_LINKED = re.compile(rb'"crs"\s*:\s*\{[^{}]*("type"\s*:\s*"(link|url)"|\{[^{}]*"(href|url)"\s*:)', re.IGNORECASE)
+_SYSTEM = re.compile(rb'"(?:c|\\u00[46]3)(?:r|\\u00[57]2)(?:s|\\u00[57]3)"\s*:\s*(?=\{)', re.IGNORECASE)
+"""The member crs, its letters as they are or as escapes."""
 
 
 def check_format(path: Path) -> None:
@@ -121,18 +122,34 @@ def _json_fault(head: bytes) -> str:
 def _check_system(path: Path) -> None:
     """`InputError` where the coordinate system is an address, which GDAL would fetch; without it, it takes degrees."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-        if _LINKED.search(text):
-            raise _other(
-                path,
-                "a coordinate system that is to be fetched from an address",
-                "export it with a coordinate system that is named, such as EPSG:25832",
-            )
-        for name in _CALLED.findall(text):
-            written = name.decode("utf-8", "replace")
-            try:
-                _refuse_paths(path, json.loads(written, strict=False))
-            except ValueError:  # an escape that is none
-                _refuse_paths(path, written)
+        for found in _SYSTEM.finditer(text):
+            for key, value in _members(path, text[found.end() : found.end() + HEAD].decode("utf-8", "replace")):
+                if key in ("href", "url") or (key == "type" and value in ("link", "url")):
+                    raise _other(
+                        path,
+                        "a coordinate system that is to be fetched from an address",
+                        "export it with a coordinate system that is named, such as EPSG:25832",
+                    )
+                _refuse_paths(path, value)
+
+
+def _members(path: Path, text: str) -> list[tuple[str, str]]:
+    """Every name with a text, in the JSON object that `text` begins with, those of objects in it too."""
+    members: list[tuple[str, str]] = []
+
+    def note(pairs: list[tuple[str, Any]]) -> None:
+        members.extend((key.lower(), value) for key, value in pairs if isinstance(value, str))
+        members.extend(("", v) for _, value in pairs if isinstance(value, list) for v in value if isinstance(v, str))
+
+    try:
+        json.JSONDecoder(object_pairs_hook=note, strict=False).raw_decode(text)
+    except (ValueError, RecursionError) as error:
+        raise _other(
+            path,
+            f"a coordinate system that is no JSON object of at most {HEAD} bytes ({error})",
+            "export it with a coordinate system that is named, such as EPSG:25832",
+        ) from error
+    return members
 
 
 def _check_beside(path: Path) -> None:

@@ -145,6 +145,15 @@ def test_a_path_behind_a_long_beginning_or_a_wrong_escape_is_refused_too(tmp_pat
     broken = tmp_path / "a.geojson"
     broken.write_text(broken.read_text().replace("QQ", "\\q"))
     ended = fwclass("info", "a.geojson", cwd=tmp_path)
+    assert ended.returncode == 1 and "no JSON object" in ended.stderr
+
+
+@pytest.mark.parametrize("key", ['"crs"', '"\\u0063rs"', '"a": "}", "crs"'])
+def test_a_path_among_other_members_is_refused_too(tmp_path: Path, key: str):
+    system = {"a": {"b": [{}]}, "type": "name", "properties": {"c": {}, "name": FORMS["PROJ"](GRID)}}
+    text = f'{{"type": "FeatureCollection", {key}: {json.dumps(system)}, "features": []}}'
+    (tmp_path / "a.geojson").write_text(text)
+    ended = fwclass("info", "a.geojson", cwd=tmp_path)
     assert ended.returncode == 1 and GRID in ended.stderr
 
 

@@ -125,19 +125,18 @@ def test_another_formats_text_under_the_name_of_polygons_is_refused(
 
 
 @pytest.mark.parametrize("kind", ["link", "url"])
-@pytest.mark.parametrize("key", ["crs", "\\u0063rs"])
-def test_a_coordinate_system_is_not_fetched(kind: str, key: str, tmp_path: Path, host: Hosts) -> None:
-    """Written with an escape, it passes as none, and nothing is fetched either."""
+@pytest.mark.parametrize("key", ["crs", "\\u0063rs", "c\\u0072\\u0073"])
+@pytest.mark.parametrize("before", ["", '"a": {"b": {}}, "c": "}{", '])
+def test_a_coordinate_system_is_not_fetched(kind: str, key: str, before: str, tmp_path: Path, host: Hosts) -> None:
+    """Nor with its name in escapes, or behind other members."""
     member = {"link": "href", "url": "url"}[kind]
-    text = json.dumps(
-        collection({"type": kind, "properties": {member: f"{host.url}/crs.wkt", "type": "ogcwkt"}}, "KEY")
+    where = f'{{{before}"{member}": "{host.url}/crs.wkt", "type": "ogcwkt"}}'
+    text = json.dumps(collection("SYSTEM", "KEY")).replace("KEY", key)
+    (tmp_path / "a.geojson").write_text(
+        text.replace('"SYSTEM"', f'{{{before}"type": "{kind}", "properties": {where}}}')
     )
-    (tmp_path / "a.geojson").write_text(text.replace("KEY", key))
-    if key == "crs":
-        with pytest.raises(InputError, match="not what its name says"):
-            open_polygons(tmp_path / "a.geojson")
-    else:
-        read_polygons(open_polygons(tmp_path / "a.geojson"), "class")
+    with pytest.raises(InputError, match="not what its name says"):
+        open_polygons(tmp_path / "a.geojson")
     assert not host.asked
 
 
