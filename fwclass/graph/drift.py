@@ -52,6 +52,6 @@ def judge_drift(drift: Mapping[str, Any] | None, params: ClassifyParams, where: 
             expected=f"at most {_percent(params.max_outside)} of a feature's values outside of what it learned from "
             "(classify.max_outside)",
             got=f"{_percent(share)} of {name}",
-            do="train on labels of this survey, or take a model of like data; --accept-drift "
-            "(classify.accept_drift=true) takes the classes as they are",
+            do="train on labels of this survey, or take a model of like data, or one that was trained with "
+            "survey.features=portable; --accept-drift (classify.accept_drift=true) takes the classes as they are",
         )
