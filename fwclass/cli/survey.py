@@ -229,6 +229,7 @@ def run(
 def demo(out: Path, workers: int | None) -> None:
     """Simulate a small survey, run everything, print where to look."""
     run_survey(Path("demo"), out, (), None, "classification", How(None, workers))
+    click.echo(f"look at it  fwclass view {out}", err=True)
 
 
 @cli.command()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.stage import classify
+from fwclass.delivery.echoes import table_columns
 from fwclass.errors import InputError
 from fwclass.model.matrix import sample_matrix
 from fwclass.run.inputs import TABLE, PartInputs
@@ -45,13 +46,15 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explain(store: Store, model: Path, row: Mapping[str, Any]) -> Explanation:
-    """See `Delivery.explain`."""
+def explain(
+    store: Store, model: Path, row: Mapping[str, Any], tiles: Sequence[str], delivered: Callable[[str], Path]
+) -> Explanation:
+    """See `Delivery.explain`; `delivered` is the file of each of its `tiles`."""
     strip, pulse, number = (int(row[name]) for name in IDENTITY)
     forest = load_model(model)
     inputs = PartInputs(store)
-    tile, place = _place(store, inputs, strip, pulse, number)
-    table = tile_features(store, inputs, tile, forest.features)
+    tile, place = _place(store.where, _identities(store, inputs, tiles, delivered), strip, pulse, number)
+    table = tile_features(store, inputs, tile, forest.features, delivered)
     X = sample_matrix(table, forest.features, tile)
     usual = np.nanmedian(np.where(np.isfinite(X), X, np.nan), axis=0)
     variants = np.repeat(X[[place]], 1 + X.shape[1], axis=0)
@@ -72,24 +75,37 @@ def explain(store: Store, model: Path, row: Mapping[str, Any]) -> Explanation:
     )
 
 
-def _place(store: Store, inputs: PartInputs, strip: int, pulse: int, number: int) -> tuple[str, int]:
+def _identities(
+    store: Store, inputs: PartInputs, tiles: Sequence[str], delivered: Callable[[str], Path]
+) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Strip, pulse and number of the echoes of every tile: of the store, or where it has none any more delivered."""
+    kept = [receipt.part for receipt in store.receipts("tile")]
+    for tile in kept or tiles:
+        yield tile, inputs.table("tile", tile, IDENTITY) if kept else table_columns(delivered(tile), IDENTITY)
+
+
+def _place(
+    where: object, tiles: Iterable[tuple[str, Mapping[str, Any]]], strip: int, pulse: int, number: int
+) -> tuple[str, int]:
     """Tile and row of an echo."""
-    for receipt in store.receipts("tile"):
-        who = inputs.table("tile", receipt.part, IDENTITY)
+    for tile, who in tiles:
         here = (who["strip"] == strip) & (who["pulse"] == pulse) & (who["echo_number"] == number)
         if here.any():
-            return receipt.part, int(np.flatnonzero(here)[0])
+            return tile, int(np.flatnonzero(here)[0])
     raise InputError(
         "there is no such echo",
-        where=store.where,
+        where=where,
         expected="strip, pulse and echo_number of an echo of .echoes()",
         got=f"strip {strip}, pulse {pulse}, echo {number}",
         do="look it up in .echoes()",
     )
 
 
-def tile_features(store: Store, inputs: PartInputs, tile: str, names: tuple[str, ...]) -> Table:
-    """The model's features of a tile, from whichever stages wrote them."""
+def tile_features(
+    store: Store, inputs: PartInputs, tile: str, names: tuple[str, ...], delivered: Callable[[str], Path]
+) -> Table:
+    """The model's features of a tile, from whichever stages wrote them; what `fwclass clean` removed of these from the
+    `delivered` tile, where they are rounded (`publish.parquet_bits`)."""
     known: dict[str, Any] = {}
     for stage, part in store.parts():
         if part != tile or not (path := store.path(stage, part, TABLE)).is_file():
@@ -97,4 +113,6 @@ def tile_features(store: Store, inputs: PartInputs, tile: str, names: tuple[str,
         mine = [n for n in open_parquet(path).schema_arrow.names if n in names and n not in known]
         if mine:
             known |= dict(inputs.table(stage, part, mine))
+    if lacking := [n for n in names if n not in known]:
+        known |= table_columns(delivered(tile), lacking)
     return Table({n: known[n] for n in names if n in known})

@@ -102,7 +102,7 @@ class Delivery:
             There is no such echo.
         """
         row = echo if isinstance(echo, Mapping) else dict(zip(("strip", "pulse", "echo_number"), echo, strict=True))
-        return explain(self._store, self._part("model"), row)
+        return explain(self._store, self._part("model"), row, [t["tile"] for t in self.tiles], self.table)
 
     @cached_property
     def report(self) -> dict[str, Any]:

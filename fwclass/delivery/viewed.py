@@ -174,7 +174,7 @@ class ViewedRun:
         return self._open.get("work", self._places, lambda work: 1 << 20)
 
     def _places(self) -> WorkList:
-        unsure = UnsureEchoes(self.params.cluster)
+        unsure = UnsureEchoes(self.params.cluster, self.params.place)
         for key in self.tiles:
             columns = self._columns(key, UNSURE)
             rows = columns["confidence"] < self.params.unsure

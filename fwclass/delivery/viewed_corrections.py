@@ -32,7 +32,7 @@ NEVER = -1
 @dataclass(frozen=True)
 class Change:
     """What was added to the file: `time` of the rows (0 where there are none), how many, and how many echoes of those
-    that were meant have none: they had the class already, or were corrected by others since."""
+    that were meant have none: they had the class already, or have another by now."""
 
     time: int
     rows: int
@@ -159,8 +159,8 @@ class Corrections:
         return Change(now if rows else 0, rows, wanted.rows - rows)
 
     def revert(self, when: int) -> Change:
-        """Give the echoes of the rows that this user wrote at `when` what they had before; not those that have later
-        rows. `InputError` where there are no such rows."""
+        """Give the echoes of the rows that this user wrote at `when` what they had before; not those that have another
+        class by now. `InputError` where there are no such rows."""
         now = left = 0
 
         def change(earlier: EchoLabels) -> EchoLabels:
@@ -178,13 +178,13 @@ class Corrections:
             order = np.argsort(key, kind="stable")
             at = np.empty(len(key), np.int64)
             at[order] = np.arange(len(key))
-            before, after = np.maximum(at[mine] - 1, 0), np.minimum(at[mine] + 1, len(key) - 1)
-            last = (after == at[mine]) | (key[order[after]] != key[mine])
+            before = np.maximum(at[mine] - 1, 0)
             had = (before != at[mine]) & (key[order[before]] == key[mine])
             former = np.where(had, earlier.code[order[before]], TAKEN_BACK)
-            left = int((~last).sum())
-            rows = earlier.take(mine[last])
-            return EchoLabels.of({n: getattr(rows, n) for n in COLUMNS[:-1]}, former[last], now, self.who)
+            stands = _standing_codes(earlier, key[mine]) == earlier.code[mine]
+            left = int((~stands).sum())
+            rows = earlier.take(mine[stands])
+            return EchoLabels.of({n: getattr(rows, n) for n in COLUMNS[:-1]}, former[stands], now, self.who)
 
         rows = add_corrections(self._delivery.root, change).rows
         self._ask_again = 0.0

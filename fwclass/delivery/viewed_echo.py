@@ -163,7 +163,8 @@ class BehindEchoes:
 
     def _matrix(self, tile: str, names: tuple[str, ...]) -> NDArray:
         """The model's features of a tile, (rows, features)."""
-        return np.asarray(sample_matrix(tile_features(self._store, self._inputs, tile, names), names, tile))
+        table = tile_features(self._store, self._inputs, tile, names, self._delivery.table)
+        return np.asarray(sample_matrix(table, names, tile))
 
     def _answers(self, X: NDArray, forest: Any) -> list[tuple[Any, NDArray]]:
         answers = classify(np.ascontiguousarray(X, np.float32), forest, True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,12 +73,14 @@ def write_folder(scenes: Sequence[WholeScene], directory: Path, tell: Callable[[
         tell(f"blocks of {index['echoes']:,} echoes")
         nodes = _write_blocks(scene, index["together"], columns, here)
         unsure = scene.unsure_echoes()
-        tell(f"waveforms and votes of {sum(map(len, unsure)):,} unsure echoes")
-        work = scene.work()
+        tell(f"{sum(map(len, unsure)):,} unsure echoes")
+        work, lacking = scene.work(), Counter[str]()
         for place, echoes in zip(work["places"], unsure, strict=True):
             place["told"] = [{"node": t.node, "row": t.row, "echo": t.name, "place": t.place} for t in echoes]
             for one in echoes:
-                _write_echo(scene, one, here)
+                lacking.update(_write_echo(scene, one, here))
+        for why, echoes_without in lacking.items():
+            tell(f"left out of {echoes_without:,} of them: {why}")
         _write_json(here / "work.json", work)
         names = [t.name for echoes in unsure for t in echoes]
         folder = {"nodes": nodes, "columns": columns, "told": names}
@@ -118,16 +121,20 @@ def _write_blocks(scene: WholeScene, together: Sequence[int], columns: Sequence[
     return own
 
 
-def _write_echo(scene: WholeScene, echo: UnsureEcho, here: Path) -> None:
+def _write_echo(scene: WholeScene, echo: UnsureEcho, here: Path) -> list[str]:
+    """Write what is known of an echo; what is not, in words."""
     at = here / "echo" / "-".join(map(str, echo.node)) / f"{echo.row}.json"
     at.parent.mkdir(parents=True, exist_ok=True)
     _write_json(at, echo.about)
     pulse, why = here / "pulse" / f"{echo.strip}-{echo.pulse}.json", here / "why" / f"{echo.name}.json"
-    for path in (pulse, why):
+    answers = {
+        pulse: _answer(lambda: scene.pulse(echo.strip, echo.pulse)),
+        why: _answer(lambda: scene.why(echo.strip, echo.pulse, echo.echo_number)),
+    }
+    for path, answer in answers.items():
         path.parent.mkdir(exist_ok=True)
-    if not pulse.exists():
-        _write_json(pulse, _answer(lambda: scene.pulse(echo.strip, echo.pulse)))
-    _write_json(why, _answer(lambda: scene.why(echo.strip, echo.pulse, echo.echo_number)))
+        _write_json(path, answer)
+    return [str(answer["error"]) for answer in answers.values() if "error" in answer]
 
 
 def _answer(ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:

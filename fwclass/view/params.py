@@ -22,6 +22,7 @@ class ViewParams(Params):
     head : of a request [bytes].
     unsure : echoes with less confidence are places to look at.
     cluster : unsure echoes nearer than this, in squares of the global grid, are one place [m].
+    place : edge of the squares of the global grid that no place reaches beyond [m].
     places : of the work list.
     export : unsure echoes of a place whose waveform, votes and columns a folder has.
     body : of a request that changes something [bytes].
@@ -38,6 +39,7 @@ class ViewParams(Params):
     head: int = Field(ge=1024, le=1_000_000)
     unsure: float = Field(ge=0, le=1)
     cluster: float = Field(ge=0.1, le=10_000)
+    place: float = Field(ge=0.1, le=100_000)
     places: int = Field(ge=1, le=100_000)
     export: int = Field(ge=0, le=10_000)
     body: int = Field(ge=1024, le=1_000_000)

@@ -65,13 +65,14 @@ class WorkList:
 
 
 class UnsureEchoes:
-    """Counts unsure echoes, added tile by tile, in squares of a global grid with edge `cell` [m].
+    """Counts unsure echoes, added tile by tile, in squares of a global grid with edge `cell` [m]; those of one square
+    of edge `place` [m] at most are one place.
 
     What `work_list` gives follows from the echoes alone, not from tiles or their order; memory is that of the squares.
     """
 
-    def __init__(self, cell: float) -> None:
-        self.cell = cell
+    def __init__(self, cell: float, place: float) -> None:
+        self.cell, self._across = cell, max(1, round(place / cell))
         self._keys = [np.empty((0, 3), np.int64)]
         self._sums = [np.empty((0, 5), np.int64)]
 
@@ -100,14 +101,15 @@ class UnsureEchoes:
     def work_list(self, most: int) -> WorkList:
         """Clusters of unsure echoes, the largest first, at most so many.
 
-        Squares that touch, by a corner too, are one place. Middle and width are those of the squares' mean echoes,
-        weighted by their number.
+        Squares that touch, by a corner too, are one place, but for what a coarser grid parts: where every square of a
+        town has an unsure echo, the town is no place that one look can judge. Middle and width are those of the
+        squares' mean echoes, weighted by their number.
         """
         keys, sums = _sum_by_key(np.concatenate(self._keys), np.concatenate(self._sums))
         if not len(keys):
             return WorkList((), self.cell, keys[:, :2], keys[:, 0])
         squares, own = np.unique(keys[:, :2], axis=0, return_inverse=True)
-        cluster = _join_squares(squares)[own.ravel()]
+        cluster = _join_squares(squares, self._across)[own.ravel()]
         count = np.bincount(cluster, weights=sums[:, 0])
         largest = np.argsort(-count, kind="stable")[:most]
         order = np.argsort(cluster, kind="stable")
@@ -164,8 +166,9 @@ def _quantile(values: NDArray[np.float64], weights: NDArray[np.int64], q: float)
     return float(values[order[np.searchsorted(up_to, q * up_to[-1])]])
 
 
-def _join_squares(squares: NDArray[np.int64]) -> NDArray[np.int32]:
-    """The cluster of every square; `squares` ascend."""
+def _join_squares(squares: NDArray[np.int64], across: int) -> NDArray[np.int32]:
+    """The cluster of every square, inside one block of `across` × `across` of them; `squares` ascend."""
+    block = squares // across
     low = squares.min(axis=0) - 1
     width = int(squares[:, 1].max() - low[1]) + 2
     key = (squares[:, 0] - low[0]) * width + squares[:, 1] - low[1]
@@ -173,6 +176,7 @@ def _join_squares(squares: NDArray[np.int64]) -> NDArray[np.int32]:
     for step in (1, width - 1, width, width + 1):
         at = np.searchsorted(key, key + step)
         there = np.flatnonzero((at < len(key)) & (key[np.minimum(at, len(key) - 1)] == key + step))
+        there = there[(block[there] == block[at[there]]).all(axis=1)]
         pairs.append(np.c_[there, at[there]])
     edges = np.concatenate(pairs)
     graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (len(key), len(key)))

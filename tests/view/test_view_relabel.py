@@ -94,12 +94,30 @@ def test_undo_and_redo_leave_what_others_wrote_since(scene: ViewedRun, small_run
     other.correct(half["selection"], 0)
     back = relabel.revert(again["time"])
     assert back["left"] == half["echoes"] and back["echoes"] == again["echoes"] - half["echoes"]
-    assert relabel.revert(first["time"])["echoes"] == 0  # all of it was corrected since
+    start = relabel.revert(first["time"])  # the step before, where nobody else has given a class
+    assert start["echoes"] == back["echoes"] and start["left"] == half["echoes"]
+    assert set(read_corrections(small_run).standing().code) == {0, TAKEN_BACK}
     with pytest.raises(InputError, match="cannot be undone"):
         relabel.revert(12345)
     rows = read_corrections(small_run)
-    assert rows.rows == sum(w["echoes"] for w in (first, second, undone, again, back)) + half["echoes"]
+    assert rows.rows == sum(w["echoes"] for w in (first, second, undone, again, back, start)) + half["echoes"]
     assert (np.diff(rows.time) >= 0).all()
+
+
+def test_every_step_is_undone_and_done_again(scene: ViewedRun, small_run: Path) -> None:
+    """Three steps over the same echoes, one of another page that takes it back, all back and forth."""
+    relabel, other = scene.relabel, opened(small_run).relabel
+    number = relabel.select(Selection.of(drawn(SPOT)))["selection"]
+    steps = [relabel.correct(number, code) for code in (5, 2, 0)]
+    theirs = other.correct(other.select(Selection.of(drawn(SPOT)))["selection"], 5)
+    assert relabel.revert(steps[-1]["time"])["echoes"] == 0
+    other.revert(theirs["time"])
+    undone = []
+    for code, step in ((2, steps[2]), (5, steps[1]), (TAKEN_BACK, steps[0])):
+        undone.append(relabel.revert(step["time"]))
+        assert undone[-1]["echoes"] == step["echoes"] and set(read_corrections(small_run).standing().code) == {code}
+    for code, step in ((5, undone[2]), (2, undone[1]), (0, undone[0])):
+        assert relabel.revert(step["time"])["left"] == 0 and set(read_corrections(small_run).standing().code) == {code}
 
 
 def test_taking_back_gives_the_delivered_class(scene: ViewedRun, small_run: Path) -> None:

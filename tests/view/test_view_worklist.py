@@ -14,9 +14,11 @@ from fwclass.delivery.viewed import ViewedRun
 from fwclass.view.worklist import UnsureEchoes, WorkList
 
 
-def listed(x: np.ndarray, y: np.ndarray, parts: np.ndarray, cell: float = 1.0, most: int = 10) -> WorkList:
+def listed(
+    x: np.ndarray, y: np.ndarray, parts: np.ndarray, cell: float = 1.0, most: int = 10, place: float = 7e5
+) -> WorkList:
     """Echoes added in so many parts; confidence and class follow from the place."""
-    unsure = UnsureEchoes(cell)
+    unsure = UnsureEchoes(cell, place)
     for part in np.unique(parts):
         rows = parts == part
         a, b = x[rows], y[rows]
@@ -36,6 +38,19 @@ def test_places_join_squares_that_touch() -> None:
     assert work.of(np.array([0.5]), np.array([1.5])).tolist() == [-1]
     none = listed(x[:0], y[:0], np.zeros(0))
     assert none.places == () and none.of(x, y).tolist() == [-1] * 6
+
+
+def test_no_place_is_wider_than_one_look_judges() -> None:
+    """A plain of unsure echoes is cut by a global grid, in whatever parts it comes."""
+    rng = np.random.default_rng(3)
+    x, y = np.round(rng.uniform(-50, 50, (2, 40_000)), 3)
+    work = listed(x, y, np.zeros(len(x)), 1.0, 1000, 20.0)
+    assert len(work.places) == 36 and sum(p.echoes for p in work.places) == len(x)
+    for place in work.places:
+        x0, y0, x1, y1 = place.box
+        assert x1 - x0 <= 20 and y1 - y0 <= 20 and x0 // 20 == (x1 - 0.5) // 20 and place.size < 29
+    other = listed(x, y, rng.integers(0, 9, len(x)), 1.0, 1000, 20.0)
+    assert other.places == work.places
 
 
 def test_neither_tiles_nor_their_order_change_a_place() -> None:
@@ -93,4 +108,6 @@ def test_a_work_list_may_be_empty_and_serves_nothing(run: Path, tmp_path: Path) 
     assert fwclass("view", run, "--overwrite").returncode == 2
     nowhere = fwclass("view", tmp_path / "none", "--worklist", tmp_path / "a.gpkg")
     assert nowhere.returncode == 1 and "no such run" in nowhere.stderr
-    assert fwclass("view", run, "--worklist", tmp_path, "--overwrite").returncode == 2
+    for name in (".", "places.txt"):
+        other = fwclass("view", run, "--worklist", tmp_path / name, "--overwrite")
+        assert other.returncode == 2 and "GeoPackage" in other.stderr
