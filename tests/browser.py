@@ -42,7 +42,7 @@ class Page:
 def seen(path: Path, width: int) -> Page:
     """Open a page in a window of `width` pixels."""
     command = browser()
-    with tempfile.TemporaryDirectory() as home:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home:  # a browser that ends still writes
         flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-port=0"]
         process = subprocess.Popen(
             [command, *flags, f"--user-data-dir={home}", "about:blank"],

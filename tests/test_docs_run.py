@@ -31,7 +31,8 @@ ELSEWHERE = {
     r"^history s3": ("tests/test_cli_schedule_remote.py", "history"),
     r"^street run": ("tests/street/test_street_online.py", "tcp://"),
     r"^view (?!.*--(export|worklist))": ("tests/view/test_view_page.py", "Server("),
-    r"--workflow (fan2013|xiong2018|shi2019|li2018)": ("tests/run/test_run_papers.py", "workflow"),
+    r"--workflow (fan2013|xiong2018|shi2019)": ("tests/run/test_run_papers.py", "workflow"),
+    r"--workflow li2018": ("tests/street/test_li_workflow.py", "li2018"),
     r"^select .* --method thinning": ("tests/run/test_run_select.py", "thinning"),
     r"^compile$": ("tests/test_compiling.py", "ahead"),
 }

@@ -312,11 +312,13 @@ def test_shi_figures_belong_together(shi_run, survey):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_of_shi_fits_its_window(width, shi_run):
-    page = seen((shi_run[0] / "shi2019.html").resolve(), width)
+@pytest.mark.parametrize(("name", "of"), [("fan2013", "fan"), ("xiong2018", "xiong"), ("shi2019", "shi_run")])
+def test_a_page_fits_its_window(name, of, width, request):
+    path = request.getfixturevalue(of)[0] / f"{name}.html"
+    page = seen(path.resolve(), width)
     assert page.width <= width, "no sideways scroll"
     assert page.requests == []
-    assert (shi_run[0] / "shi2019.html").stat().st_size < 2 << 20
+    assert path.stat().st_size < 2 << 20
 
 
 @pytest.mark.slow
