@@ -48,8 +48,8 @@ class Scale(NamedTuple):
         return f"{SCALES[self.kind]}{size}"
 
 
-def split_name(name: str) -> tuple[str, Scale | None]:
-    """Base and scale of a column: ``echo_ratio_r100`` is ``echo_ratio`` in a sphere of 1 m; or a `KeyError`."""
+def split_known(name: str) -> tuple[str, Scale | None] | None:
+    """As `split_name`, None for no column."""
     if name in COLUMNS and not COLUMNS[name].scales:
         return name, None
     match = _SCALED.match(name)
@@ -57,6 +57,15 @@ def split_name(name: str) -> tuple[str, Scale | None]:
         scale = Scale(match["kind"] or "o", int(match["size"] or 0))
         if scale.kind in COLUMNS[match["base"]].scales:
             return match["base"], scale
+    return None
+
+
+def split_name(name: str) -> tuple[str, Scale | None]:
+    """Base and scale of a column: ``echo_ratio_r100`` is ``echo_ratio`` in a sphere of 1 m; or a `KeyError`."""
+    parts = split_known(name)
+    if parts is not None:
+        return parts
+    match = _SCALED.match(name)
     known = COLUMNS.get(match["base"] if match else name)
     if known is not None and known.scales not in ("", PER_CODE):
         ends = " ".join("_opt" if kind == "o" else f"_{kind}…" for kind in known.scales)
@@ -112,6 +121,9 @@ class Table(Mapping[str, NDArray]):
             return self._columns[name]
         except KeyError:
             raise KeyError(f"this table has no column {name!r}; {nearest(name, self._columns)}") from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from fwclass.columns import COLUMNS
 from fwclass.columns import FEATURES as DECLARED
 from fwclass.errors import ConfigError
-from fwclass.schema import Scale, split_name
+from fwclass.schema import Scale, split_known, split_name
 from fwclass.stage import Params
 
 NORMAL = ("normal_x", "normal_y", "normal_z")
@@ -101,10 +101,8 @@ class FeaturesParams(Params):
 
 def is_feature(name: str) -> bool:
     """Whether `name` is a feature of a neighbourhood, a cell or a pulse, which this room computes."""
-    try:
-        return split_name(name)[0] in _BASES
-    except KeyError:
-        return False
+    parts = split_known(name)
+    return parts is not None and parts[0] in _BASES
 
 
 def check_scale(name: str, where: object) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from fwclass.schema import Scale, split_name
+from fwclass.schema import Scale, split_known
 
 DENSITY = 4.0
 """Echoes/m2, to compare a radius with a number of nearest echoes (Fan 2013)."""
@@ -16,10 +16,8 @@ OPTIMAL = 250.0
 
 def scale_of(name: str) -> Scale | None:
     """The neighbourhood that a feature is taken over; None for a measured column."""
-    try:
-        return split_name(name)[1]
-    except KeyError:
-        return None
+    parts = split_known(name)
+    return parts[1] if parts is not None else None
 
 
 def work(scale: Scale) -> float:
