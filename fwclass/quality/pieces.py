@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 NO_TIME = np.iinfo(np.int64).min
 """Span of time of echoes whose time is unknown."""
@@ -199,5 +198,5 @@ def _strip(
 
 def groups_of(strips: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> NDArray[np.int64]:
     """Number of the group of every strip: those that pairs hang together."""
-    graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(strips, strips))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+    graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(strips, strips))
+    return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1], np.int64)

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.ndimage import label
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from fwclass.grid import Box, Window
 
@@ -37,7 +35,7 @@ class EmptyCells:
 
     def add(self, stripe: Window, empty: NDArray[np.bool_]) -> None:
         """Take in the next `stripe` to the south, as wide as the window; row 0 of `empty` is its south."""
-        labels, n = label(empty)
+        labels, n = scipy.ndimage.label(empty)
         ids = np.where(labels > 0, labels.astype(np.int64) + (self._groups - 1), -1)
         if self._north is not None:
             both = (self._north >= 0) & (ids[-1] >= 0)
@@ -64,8 +62,10 @@ class EmptyCells:
         facts = np.concatenate([np.empty((0, 6), np.int64), *self._facts])
         joins = np.concatenate([np.empty((0, 2), np.int64), *self._joins])
         n, cell = len(facts), self._window.cell
-        graph = coo_matrix((np.ones(len(joins), np.int8), (joins[:, 0], joins[:, 1])), shape=(n, n))
-        number, of = connected_components(graph, directed=False) if n else (0, np.empty(0, np.int64))
+        graph = scipy.sparse.coo_matrix((np.ones(len(joins), np.int8), (joins[:, 0], joins[:, 1])), shape=(n, n))
+        number, of = (
+            scipy.sparse.csgraph.connected_components(graph, directed=False) if n else (0, np.empty(0, np.int64))
+        )
         cells = np.bincount(of, facts[:, 0], minlength=number)
         low = np.full((number, 2), np.iinfo(np.int64).max)
         high = np.full((number, 2), np.iinfo(np.int64).min)

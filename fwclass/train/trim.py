@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 Trim = Literal["none", "nearest", "repeated"]
 
@@ -56,7 +56,7 @@ def _stay(X: NDArray[np.float64], y: NDArray[np.uint8]) -> NDArray[np.bool_]:
     ask = np.flatnonzero(alone & ~stays)
     if len(ask) == 0 or len(places) == 1:
         return stays
-    tree = cKDTree(places)
+    tree = scipy.spatial.cKDTree(places)
     distance, near = (np.asarray(a) for a in tree.query(places[place[ask]], k=2))
     other = np.where(near[:, 0] == place[ask], near[:, 1], near[:, 0])
     stays[ask] = there[other, y[ask]]
