@@ -148,6 +148,19 @@ def test_the_commands_of_a_page_run(page: Path, place: Path, tmp_path: Path) -> 
     assert not failed, "\n".join(map(str, failed))
 
 
+@pytest.mark.slow
+def test_the_commands_of_the_report_run(place: Path, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    shutil.copytree(place, here, symlinks=True)
+    page = (here / "demo-run" / "report.html").read_text(encoding="utf-8")
+    written = (re.sub("<[^>]*>", "", c) for c in re.findall(r"<code>(.*?)</code>", page))
+    commands = [c.removeprefix("fwclass ") for c in written if c != "fwclass view RUN"]  # it ends with Ctrl-C
+    assert len(commands) == 2
+    for words in commands:
+        ended = fwclass(*words.replace("RUN", "demo-run").split(), cwd=here)
+        assert ended.returncode == 0, (words, ended.stderr)
+
+
 def arguments(words: str, here: Path) -> list[str]:
     """The words of a line, of this directory and of the size of a test."""
     for pattern, name in NAMES:
