@@ -221,7 +221,7 @@ def class_names(plan: Plan) -> dict[str, str]:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    5,
+    6,
     "tile",
     "echo",
     deliver_tile,
