@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import seen
+from pagedriver import driven
 
 from fwclass import conf
 from fwclass.errors import several
@@ -352,6 +353,21 @@ def test_numbers_are_written_for_reading() -> None:
         "–",
         "–",
     ]
+
+
+@pytest.mark.slow
+def test_a_narrow_window_says_that_columns_follow(tmp_path: Path) -> None:
+    rendered(full(), tmp_path)
+    with driven() as page:
+        page.open((tmp_path / "report.html").as_uri())
+        page.until("document.querySelector('.matrix')")
+        for width in (1280, 390):
+            page.size(width)
+            said = page.run("getComputedStyle(document.querySelector('.sideways')).display") != "none"
+            table = "document.querySelector('.matrix').parentElement"
+            assert page.run(f"{table}.scrollWidth > {table}.clientWidth") == said == (width == 390)
+            page.run(f"{table}.scrollLeft = 100")
+            assert page.run("document.querySelector('.matrix tbody th').getBoundingClientRect().left") >= 0
 
 
 @pytest.mark.slow
