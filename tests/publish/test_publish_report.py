@@ -360,7 +360,7 @@ def test_a_narrow_window_says_that_columns_follow(tmp_path: Path) -> None:
     rendered(full(), tmp_path)
     with driven() as page:
         page.open((tmp_path / "report.html").as_uri())
-        page.until("document.querySelector('.matrix')")
+        page.until("!!document.querySelector('.matrix')")
         for width in (1280, 390):
             page.size(width)
             said = page.run("getComputedStyle(document.querySelector('.sideways')).display") != "none"
