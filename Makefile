@@ -19,7 +19,7 @@ $(READY): requirements.lock pyproject.toml
 	touch $(READY)
 
 demo: $(READY)
-	$(VENV)/bin/fwclass demo --out demo-run
+	$(VENV)/bin/fwclass demo
 
 check: $(READY)
 	$(VENV)/bin/ruff format --check .

@@ -125,6 +125,11 @@ def first_few(words: Sequence[str], most: int, between: str = ", ") -> str:
     return between.join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
+def several(count: int, noun: str) -> str:
+    """``1 tile``, ``2 tiles``, ``1,000 tiles``."""
+    return f"{count:,} {noun}{'s' * (count != 1)}"
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """`did you mean …?` for an unknown name, or the list of known ones."""
     names = sorted(known)

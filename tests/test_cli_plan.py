@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from commandline import fwclass
 
-HEAD = "survey      t: 1 files"
+HEAD = "survey      t: 1 file,"
 
 
 @pytest.fixture

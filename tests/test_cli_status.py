@@ -133,7 +133,7 @@ def test_fail_fast_and_keep_going(copy):
         place.write_text("in the way")
     words = ("run", copy / "c.yaml", "--out", copy / "r", *RUN)
     fast = fwclass(*words, "--fail-fast")
-    assert fast.returncode == 3 and "1 parts failed" in fast.stderr and "stopped at the first" in fast.stderr
+    assert fast.returncode == 3 and "1 part failed" in fast.stderr and "stopped at the first" in fast.stderr
     on = fwclass(*words, "--keep-going")
     assert on.returncode == 3 and "2 parts failed" in on.stderr and on.stderr.count("alone: ") == 2
 

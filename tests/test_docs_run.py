@@ -11,6 +11,7 @@ from pathlib import Path
 import lasmaker
 import laspy
 import numpy as np
+import pyproj
 import pytest
 import streetmaker
 from commandline import fwclass
@@ -41,13 +42,6 @@ ELSEWHERE = {
 WALKED = {"first-survey.md": "tests/run/test_run_first_survey.py"}
 """Pages whose blocks a test of their own runs in order."""
 
-OF_OTHER_SURVEYS = {
-    "commands.md": "its lines belong to runs of several workflows, which one directory cannot all be",
-    "quality.md": "it takes a contract's area in a known coordinate system",
-    "selection.md": "its scales of metres take a larger survey",
-}
-"""Pages whose lines the one small survey here cannot all run."""
-
 NAMES = (
     (r"\s+\[--.*", ""),
     (r"\s>.*", ""),
@@ -71,6 +65,9 @@ NAMES = (
     ),
     (r"^(?!select demo)(.*)building, vegetation", r"\1ground, bush"),
     (r"--order zc,echo_number,width", "--order zc,height_range_c100 --candidates zc,height_range_c100"),
+    (r"--workflow (quality|ground)$", r"--workflow \1 --out runs/\1"),
+    (r"(--method forward) (?=--to )", r"\1 --candidates fan2013 "),
+    (r"--method scales", "--method scales --set classify.refine.scales=[2.1,4.5]"),
     (r"^run my-survey\.yaml --workflow mine\.py$", "run my-survey.yaml --workflow mine.py --out runs/mine"),
     (r"^seams runs/my-survey --workflow mine\.py", "seams runs/mine --workflow mine.py"),
 )
@@ -100,7 +97,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     text = (
         survey.read_text()
         .replace("sources: [a.las]", 'sources: ["strips/*.las"]')
-        .replace("name: small", "name: my-survey")
+        .replace("name: small", "name: my-survey\n  crs: EPSG:25832")
     )
     for name in ("my-survey.yaml", "survey.yaml"):
         (root / name).write_text(text)
@@ -128,9 +125,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         assert fwclass(*words, cwd=root).returncode in (0, 4)
     shutil.copytree(root / "runs/my-survey/model", root / "forest-dir")
     (root / "checks.csv").write_text("x,y,z\n500040,5400020,202\n500050,5400010,202.5\n")
-    write_gpkg(
-        [Layer("contract", box_wkb([Box(500_010, 5_400_010, 500_070, 5_400_030)]), {})], root / "contract.gpkg", None
-    )
+    contract = Layer("contract", box_wkb([Box(500_010, 5_400_010, 500_070, 5_400_030)]), {})
+    write_gpkg([contract], root / "contract.gpkg", pyproj.CRS("EPSG:25832"))
     (root / "data" / "in").mkdir(parents=True)
     shutil.copytree(root / "runs" / "my-survey", root / "runs" / "other", symlinks=True)
     yield root
@@ -139,8 +135,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name not in WALKED and lines(p)], ids=lambda p: p.name)
 def test_the_commands_of_a_page_run(page: Path, place: Path, tmp_path: Path) -> None:
-    if page.name in OF_OTHER_SURVEYS:
-        pytest.skip(OF_OTHER_SURVEYS[page.name])
     here = tmp_path / "here"
     shutil.copytree(place, here, symlinks=True)
     failed = []
@@ -152,6 +146,19 @@ def test_the_commands_of_a_page_run(page: Path, place: Path, tmp_path: Path) -> 
         if ended.returncode not in ((0, 3, 4) if words.startswith("status") else (0, 4)):  # 3: stale, as the page says
             failed.append((line, ended.returncode, ended.stderr[-600:]))
     assert not failed, "\n".join(map(str, failed))
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_report_run(place: Path, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    shutil.copytree(place, here, symlinks=True)
+    page = (here / "demo-run" / "report.html").read_text(encoding="utf-8")
+    written = (re.sub("<[^>]*>", "", c) for c in re.findall(r"<code>(.*?)</code>", page))
+    commands = [c.removeprefix("fwclass ") for c in written if c != "fwclass view RUN"]  # it ends with Ctrl-C
+    assert len(commands) == 2
+    for words in commands:
+        ended = fwclass(*words.replace("RUN", "demo-run").split(), cwd=here)
+        assert ended.returncode == 0, (words, ended.stderr)
 
 
 def arguments(words: str, here: Path) -> list[str]:

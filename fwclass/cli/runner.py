@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from fwclass.errors import ConfigError, visible
+from fwclass.errors import ConfigError, several, visible
 from fwclass.redact import redacted_words
 
 NO_PAGE = "  (for its page: pip install 'fwclass[dashboard]')"
@@ -105,7 +105,7 @@ def open_runner(
 
 def tell_failures(failures: list[Any], request: Any = None) -> None:
     """The parts that failed, and, with the run's `request`, the command that makes each alone."""
-    click.echo(f"{len(failures)} parts failed; everything else is done and kept:", err=True)
+    click.echo(f"{several(len(failures), 'part')} failed; everything else is done and kept:", err=True)
 
     for outcome in failures[:TOLD]:
         first = visible(outcome.message.splitlines()[0]) if outcome.message else ""

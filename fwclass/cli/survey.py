@@ -224,7 +224,7 @@ def run(
 
 
 @cli.command()
-@click.option("--out", type=PATH, default=Path("fwclass-demo"), show_default=True, help="Run directory.")
+@click.option("--out", type=PATH, default=Path("demo-run"), show_default=True, help="Run directory.")
 @WORKERS
 def demo(out: Path, workers: int | None) -> None:
     """Simulate a small survey, run everything, print where to look."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -366,7 +366,12 @@ class Config:
 
     @property
     def classes(self) -> tuple[ClassDef, ...]:
-        """The survey's classes, in its order."""
+        """The survey's classes, in its order, as they are learned and judged: without `legacy_code`."""
+        return tuple(replace(c, legacy_code=None) for c in self.written_classes)
+
+    @property
+    def written_classes(self) -> tuple[ClassDef, ...]:
+        """Those of `classes` with their `legacy_code`, as a model's card has them."""
         return tuple(ClassDef(**c.model_dump()) for c in self.survey.classes)
 
     @property

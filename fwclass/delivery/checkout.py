@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.errors import ConfigError, InputError, StoreError, nearest, system_error
+from fwclass.errors import ConfigError, InputError, StoreError, nearest, several, system_error
 from fwclass.formats.echo_labels import EchoLabels, echo_labels_bytes
 from fwclass.grid import TileGrid
 from fwclass.publish.files import whole_directory
@@ -118,9 +119,10 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
         write_json(beside / NOTE, asdict(note))
     echoes = sum(int(known[key]["echoes"]) for key in keys)
     size = sum(tile_file(directory, key).stat().st_size for key in keys)
+    collect = shlex.join(("fwclass", "label", "collect", str(directory)))
     return (
-        f"{len(keys)} {'tile' if len(keys) == 1 else 'tiles'} of delivery {delivery.path.name}, {echoes:,} echoes, "
-        f"{size / 1e6:,.1f} MB: open {directory / PROJECT} in QGIS, change classes, save, then `fwclass label collect`"
+        f"{several(len(keys), 'tile')} of delivery {delivery.path.name}, {echoes:,} echoes, {size / 1e6:,.1f} MB: open "
+        f"{directory / PROJECT} in QGIS, change classes, save, then `{collect}`"
     )
 
 

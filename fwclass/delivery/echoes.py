@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError, nearest
+from fwclass.errors import InputError, nearest, several
 from fwclass.lazy_module import LazyModule
 
 if TYPE_CHECKING:
@@ -37,6 +37,10 @@ class Echoes:
         self.columns = list(columns) if columns is not None else [n for n in names if n not in GEOMETRY]
         self._filter = self._condition(box, where)
 
+    def __repr__(self) -> str:
+        tiles, columns = several(len(self._files), "tile"), several(len(self.columns), "column")
+        return f"Echoes({len(self):,} echoes of {tiles}, {columns})"
+
     def _condition(self, box: Bounds | None, where: Any) -> Any:
         try:
             condition = pq.filters_to_expression(where) if isinstance(where, (list, tuple)) else where
@@ -50,6 +54,8 @@ class Echoes:
             ) from fault
         if box is None:
             return condition
+        if len(box) != 4:
+            raise InputError("this is no box", where="box", expected="xmin, ymin, xmax, ymax [m]", got=box)
         xmin, ymin, xmax, ymax = box
         if not (xmin < xmax and ymin < ymax):
             raise InputError("this box holds nothing", where="box", expected="xmin < xmax, ymin < ymax", got=box)
@@ -64,6 +70,13 @@ class Echoes:
         """What `work` reads; `InputError` with the file where one cannot be read any more."""
         try:
             return work()
+        except (pa.ArrowNotImplementedError, pa.ArrowTypeError) as fault:
+            raise InputError(
+                "a condition compares a column with what it cannot be compared with",
+                where="where",
+                expected="numbers for columns of numbers; true or false for `ground` and `noise`",
+                got=str(fault).splitlines()[0],
+            ) from fault
         except (OSError, ValueError) as fault:  # Arrow's own are both
             for file in self._files:
                 _check_readable(Path(file))

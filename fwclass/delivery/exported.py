@@ -13,6 +13,7 @@ from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import UNSURE, ViewedRun, plain_value
 from fwclass.delivery.viewed_colours import CORRECTED
+from fwclass.errors import several
 from fwclass.publish.copc import copc_columns
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -123,4 +124,4 @@ def export_view(
     with whole_directory(directory) as beside:
         write_folder(scenes, beside, tell)
         sizes = [p.stat().st_size for p in beside.rglob("*") if p.is_file()]
-    return f"{len(sizes):,} files, {sum(sizes) / 1e6:,.1f} MB: let a web server show {directory}"
+    return f"{several(len(sizes), 'file')}, {sum(sizes) / 1e6:,.1f} MB: let a web server show {directory}"

@@ -14,6 +14,7 @@ from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
 from fwclass.formats.geoparquet import header as geoparquet_header
+from fwclass.schema import IDENTITY
 from fwclass.store.atomic import read_json
 from fwclass.store.bucket import Remote
 from fwclass.store.directory import CURRENT
@@ -99,9 +100,16 @@ class Delivery:
         Raises
         ------
         InputError
-            There is no such echo.
+            There is no such echo, or one of the three is missing.
         """
-        row = echo if isinstance(echo, Mapping) else dict(zip(("strip", "pulse", "echo_number"), echo, strict=True))
+        row = echo if isinstance(echo, Mapping) else dict(zip(IDENTITY, echo, strict=False))
+        if not row.keys() >= set(IDENTITY):
+            raise InputError(
+                "this names no echo",
+                where="explain",
+                expected=", ".join(IDENTITY),
+                got=", ".join(map(str, row)) or "none",
+            )
         return explain(self._store, self._part("model"), row, [t["tile"] for t in self.tiles], self.table)
 
     @cached_property

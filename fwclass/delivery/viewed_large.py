@@ -15,8 +15,9 @@ from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_tile import positions
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import published_columns
-from fwclass.grid import TileGrid, quantise
+from fwclass.grid import TileGrid
 from fwclass.publish.copc import copc_columns
+from fwclass.publish.geoparquet import shortened
 from fwclass.publish.octree import echo_hashes
 from fwclass.read.las import open_las
 from fwclass.read.points import PointReader, coordinates
@@ -64,7 +65,7 @@ class LargeRun(ViewedRun):
                 for c in published_columns(copc_columns(there))
                 if c.name != "pulse"
             }
-        x, y, z = map(quantise, coordinates(source, points))
+        x, y, z = map(shortened, coordinates(source, points))
         echoes: dict[str, NDArray] = {
             **more,
             **{"x": x, "y": y, "z": z},

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, several
 from fwclass.grid import Box
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.store.run_location import RunLocation
@@ -57,4 +57,6 @@ def write_work_list(run: RunLocation, params: ViewParams, path: Path, overwrite:
     write_gpkg([Layer(LAYER, box_wkb([Box(*p.box) for p in places]), fields)], path, scene.delivery.crs)
     if not places:
         return f"no echo has a confidence below {params.unsure:g}: the layer {LAYER} of {path} is empty"
-    return f"{len(places)} places of {sum(p.echoes for p in places):,} unsure echoes: layer {LAYER} of {path}"
+    return (
+        f"{several(len(places), 'place')} of {sum(p.echoes for p in places):,} unsure echoes: layer {LAYER} of {path}"
+    )

@@ -276,7 +276,7 @@ FILL_PROFILES = Stage(
 )
 DELIVER_SAMPLES = Stage(
     "publish-samples",
-    1,
+    2,
     "block",
     "echo",
     deliver_samples,

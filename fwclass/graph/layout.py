@@ -178,8 +178,8 @@ def plain(params: Any) -> Any:
 
 
 def plain_classes(config: Config) -> list[dict[str, Any]]:
-    """The survey's classes as plain data for a key."""
-    return [c.model_dump(mode="json") for c in config.survey.classes]
+    """The survey's classes as plain data for a key; `legacy_code` decides nothing of what is learned."""
+    return [{**c.model_dump(mode="json"), "legacy_code": None} for c in config.survey.classes]
 
 
 def needs_of(columns: Mapping[str, str], parts: Iterable[str]) -> tuple[Name, ...]:

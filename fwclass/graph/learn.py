@@ -233,6 +233,11 @@ def learning_arguments(plan: Plan) -> Mapping[str, Any]:
     return {"names": config.features_asked, "params": config.train, "classes": config.classes}
 
 
+def _card_arguments(plan: Plan) -> Mapping[str, Any]:
+    """Arguments that stages share which write a model."""
+    return {**learning_arguments(plan), "classes": plan.config.written_classes, "computed": _feature_settings(plan)}
+
+
 def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
     """What the values of the features `names` depend on (`feature_parameters`)."""
     config = plan.config
@@ -319,7 +324,7 @@ TRAIN_FOREST = Stage(
     deliver_forest,
     when=lambda plan: _one_layer(plan) and forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {**learning_arguments(plan), "computed": _feature_settings(plan)},
+    arguments=_card_arguments,
     after=("training", "trees", "importance"),
     needs=lambda plan, part: [
         ("training", "all"),
@@ -355,12 +360,7 @@ TRAIN_BASELINE = Stage(
     train_baseline,
     when=lambda plan: _one_layer(plan) and not forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {
-        **learning_arguments(plan),
-        "compare": plan.config.compare,
-        "computed": _feature_settings(plan),
-        **_squares(plan),
-    },
+    arguments=lambda plan: {**_card_arguments(plan), "compare": plan.config.compare, **_squares(plan)},
     after=("training", MACHINE_SEARCH),
     needs=lambda plan, part: (("training", "all"), *((MACHINE_SEARCH, t.key) for t in trials(plan) if searches(plan))),
     where="deliver",

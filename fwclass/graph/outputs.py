@@ -12,10 +12,10 @@ from pyproj import CRS
 
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
-from fwclass.errors import ConfigError, StoreError
+from fwclass.errors import ConfigError, StoreError, several
 from fwclass.graph.classify import classes_written
 from fwclass.graph.kept import deciding_column, kept_argument, kept_names
-from fwclass.graph.layout import Strip, Survey
+from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
@@ -180,15 +180,18 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
     return {"codes": codes}
 
 
-def check_class_codes(survey: Survey, config: Config) -> None:
-    """`ConfigError` where the points of a strip cannot hold the code of a class: told before anything is computed."""
+def check_class_codes(formats: Mapping[str, int], config: Config) -> None:
+    """`ConfigError` where the points of a strip cannot hold the code of a class: told before anything is computed.
+
+    `formats`: the point format of every strip by its file's name.
+    """
     beyond = [c for c in config.survey.classes if (c.code if c.legacy_code is None else c.legacy_code) > LEGACY_MAX]
-    legacy = [s for s in survey.strips if 0 <= s.point_format <= 5]
+    legacy = [name for name, number in formats.items() if 0 <= number <= 5]
     if beyond and legacy:
         raise ConfigError(
-            f"the points of {len(legacy)} strips, as {legacy[0].path.name}, cannot hold the codes of all classes",
+            f"the points of {several(len(legacy), 'strip')}, as {legacy[0]}, cannot hold the codes of all classes",
             where=f"{config.path}: survey.classes",
-            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5 (this one has {legacy[0].point_format})",
+            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5 (this one has {formats[legacy[0]]})",
             got=", ".join(f"{c.name} {c.code}" for c in beyond),
             do=f"give {'it' if len(beyond) == 1 else 'each'} a legacy_code up to {LEGACY_MAX}, which is written there "
             "instead, or convert the files to LAS 1.4",
@@ -218,7 +221,7 @@ def class_names(plan: Plan) -> dict[str, str]:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    5,
+    6,
     "tile",
     "echo",
     deliver_tile,

@@ -238,9 +238,9 @@ def _layer(plan: Plan) -> FineLayer:
     return layer
 
 
-def _pair(plan: Plan) -> tuple[ClassDef, ...]:
+def _pair(plan: Plan, classes: tuple[ClassDef, ...] | None = None) -> tuple[ClassDef, ...]:
     codes = _layer(plan).pair
-    return tuple(next(c for c in plan.config.classes if c.code == code) for code in codes)
+    return tuple(next(c for c in classes or plan.config.classes if c.code == code) for code in codes)
 
 
 def _wide_reads(plan: Plan) -> tuple[str, ...]:
@@ -327,7 +327,7 @@ TRAIN_FINE = Stage(
         "params": plan.config.train,
         "compare": plan.config.compare,
         "refine": plan.config.classify.refine,
-        "classes": _pair(plan),
+        "classes": _pair(plan, plan.config.written_classes),
         "computed": parameters_of(plan, _layer(plan).names),
         "block": plan.config.select.block,
         "gap": plan.config.select.gap,

@@ -19,7 +19,7 @@ from fwclass.graph.report_accuracy import (
     training_facts,
 )
 from fwclass.graph.report_counts import delivered_files, echo_counts, source_files, stage_figures
-from fwclass.graph.report_facts import place_of, receipts_of_run, sureness
+from fwclass.graph.report_facts import legacy_codes, place_of, receipts_of_run, sureness
 from fwclass.graph.report_figures import report_figures
 from fwclass.graph.report_remarks import (
     remarks_of_parts,
@@ -117,6 +117,7 @@ def write_report(
             *(class_remarks(source, known_codes(config.classes), keeps) if classified else ()),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, keeps).items()},
+        "legacy_codes": legacy_codes(runner, survey, config),
         "ground": ground_facts(runner, config),
         "water": [body for r in receipts_of_run(runner, LEVELS) for body in r.meta["bodies"]],
         "quality": next((r.meta["quality"] for r in receipts_of_run(runner, "publish-quality")), None),

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from fwclass.conf import Config
+from fwclass.graph.layout import Survey
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.publish.tile_facts import WORTH, least_sure_first
 from fwclass.run.runner import Runner
@@ -47,6 +49,14 @@ def place_of(
         "area": area,
         "density": points / area if area else None,
     }
+
+
+def legacy_codes(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:
+    """Codes that delivered strips of point formats 0 to 5 have in place of others, by these; None where none has."""
+    written = {str(c.code): c.legacy_code for c in config.survey.classes if c.legacy_code not in (None, c.code)}
+    delivered = {r.part for r in receipts_of_run(runner, "publish-strip")}
+    strips = [s.path.stem for s in survey.strips if 0 <= s.point_format <= 5 and s.path.stem in delivered]
+    return {"strips": strips, "written": written} if written and strips else None
 
 
 def _date(seconds: float) -> str:

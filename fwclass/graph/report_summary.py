@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import first_few
+from fwclass.errors import first_few, several
 from fwclass.store.url import Url
 
 SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
@@ -30,7 +30,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     if lost:
         balance += f", without those of chunks that failed: {first_few(lost, SHOWN)}"
     source = f"{counts['pulses']:,} pulses" if counts["pulses"] else f"{counts['returns']:,} returns"
-    rows = [f"echoes      {decomposed:,} from {source}, {balance} ({counts['tiles']} tiles)"]
+    rows = [f"echoes      {decomposed:,} from {source}, {balance} ({several(counts['tiles'], 'tile')})"]
     if counts["returns_without_packet"]:
         rows.append(
             f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
@@ -69,6 +69,6 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         elif kind == "quality":
             rows += [f"{kind:<11} {root / name}" for name in names]
         elif names:
-            rows.append(f"{kind:<11} {root / kind}  ({len(names)} files)")
+            rows.append(f"{kind:<11} {root / kind}  ({several(len(names), 'file')})")
     rows.append(f"report      {root / 'report.html'}")
     return "\n".join(rows)

@@ -151,7 +151,7 @@ STACK_PULSES = Stage(
 )
 DELIVER_STACK = Stage(
     "publish-stack",
-    1,
+    2,
     "block",
     "part",
     deliver_stack,

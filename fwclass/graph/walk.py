@@ -102,7 +102,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     config, plan = plan.config, replace(plan, providers=providers(plan, stages))
     survey = gather(config, runner)
     if delivers and DELIVER_STRIP in stages:
-        check_class_codes(survey, config)
+        check_class_codes({s.path.name: s.point_format for s in survey.strips}, config)
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
     quantities = joint_quantities(survey.quantities, plan.names, f"{config.path}: survey.sources")
     for note in check_learned(learned, survey.quantities, config.survey.model) if learned else ():

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fwclass.errors import several
 from fwclass.graph.survey import SIMULATED
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import RunLocation
@@ -49,7 +50,9 @@ class Sizes:
             most = sorted(self.parts, key=lambda stage: -self.parts[stage])[:NAMED]
             some = ", ".join(f"{stage} {_mb(self.parts[stage])}" for stage in most)
             words.append(f"parts {_mb(sum(self.parts.values()))} ({some}{', …' if len(self.parts) > NAMED else ''})")
-        return f"disk: {_mb(self.total)} MB in {self.files:,} files" + (f": {', '.join(words)}" if words else "")
+        return f"disk: {_mb(self.total)} MB in {several(self.files, 'file')}" + (
+            f": {', '.join(words)}" if words else ""
+        )
 
 
 def _mb(size: int) -> str:

@@ -20,6 +20,7 @@ from fwclass.publish.files import whole
 from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Column, Table, column, require
+from fwclass.units import QUANTUM
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,6 +32,9 @@ POINT_Z = np.dtype([("order", "u1"), ("kind", "<u4"), ("x", "<f8"), ("y", "<f8")
 """ISO WKB of a point with height: 29 bytes."""
 
 ISO_POINT_Z = 1001
+ROUNDING = 1e-6
+"""Coordinates that are nearer than this to a whole millimetre are meant to be one [m]."""
+
 SIDES = ("xmin", "ymin", "xmax", "ymax")
 
 
@@ -63,6 +67,7 @@ def write_geoparquet(
         x, y or z is missing.
     """
     require(table, ("x", "y", "z"), path)
+    table = short_coordinates(table)
     return write_geoparquet_parts([table], bounds_of(table) if table.rows else None, path, crs, params, about)
 
 
@@ -96,7 +101,7 @@ def write_geoparquet_parts(
     schema, rows = pa.schema(fields, metadata={b"geo": _geo(bounds, crs), **more}), 0
     with whole(path) as beside:
         with pq.ParquetWriter(beside, schema, **_options(first, params)) as writer:
-            for table in chain([first], rest):
+            for table in map(short_coordinates, chain([first], rest)):
                 arrays = [arrow_array(table[name]) for name in first]
                 arrays += [wkb_points(table["x"], table["y"], table["z"]), _boxes(table["x"], table["y"])]
                 writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=params.row_group)
@@ -146,6 +151,18 @@ def write_shape_parquet(
         )
         size = beside.stat().st_size
     return {"path": str(path), "rows": len(geometry), "bytes": size}
+
+
+def short_coordinates(table: Table) -> Table:
+    """`table` with `shortened` coordinates."""
+    return table.with_columns({name: shortened(table[name]) for name in ("x", "y", "z")})
+
+
+def shortened(metres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Whole millimetres [m] as the numbers nearest to them: other programs show 309.013, and not what the store has,
+    309.01300000000003."""
+    near = np.rint(metres / QUANTUM) / 1000.0
+    return np.where(np.abs(near - metres) < ROUNDING, near, metres)
 
 
 def bounds_of(table: Table) -> Bounds:

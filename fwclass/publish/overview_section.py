@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.classes import STANDARD
-from fwclass.errors import first_few
+from fwclass.errors import first_few, several
 from fwclass.publish.figures import SURE, WRONG
 from fwclass.publish.palette import colours, css
 from fwclass.publish.sections import number, percent
@@ -17,6 +17,8 @@ LAYERS = {
     "errors": ("Errors", "share of wrong echoes among the test echoes of every block"),
     "relief": ("Terrain", "shaded relief of the terrain model, tinted by height"),
 }
+FRAMED = ("map", "confidence", "errors")
+"""Layers that the training areas are drawn on."""
 WIDTH, HEIGHT = 420.0, 190.0
 FOUR_LN2 = 2.772588722239781
 STEPS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
@@ -88,22 +90,30 @@ def _name(item: Any) -> str:
     return str(item["name"] if isinstance(item, Mapping) else item)
 
 
-def next_steps(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What to look at next: (text, path of a file beside the report or "")."""
+def next_steps(report: Mapping[str, Any]) -> list[dict[str, str]]:
+    """What to look at next: a text, the path of a file beside the report or "", a command to type or "".
+
+    RUN in a command is the run directory, where the page lies.
+    """
     tiles = (report.get("sureness") or {}).get("tiles") or ()
-    steps: list[dict[str, Any]] = []
-    if (report.get("outputs") or {}).get("gis"):
-        more = "; its work list has the least sure tiles" if tiles else ""
-        steps.append({"text": f"Open the project in QGIS{more}", "path": "survey.qgz"})
-    for tile in tiles:
-        share = percent(tile["confidence"])
-        steps.append(
-            {"text": f"Tile {tile['tile']}: {number(tile['echoes'])} echoes, {share} % sure", "path": tile["file"]}
-        )
-    failed = report.get("failed") or ()
+    failed, outputs = report.get("failed") or (), report.get("outputs") or {}
+    steps = []
     if failed:
-        steps.insert(0, {"text": f"{len(failed)} parts failed: mend the cause and run again", "path": ""})
-    return steps
+        steps.append((f"{several(len(failed), 'part')} failed: mend the cause and run again", "", "fwclass status RUN"))
+    if outputs.get("laz"):
+        text = "Look at the cloud in the browser, at an echo's waveform, and why it has its class"
+        steps.append((text, "", "fwclass view RUN"))
+    if outputs.get("gis"):
+        more = "; its work list has the least sure tiles" if tiles else ""
+        steps.append((f"Open the project in QGIS{more}", "survey.qgz", ""))
+    if tiles and outputs.get("laz"):
+        steps.append(("List the least sure places", "", "fwclass view RUN --worklist unsure.gpkg"))
+        text = "Correct classes in the least sure tiles; the next run learns from it"
+        steps.append((text, "", "fwclass label checkout RUN mend --least-sure 3"))
+    for tile in tiles:
+        text = f"Tile {tile['tile']}: {number(tile['echoes'])} echoes, {percent(tile['confidence'])} % sure"
+        steps.append((text, tile["file"], ""))
+    return [{"text": text, "path": path, "command": command} for text, path, command in steps]
 
 
 def survey_rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -117,8 +127,10 @@ def survey_rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
             first, last = place["flown"]
             rows.append(("flown", first if first == last else f"{first} to {last}"))
         if place.get("area"):
-            rows.append(("area with echoes", f"{place['area'] / 1e6:.3f} km²"))
-            rows.append(("density", f"{place['density']:.1f} echoes per m²"))
+            cell = ((report.get("config") or {}).get("publish") or {}).get("class_cell")
+            by = f", by cells of {cell:g} m" if cell else ""
+            rows.append(("area with echoes", f"{place['area'] / 1e6:.3f} km²{by}"))
+            rows.append(("density", f"{place['density']:.1f} echoes per m² of this area, noise among them"))
     files = (report.get("input") or {}).get("files") or ()
     if files:
         rows.append(("input", first_few([str(f["path"]) for f in files], 3)))
@@ -126,9 +138,22 @@ def survey_rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("model", f"{model['path']}, {len(model.get('features') or ())} features"))
     elif report.get("training"):
         rows.append(("model", f"trained in this run, {len(model.get('features') or ())} features"))
+    if legacy := report.get("legacy_codes"):
+        rows.append(("classes in strips", _legacy(legacy, report.get("classes") or ())))
     if report.get("fwclass"):
         rows.append(("made with", f"fwclass {report['fwclass']}"))
     return rows
+
+
+def _legacy(legacy: Mapping[str, Any], classes: Sequence[Mapping[str, Any]]) -> str:
+    """Which codes strips have in place of others."""
+    names = {str(c["code"]): c["name"] for c in classes}
+    codes = ", ".join(f"{to} for {names.get(code, 'class')} {code}" for code, to in legacy["written"].items())
+    one = len(legacy["strips"]) == 1
+    return (
+        f"{first_few(legacy['strips'], 3)} {'has' if one else 'have'} {codes}, as {'its' if one else 'their'} points "
+        "hold codes up to 31; tiles and Parquet have the code itself"
+    )
 
 
 def sure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -54,7 +54,7 @@ def _rows(summary: Mapping[str, Any], density: Mapping[str, Any], strips: Mappin
     if density["pulses"] is not None:
         p = density["percentiles"]
         rows += [
-            ("echoes per m²", f"{density['echoes']:.2f}"),
+            ("echoes per m²", f"{density['echoes']:.2f} of this area, without noise"),
             (
                 "pulses per m²",
                 f"{density['pulses']:.2f}; in 90 % of the cells {p['p5']:.2f} to {p['p95']:.2f}, median {p['p50']:.2f}",

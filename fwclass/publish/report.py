@@ -12,10 +12,11 @@ from urllib.parse import quote
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from fwclass.errors import first_few
+from fwclass.errors import first_few, several
 from fwclass.publish.files import whole
 from fwclass.publish.ground_section import ground
 from fwclass.publish.overview_section import (
+    FRAMED,
     LAYERS,
     class_key,
     curve,
@@ -131,6 +132,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
     counts = dict(report.get("counts") or {})
     source = report.get("input") or {}
     config = report.get("config")
+    remarks = list(dict.fromkeys([*_lacking(report), *(str(text) for text in report.get("remarks") or ())]))
     return {
         "survey": report.get("survey") or "survey",
         "version": report.get("fwclass") or "",
@@ -141,7 +143,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "verdict": verdict(report),
         "surveyed": survey_rows(report),
         "layers": layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes),
-        "framed": bool((report.get("areas") or {}).get("train")),
+        "framed": FRAMED if (report.get("areas") or {}).get("train") else (),
         "key": class_key(classes),
         "next_steps": [{**step, "href": _link(step["path"]) if step["path"] else ""} for step in next_steps(report)],
         "sure": sure_rows(report),
@@ -154,7 +156,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
             for n, f in figures.items()
             if n not in (PULSE, SAMPLING, *LAYERS)
         ],
-        "remarks": [*_lacking(report), *(str(text) for text in report.get("remarks") or ())],
+        "remarks": remarks,
         "waveforms": waveforms(report.get("waveforms")),
         "plausibility": _plausibility(report.get("plausibility")),
         "ground": ground(report.get("ground")),
@@ -162,7 +164,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "pulse": data_uri(figures[PULSE]) if PULSE in figures else "",
         "sampling": sampling(report.get("sampling")),
         "sampling_map": data_uri(figures[SAMPLING]) if SAMPLING in figures else "",
-        "accuracy": accuracy(report.get("accuracy"), classes),
+        "accuracy": accuracy(report.get("accuracy"), classes, remarks),
         "distribution": distribution(report.get("distribution"), classes),
         "training": training(report.get("training")),
         "counts": counts,
@@ -179,7 +181,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
 def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], counts: Mapping[str, Any]) -> str:
     """One or two sentences on what the run was."""
     files = len((report.get("input") or {}).get("files") or ())
-    text = [f"{files} source file{'s' * (files != 1)}"] if files else ["The survey"]
+    text = [f"{several(files, 'source file')}"] if files else ["The survey"]
     if counts.get("pulses"):
         text.append(f"with {number(counts['pulses'])} pulses")
     if counts.get("echoes_decomposed"):
@@ -210,7 +212,7 @@ def _lacking(report: Mapping[str, Any]) -> list[str]:
     named = first_few([f"{one['stage']} {one['part']}" for one in failed], 3)
     first = str(failed[0]["message"]).splitlines()[:1]
     why = f" The first: {first[0]}." if first else ""
-    some = f"{len(failed)} part{'s' * (len(failed) != 1)}"
+    some = f"{several(len(failed), 'part')}"
     return [
         f"This delivery is not whole: {some} failed ({named}), and what they make is missing, or as an earlier run "
         f"made it.{why} Mend the cause and run again: only what is missing is made."
@@ -226,7 +228,7 @@ def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[s
         ("mean IoU", percent(accuracy.get("mean_iou")), " %"),
         ("pulses", quantity(counts.get("pulses") or None), ""),
         ("echoes", quantity(counts.get("echoes_in_tiles")), ""),
-        ("tiles", quantity(counts.get("tiles")), ""),
+        ("tile" if counts.get("tiles") == 1 else "tiles", quantity(counts.get("tiles")), ""),
         ("time", seconds(report.get("seconds")), ""),
     )
     return [(label, value + unit) for label, value, unit in wanted if value]

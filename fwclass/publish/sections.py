@@ -93,8 +93,13 @@ def measure(value: Any) -> str:
     return f"{value:.{min(digits, 3)}f}"
 
 
-def accuracy(assessment: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-    """The confusion matrix with a colour per cell, and the figures per class; None without an assessment."""
+def accuracy(
+    assessment: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]], told: Sequence[str] = ()
+) -> dict[str, Any] | None:
+    """The confusion matrix with a colour per cell, and the figures per class; None without an assessment.
+
+    Its remarks are those that the page has not `told` before.
+    """
     if not assessment or not assessment.get("confusion"):
         return None
     names = [str(c["name"] if isinstance(c, Mapping) else c) for c in assessment["classes"]]
@@ -126,7 +131,7 @@ def accuracy(assessment: Mapping[str, Any] | None, classes: Sequence[Mapping[str
         "intervals": _intervals(assessment.get("intervals")),
         "area": assessment.get("area") or "",
         "any_lost": any(lost),
-        "remarks": list(assessment.get("remarks") or ()),
+        "remarks": [text for text in assessment.get("remarks") or () if text not in told],
         "count": number(sum(map(sum, assessment["confusion"])) + sum(lost)),
     }
 

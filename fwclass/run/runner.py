@@ -9,7 +9,7 @@ from dataclasses import InitVar, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from fwclass.errors import FwclassError, InputError, PartialError, StoreError
+from fwclass.errors import FwclassError, InputError, PartialError, StoreError, several
 from fwclass.run.part import Name, Outcome, Task, already_done, key_now
 from fwclass.run.progress import Display
 from fwclass.run.tasks import Tasks
@@ -265,7 +265,7 @@ def stop_if_nothing(runner: Runner, receipts: Mapping[Name, Receipt]) -> None:
     if not receipts and runner.failures:
         first = runner.failures[0]
         raise FwclassError(
-            f"nothing could be made: {len(runner.failures)} parts failed, first {first.stage}/{first.part}",
+            f"nothing could be made: {several(len(runner.failures), 'part')} failed, first {first.stage}/{first.part}",
             where=runner.store.where,
             got=_first_line(first.message),
             do="mend the cause and run the same command again; what is done is kept",

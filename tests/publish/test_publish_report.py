@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import seen
+from pagedriver import driven
 
 from fwclass import conf
+from fwclass.errors import several
 from fwclass.grid import Window
 from fwclass.publish.figures import SURE, class_map, share_map
 from fwclass.publish.params import PublishParams
@@ -171,6 +173,61 @@ def test_everything_is_there(tmp_path: Path) -> None:
     assert text.count("width:100.0%") == 1 and text.count("width:25.0%") == 1, "bars of 8 s and 2 s"
 
 
+def test_a_remark_is_told_once(tmp_path: Path) -> None:
+    report = full()
+    report["accuracy"]["remarks"] = ["few echoes were tested", "of the matrix alone"]
+    report["remarks"] = ["few echoes were tested", "an empty file", "an empty file"]
+    said = rendered(report, tmp_path)[1].text
+    assert [said.count(t) for t in ("few echoes were tested", "an empty file", "of the matrix alone")] == [1, 1, 1]
+
+
+def test_frames_are_spoken_of_where_they_are_drawn(tmp_path: Path) -> None:
+    text, _ = rendered(full(), tmp_path, {"map": PNG, "confidence": PNG, "relief": PNG})
+    captions = dict(re.findall(r'class="layer layer-(\w+)">.*?<figcaption>(.*?)</figcaption>', text, re.S))
+    assert {name: "dashed frames" in c for name, c in captions.items()} == {
+        "map": True,
+        "confidence": True,
+        "relief": False,
+    }
+
+
+def test_every_density_says_what_it_is_of(tmp_path: Path) -> None:
+    report = full()
+    report["config"] = {"publish": {"class_cell": 0.5}}
+    said = rendered(report, tmp_path)[1].text
+    assert "0.020 km², by cells of 0.5 m" in said and "4.2 echoes per m² of this area, noise among them" in said
+
+
+def test_counts_have_their_number(tmp_path: Path) -> None:
+    report = full()
+    report["counts"]["tiles"] = 1
+    text, page = rendered(report, tmp_path)
+    assert "<b>1</b><span>tile</span>" in text and "in 1 tile." in page.text
+    assert "1 tiles" not in page.text and (several(1, "tile"), several(1200, "tile")) == ("1 tile", "1,200 tiles")
+
+
+def test_codes_that_strips_have_in_place_of_others_are_told(tmp_path: Path) -> None:
+    report = full()
+    report["classes"] = [*CLASSES, {"name": "car", "code": 64}]
+    report["legacy_codes"] = {"strips": ["a", "b"], "written": {"64": 31}}
+    said = rendered(report, tmp_path)[1].text
+    assert "a, b have 31 for car 64, as their points hold codes up to 31;" in said
+    assert "hold codes up to" not in rendered(full(), tmp_path)[1].text
+
+
+def test_what_to_do_next_has_commands(tmp_path: Path) -> None:
+    report = full() | {"failed": [{"stage": "read", "part": "a", "message": ""}]}
+    text, page = rendered(report, tmp_path)
+    commands = [" ".join(Page(c).text.split()) for c in re.findall(r"<code>(.*?)</code>", text)]
+    assert commands == [
+        "fwclass status RUN",
+        "fwclass view RUN",
+        "fwclass view RUN --worklist unsure.gpkg",
+        "fwclass label checkout RUN mend --least-sure 3",
+    ]
+    assert "RUN is the directory that this page lies in" in page.text and "1 part failed" in page.text
+
+
 def test_nothing_is_fetched(tmp_path: Path) -> None:
     text, page = rendered(full(), tmp_path, {"map": PNG})
     assert all(a.startswith(("data:image/png;base64,", "./", "#")) for a in page.addresses) and page.addresses
@@ -296,6 +353,21 @@ def test_numbers_are_written_for_reading() -> None:
         "–",
         "–",
     ]
+
+
+@pytest.mark.slow
+def test_a_narrow_window_says_that_columns_follow(tmp_path: Path) -> None:
+    rendered(full(), tmp_path)
+    with driven() as page:
+        page.open((tmp_path / "report.html").as_uri())
+        page.until("!!document.querySelector('.matrix')")
+        for width in (1280, 390):
+            page.size(width)
+            said = page.run("getComputedStyle(document.querySelector('.sideways')).display") != "none"
+            table = "document.querySelector('.matrix').parentElement"
+            assert page.run(f"{table}.scrollWidth > {table}.clientWidth") == said == (width == 390)
+            page.run(f"{table}.scrollLeft = 100")
+            assert page.run("document.querySelector('.matrix tbody th').getBoundingClientRect().left") >= 0
 
 
 @pytest.mark.slow

@@ -124,16 +124,16 @@ def test_the_report_fits_its_schema(root: Path) -> None:
     assert set(report) == set(schema["required"]), "every part of the report is described"
 
 
-def blocks(kind: str) -> list[str]:
-    return re.findall(rf"```{kind}\n(.*?)```", (ROOT / "docs" / "delivery.md").read_text(encoding="utf-8"), re.DOTALL)
+def blocks(kind: str, page: str = "docs/delivery.md") -> list[str]:
+    return re.findall(rf"```{kind}\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.mark.parametrize("query", blocks("sql"))
+@pytest.mark.parametrize("query", [*blocks("sql"), *blocks("sql", "README.md")])
 def test_documented_queries_run_in_duckdb(query: str, root: Path) -> None:
     duckdb = pytest.importorskip("duckdb")
     assert (
         duckdb.connect(config={"autoinstall_known_extensions": False})
-        .execute(query.replace("demo-run", str(root)))
+        .execute(re.sub("demo-run|RUN", str(root), query))
         .fetchall()
         is not None
     )
@@ -220,6 +220,20 @@ def test_what_cannot_be_opened_is_said(root: Path, tmp_path: Path) -> None:
         fwclass.open(root).echoes(columns=["clasification"])
     with pytest.raises(InputError, match="this is no condition"):
         fwclass.open(root).echoes(where=[("confidence", "~", 1)])
+    with pytest.raises(InputError, match="cannot be compared"):
+        fwclass.open(root).echoes(where=[("confidence", "<", "high")]).to_pandas()
+    with pytest.raises(InputError, match="this is no box"):
+        fwclass.open(root).echoes(box=(0, 0, 1))  # type: ignore[arg-type]
+    for echo in ({"strip": 1, "pulse": 2}, (1, 2)):
+        with pytest.raises(InputError, match="this names no echo"):
+            fwclass.open(root).explain(echo)  # type: ignore[arg-type]
+
+
+def test_coordinates_in_parquet_are_the_numbers_next_to_millimetres(root: Path) -> None:
+    echoes = fwclass.open(root).echoes(columns=["x", "y", "z"])
+    assert repr(echoes).startswith(f"Echoes({len(echoes):,} echoes of ")
+    for values in echoes.to_pandas().to_numpy().T:
+        assert (values == np.round(values, 3)).all()
 
 
 def test_a_tile_whose_bytes_were_overwritten_is_named(root: Path, tmp_path: Path) -> None:

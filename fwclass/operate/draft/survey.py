@@ -18,7 +18,7 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.conf.sets import feature_set
-from fwclass.errors import FwclassError, InputError, visible
+from fwclass.errors import FwclassError, InputError, several, visible
 from fwclass.features.params import Asked, is_feature
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
 from fwclass.operate.estimate.headers import survey_facts
@@ -234,7 +234,8 @@ def _head(holdings: Holdings) -> list[str]:
     files, area = len(holdings.facts), holdings.places.area
     density = f", {sum(holdings.codes.values()) / area:.1f}/m2 on {area / 1e6:.3g} km2" if area else ""
     waves = ", with waveforms" if holdings.waveforms else ""
-    lines = [f"# Drafted by `fwclass init` from {files} files: {holdings.records:,} points or pulses{density}{waves}."]
+    held = f"{holdings.records:,} points or pulses{density}{waves}"
+    lines = [f"# Drafted by `fwclass init` from {several(files, 'file')}: {held}."]
     for facts in holdings.facts:
         faults = facts.get("faults") or []
         lines += [f"# ! {visible(Path(facts['path']).name)}: {visible(str(fault))}" for fault in faults[:SHOWN]]
@@ -245,7 +246,7 @@ def _system_lines(holdings: Holdings) -> list[str]:
     systems = {visible(name): count for name, count in holdings.systems().items()}
     if len(systems) == 1 and "none" not in systems:
         return [f"  crs: null    # all files: {next(iter(systems))}"]
-    words = ", ".join(f"{name} ({count} files)" for name, count in systems.items())
+    words = ", ".join(f"{name} ({several(count, 'file')})" for name, count in systems.items())
     return [f"  crs: null    # TO DO: give one for all, e.g. EPSG:25832; the files name: {words}"]
 
 

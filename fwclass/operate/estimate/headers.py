@@ -47,6 +47,7 @@ class SourceFacts:
     bounds : of its points [m].
     places : (bounds [m], records) of each of the places far apart that its points lie in; empty where they were not
         looked for.
+    point_format : of LAS; -1 in formats that hold pulses only.
     """
 
     path: Path
@@ -56,6 +57,7 @@ class SourceFacts:
     wave_bytes: int
     bounds: Box
     places: tuple[tuple[Box, float], ...] = ()
+    point_format: int = -1
 
     @property
     def records(self) -> int:
@@ -164,7 +166,8 @@ def facts_of(source: Source) -> SourceFacts:
     pulses = source.n_records if isinstance(source, PulseSource | BeamSource) else 0
     waves = source.has_waves and source.waves.kind != "none"
     box = Box(xmin, ymin, xmax + 0.001, ymax + 0.001)
-    return SourceFacts(source.path, source.n_points, pulses, waves, source.waves.available if waves else 0, box)
+    size = source.waves.available if waves else 0
+    return SourceFacts(source.path, source.n_points, pulses, waves, size, box, point_format=source.point_format)
 
 
 def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
@@ -211,8 +214,9 @@ def simulated_facts(config: Config) -> SurveyFacts:
     points, size = round(pulses * config.plan.returns_per_pulse), params.size
     x, y = params.origin_x, params.origin_y
     box = Box(x, y, x + size, y + size)
+    size_of_waves, formats = round(pulses * config.plan.wave_bytes), [r.point_format for r in params.recordings]
     strips = tuple(
-        SourceFacts(Path(f"strip_{k + 1:02d}.las"), points, 0, True, round(pulses * config.plan.wave_bytes), box)
+        SourceFacts(Path(f"strip_{k + 1:02d}.las"), points, 0, True, size_of_waves, box, (), formats[k % len(formats)])
         for k in range(params.strips)
     )
     reference = points * params.strips if config.survey.reference.kind == "cloud" else 0

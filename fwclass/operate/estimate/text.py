@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fwclass.errors import several
 from fwclass.operate.estimate.density import density_known, too_dense
 from fwclass.operate.estimate.headers import SourceFacts
 from fwclass.operate.estimate.whole import Plan
@@ -33,9 +34,10 @@ def _head(plan: Plan) -> list[str]:
     facts, counts, tiles, estimate = plan.facts, plan.counts, plan.tiles, plan.estimate
     box = facts.box
     area = min((box.xmax - box.xmin) * (box.ymax - box.ymin), tiles.number * tiles.size**2) / 1e6
-    number = "strips still to be simulated" if facts.simulated else "files"
+    number = several(len(facts.sources), "strip" if facts.simulated else "file")
+    number += " still to be simulated" * facts.simulated
     lines = [
-        f"survey      {plan.config.survey.name}: {len(facts.sources):,} {number}, {counts.points.sum():,.0f} points, "
+        f"survey      {plan.config.survey.name}: {number}, {counts.points.sum():,.0f} points, "
         f"about {counts.pulses.sum():,.0f} pulses and {counts.echoes.sum():,.0f} echoes on {area:,.2f} km²",
         f"tiles       {tiles.number:,} of {tiles.size:g} m, each with {plan.halo:g} m of its neighbours; "
         f"{tiles.counts.sum() / max(1, tiles.number):,.0f} echoes on average, "

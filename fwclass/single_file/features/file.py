@@ -20,7 +20,7 @@ from fwclass.features.stage import features
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.ground.stage import TERRAIN
-from fwclass.publish.geoparquet import bounds_of, write_geoparquet_parts
+from fwclass.publish.geoparquet import bounds_of, short_coordinates, write_geoparquet_parts
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.schema import Table, column
 from fwclass.single_file.features.echoes import (
@@ -113,7 +113,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         tell("writing")
         empty = dict.fromkeys(features.names, 0)
         parts = _row_groups(table, features, columns, publish.row_group, empty)
-        written = write_geoparquet_parts(parts, bounds_of(table), job.output, echoes.crs, publish)
+        written = write_geoparquet_parts(parts, bounds_of(short_coordinates(table)), job.output, echoes.crs, publish)
         del columns, parts
     return {
         "input": str(job.source),
