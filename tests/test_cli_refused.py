@@ -95,7 +95,8 @@ def test_a_small_test_near_the_training_area_is_told_beside_the_accuracy(tmp_pat
     at = next(k for k, line in enumerate(lines) if line.startswith("accuracy "))
     assert [line.removeprefix("remark      ") for line in lines[at + 1 : at + 3]] == told
     page = html.unescape((tmp_path / "r" / "report.html").read_text())
-    assert all(page.count(text) == 2 for text in told), "at the top, and with the matrix"
+    assert all(page.count(text) == 1 for text in told), "once"
+    assert all(page.index(text) < page.index('class="verdict"') for text in told), "at the top, below the headline"
 
 
 def test_a_training_without_anything_left_to_test_says_so(tmp_path):
