@@ -35,6 +35,7 @@ from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import echo_hashes
 from fwclass.publish.palette import colours, css
 from fwclass.schema import IDENTITY, Table
+from fwclass.store.run_store import Store
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
@@ -121,6 +122,7 @@ class ViewedRun:
             "together": list(pyramid.levels()[: pyramid.whole + 1]),
             "tiles": tiles,
             "classes": [{**c, "colour": css(shown[int(c["code"])])} for c in report["classes"]],
+            "waveforms": self._waveforms,
             "columns": [f for f in self._fields if f["name"] not in HIDDEN],
         }
 
@@ -301,6 +303,20 @@ class ViewedRun:
         return "{}_{}".format(*self.pyramid.tile_of(node)), at
 
     # ------------------------------------------------------------------ columns
+
+    @cached_property
+    def _waveforms(self) -> dict[str, Any]:
+        """Strips whose pulses have one, and what is said of the others."""
+        recorded = {int(f["strip"]) for f in self.delivery.report["input"]["files"] if f.get("pulses")}
+        store = Store(self.delivery.root, read_only=True)
+        kept = recorded & {int(part.split("-")[0]) for stage, part in store.parts() if stage == "read"}
+        if not recorded:
+            says = "This survey has no waveforms."
+        elif kept:
+            says = "This strip has no waveforms."
+        else:
+            says = "This run has no waveforms any more: `fwclass clean` removed them. Run again to have them."
+        return {"strips": sorted(kept), "says": says}
 
     @cached_property
     def _fields(self) -> list[dict[str, str]]:

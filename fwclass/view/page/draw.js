@@ -47,7 +47,7 @@ export class Drawing {
     this.canvas = canvas;
     this.gl = canvas.getContext('webgl2', { antialias: false, alpha: false, preserveDrawingBuffer: true });
     if (!this.gl) throw new Error('This browser has no WebGL2, by which the cloud is drawn. Any current Firefox, Chrome, Edge or Safari has it, unless it was turned off.');
-    this.palette = new Uint8Array(256 * 2 * 4);
+    this.palette = new Uint8Array(256 * 2 * 4).fill(255); // classes, then kinds of another column
     this.start();
   }
 

@@ -1,4 +1,4 @@
-import { matrix, onHeight, project, axes, start, FIELD } from './camera.js';
+import { fit, matrix, onHeight, project, axes, start, FIELD } from './camera.js';
 import { BUDGET, Scene } from './scene.js';
 import { Drawing, MODES, rampColours } from './draw.js';
 import { cut, pick, touches } from './pick.js';
@@ -65,8 +65,10 @@ function remember() {
   history.replaceState(null, '', `#${p.toString().replaceAll('%2C', ',')}`);
 }
 function whole() { // heights by their mean, as one stray echo would draw the middle away
-  const { bounds: b, height, origin: o } = scenes[0], [w, h] = size(), wide = Math.max((b[2] - b[0]) / Math.min(w / h, 1), b[3] - b[1], 5);
-  cam.target = [(b[0] + b[2]) / 2 - o[0], (b[1] + b[3]) / 2 - o[1], height - o[2]]; cam.far = wide * 1.25; cam.azimuth = start.azimuth; cam.tilt = start.tilt; moved();
+  const { bounds: b, height, origin: o, tiles } = scenes[0], [w, h] = size(), reach = Math.max(b[2] - b[0], b[3] - b[1]) / 8;
+  const middle = (k) => tiles.map((t) => t[k]).sort((p, q) => p - q)[tiles.length >> 1], ends = [Math.max(middle(3), height - reach), Math.min(middle(4), height + reach)];
+  cam.azimuth = start.azimuth; cam.tilt = start.tilt;
+  fit(cam, [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [b[2 * (k & 1)] - o[0], b[2 * ((k >> 1) & 1) + 1] - o[1], ends[k >> 2] - o[2]]), w / h, height - o[2]); moved();
 }
 function recall() {
   const o = scenes[0].origin, v = (given.get('at') || '').split(',').map(Number);
@@ -90,7 +92,7 @@ async function colourBy(name) {
   const o = name === 'height' ? scenes[0].origin[2] : 0;
   legend(name, about, about.low === null ? null : [range[0] + o, range[1] + o]); redraw(); remember();
 }
-function categories(list) { for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
+function categories(list) { drawing.palette.fill(255, 4 * 256); for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
 const rgb = (css) => [1, 3, 5].map((k) => parseInt(css.slice(k, k + 2), 16));
 function legend(name, about, range) {
   const box = $('legend'); box.replaceChildren();
@@ -104,7 +106,6 @@ function legend(name, about, range) {
 }
 function classes() {
   const known = new Map(scenes.flatMap((s) => s.classes).map((c) => [c.code, c]));
-  drawing.palette.fill(255);
   for (let code = 0; code < 256; code += 1) drawing.palette.set([...rgb(known.get(code)?.colour || '#9aa0a6'), hidden.has(code) ? 0 : 255], 4 * code);
   drawing.setPalette();
   const box = $('classes'); box.replaceChildren();
@@ -199,7 +200,8 @@ async function show(number_, hit) {
     $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? LITTLE : '';
     if (about.little) return;
-    alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
+    if (!s.waveforms.strips.includes(v.strip)) $('wave-says').textContent = s.waveforms.says;
+    else alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
     alone('why', `${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`, late).then((a) => { if (late()) return; stats.why = a; stats.why_ms = performance.now() - began; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
   } catch (e) { if (!late()) failed(e.message, e.status); }
 }

@@ -14,7 +14,7 @@ export class Relabel {
     Object.assign(this, page);
     this.open = false; this.mode = ''; this.stroke = []; this.selection = null; this.rows = this.scene.rows; this.busy = false; this.turn = 0;
     this.done = this.kept('done'); this.undone = this.kept('undone');
-    for (const mode of MODES) $(mode).onclick = () => this.use(mode);
+    for (const mode of MODES) $(mode).onclick = () => this.use(this.mode === mode ? '' : mode); // a finger has no Esc
     $('apply').onclick = () => this.apply(); $('undo').onclick = () => this.undo(); $('redo').onclick = () => this.redo();
     $('brush-size').oninput = this.overlay; $('give').onchange = () => this.steps();
     for (const id of ['least-sure', 'most-sure', 'lowest', 'highest']) $(id).onchange = () => this.select();
@@ -26,19 +26,21 @@ export class Relabel {
   async toggle() {
     this.open = !this.open; $('relabel').setAttribute('aria-pressed', String(this.open)); $('relabelling').hidden = !this.open;
     this.use(''); this.drop();
+    const mine = this.opening = this.open ? {} : null;
     if (!this.open) return;
     this.ready(false); $('relabelling').scrollIntoView({ block: 'nearest' });
     try {
       const about = await json('0/relabel.json', {});
-      $('relabel-says').textContent = about.says; this.ready(true); this.use('lasso');
-    } catch (e) { $('relabel-says').textContent = e.message; this.told(e, true); }
+      if (mine !== this.opening) return;
+      $('relabel-says').textContent = about.says; this.ready(true); this.use(mine.mode || 'lasso');
+    } catch (e) { if (mine !== this.opening) return; $('relabel-says').textContent = e.message; this.told(e, true); }
   }
 
   ready(yes) { this.may = yes; for (const e of $('relabelling').querySelectorAll('button, input, select')) if (!e.closest('#again')) e.disabled = !yes; this.steps(); }
 
   use(mode) {
-    if (mode && !this.may) return;
-    this.mode = this.mode === mode ? '' : mode; this.cancel();
+    if (mode && !this.may) { if (this.opening) this.opening.mode = mode; return; } // typed while the tool opens
+    this.mode = mode; this.cancel();
     for (const one of MODES) $(one).setAttribute('aria-pressed', String(one === this.mode));
     if (this.along && !this.section()) { this.wantSection(); this.count('Click both ends of a section; then draw a line in it.'); } else if (this.mode && !this.selection) this.count(this.along ? 'Draw a line in the section, from one side to the other.' : this.mode === 'brush' ? 'Draw over echoes.' : 'Draw around echoes.');
     $('brushed').hidden = this.mode !== 'brush'; this.pressed(); this.redraw();
