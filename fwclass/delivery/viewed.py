@@ -35,6 +35,8 @@ from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import echo_hashes
 from fwclass.publish.palette import colours, css
 from fwclass.schema import IDENTITY, Table
+from fwclass.store.run_location import address_of
+from fwclass.store.run_store import Store
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
@@ -60,6 +62,8 @@ class ViewedRun:
 
     def __init__(self, delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> None:
         self.delivery, self.params = delivery, params
+        if other is not None:
+            _check_same_place(delivery, other)
         self.tiles = {t["tile"]: t for t in delivery.tiles}
         if not self.tiles:
             raise InputError("this delivery has no tile", where=delivery.path, do="run the survey again")
@@ -109,6 +113,7 @@ class ViewedRun:
             "rows": self.relabel.corrections.rows().all.rows,
             "echoes": self.echoes,
             "against": self._other is not None,
+            "run": _known_by(self.delivery, self._other or self.delivery),
             "relabels": self._other is None,
             "origin": self.origin,
             "bounds": [*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 3:5].max(axis=0).tolist()],
@@ -121,6 +126,7 @@ class ViewedRun:
             "together": list(pyramid.levels()[: pyramid.whole + 1]),
             "tiles": tiles,
             "classes": [{**c, "colour": css(shown[int(c["code"])])} for c in report["classes"]],
+            "waveforms": self._waveforms,
             "columns": [f for f in self._fields if f["name"] not in HIDDEN],
         }
 
@@ -303,6 +309,20 @@ class ViewedRun:
     # ------------------------------------------------------------------ columns
 
     @cached_property
+    def _waveforms(self) -> dict[str, Any]:
+        """Strips whose pulses have one, and what is said of the others."""
+        recorded = {int(f["strip"]) for f in self.delivery.report["input"]["files"] if f.get("pulses")}
+        store = Store(self.delivery.root, read_only=True)
+        kept = recorded & {int(part.split("-")[0]) for stage, part in store.parts() if stage == "read"}
+        if not recorded:
+            says = "This survey has no waveforms."
+        elif kept:
+            says = "This strip has no waveforms."
+        else:
+            says = "This run has no waveforms any more: `fwclass clean` removed them. Run again to have them."
+        return {"strips": sorted(kept), "says": says}
+
+    @cached_property
     def _fields(self) -> list[dict[str, str]]:
         fields = table_fields(self._file(next(iter(self.tiles))))
         more = [CORRECTED]
@@ -356,7 +376,12 @@ class ViewedRun:
         if name == DIFFERS and self._other is not None:
             return compare_classes(self._file(key), self._other.table(key))
         values = self._column(key, name)
-        return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
+        return self._strip_bytes(values) if name == "strip" else self._scale(name).bytes_of(values)
+
+    def _strip_bytes(self, strips: NDArray) -> NDArray[np.uint8]:
+        """The codes that `kinds` gives the survey's strips."""
+        known = sorted({int(f["strip"]) for f in self.delivery.report["input"]["files"]})
+        return np.asarray(np.searchsorted(known, strips) % NO_VALUE, np.uint8)
 
     def _accepted(self, opened: OpenTile, key: str) -> NDArray[np.uint8]:
         return compare_corrections(opened.columns["classification"], *self._classes(opened, key))
@@ -381,6 +406,33 @@ class ViewedRun:
             mine = slice(bounds[number], bounds[number + 1])
             out[mine] = self._tile_bytes(key, name)[row[mine]]
         return out
+
+
+def _check_same_place(one: Delivery, other: Delivery) -> None:
+    """`InputError` for runs whose boxes do not meet: nothing of them would be seen side by side."""
+    a, b = (np.array([t["bounds"] for t in d.tiles]).reshape(-1, 6) for d in (one, other))
+    if not len(a) or not len(b):
+        return
+    (low, high), (left, right) = ((box[:, :2].min(axis=0), box[:, 3:5].max(axis=0)) for box in (a, b))
+    if (low > right).any() or (left > high).any():
+        raise InputError(
+            "the two runs are of places that do not meet",
+            where=f"{address_of(one.root)} and {address_of(other.root)}",
+            expected="two runs of one survey",
+            got=" and ".join(
+                f"x {p[0]:.0f} to {q[0]:.0f}, y {p[1]:.0f} to {q[1]:.0f}" for p, q in ((low, high), (left, right))
+            ),
+            do="name another run with --against, or look at each alone",
+        )
+
+
+def _known_by(one: Delivery, other: Delivery) -> str:
+    """The end of a run's address by which it is known from another's."""
+    mine, others = (str(address_of(d.root)).replace("\\", "/").split("/") for d in (one, other))
+    length = 1
+    while mine != others and mine[-length:] == others[-length:]:
+        length += 1
+    return "/".join(mine[-length:])
 
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:

@@ -31,7 +31,7 @@ _KINDS: Mapping[str, Sequence[tuple[str, str]]] = {
     ),
 }
 _STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
-"""In turn."""
+"""In turn, then lighter and darker."""
 
 
 def kinds(part: str, files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]] | None:
@@ -41,7 +41,9 @@ def kinds(part: str, files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
     """
     if part == "strip":
         names = {int(f["strip"]): str(f["path"]) for f in files}
-        return [_kind(n % NO_VALUE, name, _STRIPS[n % len(_STRIPS)]) for n, name in sorted(names.items())][:NO_VALUE]
+        codes = {n: k % NO_VALUE for k, n in enumerate(sorted(names))}  # other numbers are any up to 65 535
+        ordered = sorted(names, key=lambda n: (names[n], n))[:NO_VALUE]
+        return [_kind(codes[n], names[n], _strip_colour(k)) for k, n in enumerate(ordered)]
     if part not in _KINDS:
         return None
     return [_kind(code, *kind) for code, kind in enumerate(_KINDS[part])]
@@ -81,6 +83,13 @@ def compare_corrections(
 
 def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
     return canonical_key(Table({n: columns[n] for n in IDENTITY}))
+
+
+def _strip_colour(number: int) -> str:
+    turn, k = divmod(number, len(_STRIPS))
+    rgb = [int(_STRIPS[k][at : at + 2], 16) for at in (1, 3, 5)]
+    mixed = [(v, (v + 255) // 2, v * 3 // 5)[turn % 3] for v in rgb]
+    return "#{:02x}{:02x}{:02x}".format(*mixed)
 
 
 def _kind(code: int, name: str, colour: str) -> dict[str, Any]:

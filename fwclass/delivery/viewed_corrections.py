@@ -20,7 +20,7 @@ from fwclass.schema import Table
 from fwclass.store.bucket import Remote
 from fwclass.store.corrections import CORRECTIONS, add_corrections, check_writable, read_corrections
 from fwclass.store.run_store import Store
-from fwclass.view.scene import Replaced
+from fwclass.view.scene import Gone, Replaced
 
 ASKED = 3.0
 """s, how long object storage is believed to hold what it held."""
@@ -130,14 +130,20 @@ class Corrections:
         check_writable(self._delivery.root)
 
     def check_current(self) -> None:
-        """`Replaced` where another delivery than this one is the run's current one."""
+        """`Replaced` where another delivery than this one is the run's current one, `Gone` where there is none."""
         current = Store(self._delivery.root, read_only=True).generations.current()
-        if current is None or current.path != self._delivery.path:
+        if current is None:
+            raise Gone(
+                "the delivery that this page shows is gone: it was removed, or the run's directory was moved",
+                where=self._delivery.root,
+                do="put it back, or run the survey again; what the page has read of it is still shown",
+            )
+        if current.path != self._delivery.path:
             raise Replaced(
                 "the run has delivered anew since this page was opened",
                 where=self._delivery.root,
                 expected=f"delivery {self._delivery.path.name}, which the page shows",
-                got=f"delivery {current.name}" if current is not None else "none that is whole",
+                got=f"delivery {current.name}",
                 do="take the new one (button below), and draw again: its echoes may be others",
             )
 

@@ -22,7 +22,6 @@ from fwclass.publish.octree import echo_hashes
 from fwclass.read.las import open_las
 from fwclass.read.points import PointReader, coordinates
 from fwclass.schema import IDENTITY, Table, canonical_key
-from fwclass.view.blocks import NO_VALUE
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node
 
@@ -114,7 +113,7 @@ class LargeRun(ViewedRun):
         if "row" in columns:
             return super()._skim_column(name)
         if name == "strip":
-            return np.asarray(columns[name] % NO_VALUE, np.uint8)
+            return self._strip_bytes(columns[name])
         if name in columns:
             return self._scale(name).bytes_of(columns[name])
         order, ascending = self._by_key

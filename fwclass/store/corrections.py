@@ -142,6 +142,6 @@ def _not_written(location: RunLocation, fault: OSError) -> StoreError:
         "corrections cannot be written here",
         where=place_of(location),
         expected="a directory that can be written to",
-        got=system_error(fault),
+        got=system_error(fault).what,
         do="copy the run to a disk that can be written to, or ask for the right to write there",
     )

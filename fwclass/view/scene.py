@@ -16,6 +16,10 @@ class Replaced(InputError):
     """What the page shows is not the run's current delivery any more."""
 
 
+class Gone(InputError):
+    """The run has no delivery any more."""
+
+
 class Relabel(Protocol):
     """Corrections of a run: what is selected is resolved on all delivered echoes, whichever the page has."""
 

@@ -16,7 +16,7 @@ from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.redact import redacted
 from fwclass.view.guard import DELIVERY, HEADERS, BoundedReader, Guard, body_bytes
 from fwclass.view.params import ViewParams
-from fwclass.view.scene import Again, Replaced, Scene
+from fwclass.view.scene import Again, Gone, Replaced, Scene
 from fwclass.view.selection import Selection
 
 KINDS = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -233,6 +233,8 @@ class _Handler(BaseHTTPRequestHandler):
             return 200, *answer()
         except Replaced as fault:
             return 409, *_json({"error": redacted(str(fault)), "replaced": True})
+        except Gone as fault:
+            return 410, *_json({"error": redacted(str(fault))})
         except FwclassError as fault:
             return refused, *_json({"error": redacted(str(fault))})
         except OSError as fault:

@@ -152,8 +152,9 @@ def test_writers_at_the_same_time_lose_nothing(where):
 def test_a_place_that_cannot_be_written_is_told_at_once(tmp_path):
     (tmp_path / "labels").write_text("a file in the way")
     for ask in (lambda: check_writable(tmp_path), lambda: add_corrections(tmp_path, lambda _: rows(1, 2))):
-        with pytest.raises(StoreError, match="corrections cannot be written here"):
+        with pytest.raises(StoreError, match="corrections cannot be written here") as told:
             ask()
+        assert [str(told.value).count(word) for word in ("where:", "what to do:")] == [1, 1]
 
 
 def test_a_change_that_fails_leaves_the_file_as_it_was(tmp_path):

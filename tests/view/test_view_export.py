@@ -196,8 +196,8 @@ def test_any_echo_says_who_it_is(page: Driven, served: Served, folder: Path, sho
         values = shown.echo(tuple(hit[0]), hit[1])["values"]
         if "-".join(str(values[n]) for n in IDENTITY) in known:
             continue
-        who = "strip {strip}, pulse {pulse}, echo {echo_number} of".format(**values)
-        page.until(f"document.getElementById('says').textContent.includes('{who}')")
+        who = "strip {strip}, pulse {pulse}, echo {echo_number}".format(**values)
+        page.until(f"document.getElementById('says').textContent.endsWith('{who}')")
         assert "circled" in page.run("document.getElementById('wave-says').textContent")
         shares = page.run("document.getElementById('what').textContent")
         assert re.search(rf"{round(100 * values['confidence'])} % sure", shares)
@@ -214,6 +214,7 @@ def test_a_policy_stands_in_the_page_and_a_file_says_what_it_needs(browser_page:
         browser_page.until("document.getElementById('unserved').getBoundingClientRect().width > 200")
         words = "getComputedStyle(document.getElementById('unserved')).visibility === 'visible'"
         browser_page.until(words)
+        assert browser_page.run("getComputedStyle(document.getElementById('panel')).visibility") == "hidden"
         assert browser_page.run("document.documentElement.scrollWidth") <= width
 
 

@@ -38,3 +38,12 @@ export function onHeight(cam, x, y, width, height, z = cam.target[2]) {
   const d = [0, 1, 2].map((i) => right[i] * u + up[i] * v - back[i]), s = (z - e[2]) / d[2];
   return s > 0 && s < cam.far * 12 ? [e[0] + s * d[0], e[1] + s * d[1], z] : null;
 }
+
+// Stand where all points are just seen, with a margin, and turn about the height `z`. The direction stays.
+export function fit(cam, points, aspect, z) {
+  const { right, up, back } = axes(cam), high = Math.tan(FIELD / 2) * 0.94, wide = high * aspect;
+  const most = (along, by) => points.reduce((m, p) => Math.max(m, dot(p, along) + by * dot(p, back)), -Infinity), less = (v) => v.map((x) => -x);
+  const [r, l, u, d] = [most(right, wide), most(less(right), wide), most(up, high), most(less(up), high)];
+  const place = [(r - l) / 2, (u - d) / 2, Math.max((r + l) / (2 * wide), (u + d) / (2 * high))], e = [0, 1, 2].map((k) => place[0] * right[k] + place[1] * up[k] + place[2] * back[k]);
+  cam.far = Math.max(5, (e[2] - z) / back[2]); cam.target = e.map((v, k) => v - cam.far * back[k]);
+}

@@ -41,13 +41,29 @@ void main() {
 const RAMP = [68, 1, 84, 59, 82, 139, 33, 145, 140, 94, 201, 98, 253, 231, 37]; // viridis
 export const MODES = { classification: 0, confidence: 1, height: 2, height_above_ground: 3, intensity: 4 };
 export const rampColours = RAMP;
+const ramp = Array.from({ length: 256 }, (_, v) => { const at = (v / 255) * (RAMP.length / 3 - 1), i = Math.min(Math.floor(at), RAMP.length / 3 - 2); return [0, 1, 2].map((c) => Math.round(RAMP[3 * i + c] + (at - i) * (RAMP[3 * i + 3 + c] - RAMP[3 * i + c]))); });
+
+// The colour of an echo of a node as the shader has it, as a pixel.
+export function pixel(look, palette, n, k, z) {
+  const b = n.bytes, at = 12 * k, e = n.extra ? n.extra[k] : 255, opaque = (red, green, blue) => ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+  let v = NaN;
+  switch (look.mode) {
+    case 0: case 6: { const p = 4 * (look.mode ? 256 + e : b[at + 10]); return opaque(palette[p], palette[p + 1], palette[p + 2]); }
+    case 1: if (b[at + 11] !== 255) v = b[at + 11] / 200; break;
+    case 2: v = z; break;
+    case 3: if (b[at + 6] | b[at + 7]) v = (b[at + 6] + 256 * b[at + 7]) * 0.01 - 100.01; break;
+    case 4: v = b[at + 8] + 256 * b[at + 9]; break;
+    default: if (e !== 255) v = e / 254;
+  }
+  return Number.isNaN(v) ? opaque(191, 191, 191) : opaque(...ramp[Math.round(255 * Math.max(0, Math.min(1, (v - look.low) / Math.max(look.high - look.low, 1e-6))))]);
+}
 
 export class Drawing {
   constructor(canvas) {
     this.canvas = canvas;
     this.gl = canvas.getContext('webgl2', { antialias: false, alpha: false, preserveDrawingBuffer: true });
     if (!this.gl) throw new Error('This browser has no WebGL2, by which the cloud is drawn. Any current Firefox, Chrome, Edge or Safari has it, unless it was turned off.');
-    this.palette = new Uint8Array(256 * 2 * 4);
+    this.palette = new Uint8Array(256 * 2 * 4).fill(255); // classes, then kinds of another column
     this.start();
   }
 

@@ -1,8 +1,8 @@
-import { matrix, onHeight, project, axes, start, FIELD } from './camera.js';
+import { fit, matrix, onHeight, project, axes, start, FIELD } from './camera.js';
 import { BUDGET, Scene } from './scene.js';
-import { Drawing, MODES, rampColours } from './draw.js';
+import { Drawing, MODES, pixel, rampColours } from './draw.js';
 import { cut, pick, touches } from './pick.js';
-import { $, element, number, values, wave, why } from './panel.js';
+import { $, counted, element, number, values, wave, why } from './panel.js';
 import { json, traffic, useDelivery, useToken } from './net.js';
 import { kept, LITTLE } from './folder.js';
 import { Again } from './again.js';
@@ -13,11 +13,13 @@ const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: perf
 const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, sketched: false, section: null, selected: null, motion: 600_000, shade: true };
 let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null;
 useToken(given.get('token') || ''); $('unserved').remove();
-const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
+const inSight = (id) => $(id).scrollIntoView({ block: 'nearest' }); // on a phone the panel is longer than its place
+const says = (text) => { $('says').textContent = text; if (text) inSight('says'); };
+const fault = (text) => { if ($('fault').textContent === (text || '')) return; $('fault').hidden = !text; $('fault').textContent = text || ''; if (text) inSight('fault'); };
 const failed = (text, status) => { $('take').hidden = status !== 409; fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text); };
 async function take() { try { await json('0/reopen.json', {}); location.reload(); } catch (e) { failed(e.message, e.status); } }
 $('take').onclick = take;
-const canvas = $('view');
+const canvas = $('view'), FEW = 5000; // echoes of a section whose dots are larger
 
 // ------------------------------------------------------------------ frames
 const size = () => [canvas.clientWidth / scenes.length, canvas.clientHeight];
@@ -65,8 +67,10 @@ function remember() {
   history.replaceState(null, '', `#${p.toString().replaceAll('%2C', ',')}`);
 }
 function whole() { // heights by their mean, as one stray echo would draw the middle away
-  const { bounds: b, height, origin: o } = scenes[0], [w, h] = size(), wide = Math.max((b[2] - b[0]) / Math.min(w / h, 1), b[3] - b[1], 5);
-  cam.target = [(b[0] + b[2]) / 2 - o[0], (b[1] + b[3]) / 2 - o[1], height - o[2]]; cam.far = wide * 1.25; cam.azimuth = start.azimuth; cam.tilt = start.tilt; moved();
+  const { bounds: b, height, origin: o, tiles } = scenes[0], [w, h] = size(), reach = Math.max(b[2] - b[0], b[3] - b[1]) / 8;
+  const middle = (k) => tiles.map((t) => t[k]).sort((p, q) => p - q)[tiles.length >> 1], ends = [Math.max(middle(3), height - reach), Math.min(middle(4), height + reach)];
+  cam.azimuth = start.azimuth; cam.tilt = start.tilt;
+  fit(cam, [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [b[2 * (k & 1)] - o[0], b[2 * ((k >> 1) & 1) + 1] - o[1], ends[k >> 2] - o[2]]), w / h, height - o[2]); moved();
 }
 function recall() {
   const o = scenes[0].origin, v = (given.get('at') || '').split(',').map(Number);
@@ -90,7 +94,7 @@ async function colourBy(name) {
   const o = name === 'height' ? scenes[0].origin[2] : 0;
   legend(name, about, about.low === null ? null : [range[0] + o, range[1] + o]); redraw(); remember();
 }
-function categories(list) { for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
+function categories(list) { drawing.palette.fill(255, 4 * 256); for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
 const rgb = (css) => [1, 3, 5].map((k) => parseInt(css.slice(k, k + 2), 16));
 function legend(name, about, range) {
   const box = $('legend'); box.replaceChildren();
@@ -104,7 +108,6 @@ function legend(name, about, range) {
 }
 function classes() {
   const known = new Map(scenes.flatMap((s) => s.classes).map((c) => [c.code, c]));
-  drawing.palette.fill(255);
   for (let code = 0; code < 256; code += 1) drawing.palette.set([...rgb(known.get(code)?.colour || '#9aa0a6'), hidden.has(code) ? 0 : 255], 4 * code);
   drawing.setPalette();
   const box = $('classes'); box.replaceChildren();
@@ -119,8 +122,8 @@ function classes() {
 function tool(name) {
   state.tool = state.tool === name ? '' : name; state.points = [];
   for (const id of ['section', 'measure']) $(id).setAttribute('aria-pressed', String(state.tool === id));
-  $('says').textContent = state.tool === 'section' ? 'Click both ends of the section.' : state.tool === 'measure' ? 'Click two echoes.' : '';
-  redraw();
+  says(state.tool === 'section' && !relabel?.along ? 'Click both ends of the section.' : state.tool === 'measure' ? 'Click two echoes.' : '');
+  relabel?.hint(); redraw();
 }
 const svg = (kind, attributes, text) => { const e = document.createElementNS('http://www.w3.org/2000/svg', kind); for (const [k, v] of Object.entries(attributes)) e.setAttribute(k, v); if (text) e.textContent = text; return e; };
 function marks(m, w, h) {
@@ -138,32 +141,34 @@ function chosen(hit, x, y) {
   const [w, h] = size();
   if (state.tool === 'section') {
     const p = hit?.place || onHeight(cam, x % w, y, w, h);
-    if (!p) return;
-    state.points.push(p);
-    if (state.points.length === 2) { state.section = { A: state.points[0], B: state.points[1], half: Number($('width').value) / 2, stale: true }; $('profile').hidden = false; tool(''); }
-  } else if (hit) {
-    state.points.push(hit.place);
+    if (!p) { says('There is nothing but sky: click an echo, or the ground.'); return; }
+    state.points.push(p); says('Click the other end.');
+    if (state.points.length === 2) { cutAlong({ A: state.points[0], B: state.points[1], half: Number($('width').value) / 2, stale: true }); tool(''); }
+  } else if (!hit) says('No echo is there: click two echoes.'); else {
+    state.points.push(hit.place); says('Click the other echo.');
     if (state.points.length === 2) {
       const [a, b] = state.points, flat = Math.hypot(b[0] - a[0], b[1] - a[1]);
-      state.measured = [a, b]; tool(''); $('says').textContent = `${Math.hypot(flat, b[2] - a[2]).toFixed(2)} m; sideways ${flat.toFixed(2)} m, upwards ${(b[2] - a[2]).toFixed(2)} m`;
+      state.measured = [a, b]; tool(''); says(`${Math.hypot(flat, b[2] - a[2]).toFixed(2)} m; sideways ${flat.toFixed(2)} m, upwards ${(b[2] - a[2]).toFixed(2)} m`);
     }
   }
   redraw();
 }
+// The cloud is drawn in what its section leaves, so that the line stays in sight.
+function cutAlong(line) { state.section = line; $('profile').hidden = !line; $('stage').classList.toggle('cut', Boolean(line)); if (!line && relabel?.along) relabel.use(''); redraw(); }
 function profile() {
   const c = $('cut'), g = c.getContext('2d'), line = state.section; c.width = c.clientWidth; c.height = c.clientHeight; line.stale = false;
   const nodes = shown[0].nodes, { echoes, length } = cut(nodes, line.A, line.B, line.half, hidden);
   if (!echoes.length) { $('cut-says').textContent = 'no echo lies here'; line.echoes = []; line.picture = line.view = null; return; }
   let low = Infinity, high = -Infinity; for (const e of echoes) { low = Math.min(low, e.z); high = Math.max(high, e.z); }
   const over = Number($('exaggeration').value) || 1, k = Math.min((c.width - 20) / length, (c.height - 16) / Math.max((high - low) * over, 1)), left = (c.width - k * length) / 2;
-  const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), pal = drawing.palette;
+  const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), wide = echoes.length < FEW ? 3 : 2;
   for (const e of echoes) {
     e.x = left + e.s * k; e.y = c.height - 8 - (e.z - low) * k * over;
-    const code = e.node.bytes[12 * e.row + 10], v = e.node.marks?.[e.row] ? 0xffb000e8 : (255 << 24) | (pal[4 * code + 2] << 16) | (pal[4 * code + 1] << 8) | pal[4 * code], X = Math.round(e.x), Y = Math.round(e.y);
-    for (let a = 0; a < 2; a += 1) for (let b = 0; b < 2; b += 1) if (X + a >= 0 && X + a < c.width && Y + b >= 0 && Y + b < c.height) px[(Y + b) * c.width + X + a] = v;
+    const v = e.node.marks?.[e.row] ? 0xffb000e8 : pixel(state.look, drawing.palette, e.node, e.row, e.z), X = Math.round(e.x), Y = Math.round(e.y);
+    for (let a = 0; a < wide; a += 1) for (let b = 0; b < wide; b += 1) if (X + a >= 0 && X + a < c.width && Y + b >= 0 && Y + b < c.height) px[(Y + b) * c.width + X + a] = v;
   }
   line.echoes = echoes; line.picture = picture; line.view = { left, k, low, over, bottom: c.height - 8 }; sketch(line);
-  $('cut-says').textContent = `${echoes.length.toLocaleString('en')} echoes, ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high`;
+  $('cut-says').textContent = `${scenes.length > 1 ? `${scenes[0].run}: ` : ''}${counted(echoes.length)}, ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high`;
 }
 // The section's picture, and over it what is being drawn.
 function sketch(line) { const g = $('cut').getContext('2d'); g.putImageData(line.picture, 0, 0); relabel?.inSection(g); }
@@ -179,7 +184,7 @@ $('cut').onclick = (e) => {
 };
 $('width').onchange = () => { if (state.section) { state.section.half = Number($('width').value) / 2 || 1; redraw(); } };
 $('exaggeration').onchange = redraw;
-$('close-profile').onclick = () => { $('profile').hidden = true; state.section = null; if (relabel?.along) relabel.use(''); redraw(); };
+$('close-profile').onclick = () => cutAlong(null);
 
 // ------------------------------------------------------------------ one echo
 // One request of a kind at a time: what a hand that clicks on does not wait for any more is not asked for.
@@ -195,13 +200,19 @@ async function show(number_, hit) {
     const about = s.folder ? await kept(s, hit) : await alone('echo', `${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`, late), v = about?.values; if (late()) return;
     stats.echo = about;
     const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
-    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}${about.little && s.rows ? ' (corrections in place)' : ''}`;
-    $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
-    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? LITTLE : '';
+    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
+    says(`${scenes.length > 1 ? `${s.run}: ` : ''}${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number}${v.number_of_echoes ? ` of ${v.number_of_echoes}` : ''}`);
+    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? `${LITTLE}${s.rows ? ' Classes are as corrected up to the export.' : ''}` : ''; reveal();
     if (about.little) return;
-    alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
-    alone('why', `${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`, late).then((a) => { if (late()) return; stats.why = a; stats.why_ms = performance.now() - began; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
+    if (!s.waveforms.strips.includes(v.strip)) $('wave-says').textContent = s.waveforms.says;
+    else alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
+    alone('why', `${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`, late).then((a) => { if (late()) return; stats.why = a; stats.why_ms = performance.now() - began; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); reveal(); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
   } catch (e) { if (!late()) failed(e.message, e.status); }
+}
+// What is told of an echo stands below the classes and the tools: the panel goes there where it would be out of sight.
+function reveal() {
+  const panel = $('panel').getBoundingClientRect();
+  if ($('what').getBoundingClientRect().bottom > panel.bottom - 80) $('panel').scrollTop += $('says').getBoundingClientRect().top - panel.top - $('work').offsetHeight - 8;
 }
 function click(x, y) {
   const began = performance.now(), [w, h] = size(), k = Math.min(scenes.length - 1, Math.floor(x / w));
@@ -216,10 +227,10 @@ function click(x, y) {
 async function go(step) {
   works ??= (await json('0/work.json')).places;
   if (!works.length) { $('place').textContent = 'no unsure place'; return; }
-  at = (at + step + works.length) % works.length;
+  at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;
   cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
-  $('place').textContent = `${at + 1} of ${works.length}: ${p.echoes.toLocaleString('en')} echoes`; moved();
+  $('place').textContent = `${at + 1} of ${works.length}: ${counted(p.echoes)}`; moved();
   const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
 const marked = () => works?.[at]?.told || []; // echoes of which a folder has everything
@@ -247,7 +258,7 @@ canvas.addEventListener('wheel', (e) => { e.preventDefault(); nearer(Math.exp(Ma
 const fromAbove = () => { cam.tilt = 1.5707; cam.azimuth = 0; moved(); };
 const sized = (by) => { $('brush-size').value = Number($('brush-size').value) + by; overlay(); };
 const relabelling = { l: () => relabel.use('lasso'), b: () => relabel.use('brush'), a: () => relabel.use('above'), u: () => relabel.use('below'), Enter: () => relabel.apply(), z: () => relabel.undo(), y: () => relabel.redo(), '[': () => sized(-4), ']': () => sized(4) };
-const keys = { r: () => edit(), ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.last || relabel?.mode) { if (relabel.last) relabel.drop(); else relabel.use(''); return; } tool(''); state.measured = state.selected = null; overlay(); } };
+const keys = { r: () => edit(), ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.last) { relabel.drop(); relabel.hint(); } else if (state.tool || relabel?.mode) { if (relabel?.along || !state.tool) relabel.use(''); if (state.tool) tool(''); } else { state.measured = state.selected = null; says(''); cutAlong(null); } } };
 addEventListener('keydown', (e) => { if (e.ctrlKey || e.metaKey || e.altKey || /INPUT|SELECT/.test(e.target.tagName) || (e.key === 'Enter' && /BUTTON|SUMMARY/.test(e.target.tagName))) return; const act = keys[e.key] || (relabel?.open && relabelling[e.key]); if (act) { e.preventDefault(); act(); } });
 $('whole').onclick = whole; $('top').onclick = fromAbove; $('section').onclick = () => tool('section'); $('measure').onclick = () => tool('measure');
 $('next').onclick = () => step(1); $('previous').onclick = () => step(-1); $('by').onchange = () => colourBy($('by').value);
@@ -257,14 +268,14 @@ canvas.addEventListener('webglcontextrestored', () => { drawing.start(); fault('
 
 // ------------------------------------------------------------------ corrections
 function noClass(s) { if (!s.classes.some((c) => c.code === 0)) { s.classes.push({ code: 0, name: 'no class', colour: '#9aa0a6' }); classes(); } }
-async function edit() { if (!relabel) return; noClass(scenes[0]); const opened = relabel.toggle(); remember(); if (relabel.open) again.look(); await opened; }
+async function edit() { if (!relabel) { says(scenes[0]?.folder ? 'A folder only shows: fwclass view relabels.' : 'Two runs side by side are not relabelled: open one of them alone.'); return; } noClass(scenes[0]); const opened = relabel.toggle(); remember(); if (relabel.open) again.look(); await opened; }
 function relabels(first) {
   if (!first.relabels) return;
   useDelivery(first.delivery);
   if (first.rows) noClass(first);
-  const section = () => state.section, wantSection = () => { if (state.tool !== 'section') tool('section'); };
-  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, redraw, overlay, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
-  again = new Again({ take });
+  const section = () => state.section, wantSection = () => { if (state.tool !== 'section') tool('section'); }, leaveTool = () => { if (state.tool) tool(''); };
+  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, leaveTool, using: () => state.tool, redraw, overlay, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
+  again = new Again({ take, open: () => relabel.open, drawing: () => relabel.last || relabel.stroke.length });
   $('relabel').hidden = false; $('relabel').onclick = edit;
   if (given.get('relabel')) edit();
 }
@@ -278,7 +289,8 @@ async function begin() {
     scenes.push(await Scene.open(1, redraw, failed));
     scenes[1].moveTo(first.origin);
   }
-  $('name').textContent = scenes.map((s) => s.name).join(' | '); document.title = `${first.name} – fwclass view`;
+  const names = scenes.map((s) => (scenes.length > 1 ? `${s.name}: ${s.run}` : s.name)); $('name').textContent = names.join(' | ');
+  if (scenes.length > 1) $('halves').replaceChildren(...names.map((n) => element('span', n))); document.title = `${names.join(' | ')} – fwclass view`;
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
   for (const n of by) if (n === 'height' || ((MODES[n] !== undefined || !first.folder || first.folder.columns.includes(n)) && first.columns.some((c) => c.name === n))) $('by').add(new Option(n.replaceAll('_', ' '), n));
   if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';

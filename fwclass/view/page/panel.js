@@ -1,6 +1,7 @@
 // What is known of a picked echo. Text of files is set as text, never as markup.
 export const $ = (id) => document.getElementById(id);
 export function element(kind, text = '', className = '') { const e = document.createElement(kind); if (text !== '') e.textContent = text; if (className) e.className = className; return e; }
+export const counted = (n, one = 'echo', more = 'es') => `${n.toLocaleString('en')} ${one}${n === 1 ? '' : more}`;
 export const number = (v) => (v === null || v === undefined ? '–' : typeof v !== 'number' ? String(v) : Number.isInteger(v) ? String(v) : Math.abs(v) >= 1000 ? v.toFixed(3) : Number(v.toPrecision(4)).toString());
 
 export function row(table, ...cells) { const r = element('tr'); cells.forEach((c) => r.append(c instanceof Node ? c : element('td', c))); table.append(r); }

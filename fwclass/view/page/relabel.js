@@ -1,20 +1,19 @@
 // Relabelling: what is drawn is selected by the server among all delivered echoes, counted, and only then written.
 import { matrix } from './camera.js';
 import { json, marked } from './net.js';
-import { $ } from './panel.js';
+import { $, counted } from './panel.js';
 
 const MOST = 1500; // points of a stroke that are sent
 const EVERY = 4000; // ms between questions for what others changed
 const MODES = ['lasso', 'brush', 'above', 'below'];
-const counted = (n, one, more) => `${n.toLocaleString('en')} ${one}${n === 1 ? '' : more}`, echoes = (n) => counted(n, 'echo', 'es');
 
 export class Relabel {
-  // `page`: scene, cam, size, hidden, section, wantSection, redraw, overlay, pressed, failed.
+  // `page`: scene, cam, size, hidden, section, wantSection, leaveTool, using, redraw, overlay, pressed, failed.
   constructor(page) {
     Object.assign(this, page);
     this.open = false; this.mode = ''; this.stroke = []; this.selection = null; this.rows = this.scene.rows; this.busy = false; this.turn = 0;
     this.done = this.kept('done'); this.undone = this.kept('undone');
-    for (const mode of MODES) $(mode).onclick = () => this.use(mode);
+    for (const mode of MODES) $(mode).onclick = () => this.use(this.mode === mode ? '' : mode); // a finger has no Esc
     $('apply').onclick = () => this.apply(); $('undo').onclick = () => this.undo(); $('redo').onclick = () => this.redo();
     $('brush-size').oninput = this.overlay; $('give').onchange = () => this.steps();
     for (const id of ['least-sure', 'most-sure', 'lowest', 'highest']) $(id).onchange = () => this.select();
@@ -26,22 +25,32 @@ export class Relabel {
   async toggle() {
     this.open = !this.open; $('relabel').setAttribute('aria-pressed', String(this.open)); $('relabelling').hidden = !this.open;
     this.use(''); this.drop();
+    const mine = this.opening = this.open ? {} : null;
     if (!this.open) return;
     this.ready(false); $('relabelling').scrollIntoView({ block: 'nearest' });
     try {
       const about = await json('0/relabel.json', {});
-      $('relabel-says').textContent = about.says; this.ready(true); this.use('lasso');
-    } catch (e) { $('relabel-says').textContent = e.message; this.told(e, true); }
+      if (mine !== this.opening) return;
+      $('relabel-says').textContent = about.says; this.ready(true); this.use(mine.mode || 'lasso');
+    } catch (e) { if (mine !== this.opening) return; $('relabel-says').textContent = e.message; this.told(e, true); }
   }
 
   ready(yes) { this.may = yes; for (const e of $('relabelling').querySelectorAll('button, input, select')) if (!e.closest('#again')) e.disabled = !yes; this.steps(); }
 
   use(mode) {
-    if (mode && !this.may) return;
-    this.mode = this.mode === mode ? '' : mode; this.cancel();
+    if (mode && !this.may) { if (this.opening) this.opening.mode = mode; return; } // typed while the tool opens
+    this.mode = mode; this.cancel();
     for (const one of MODES) $(one).setAttribute('aria-pressed', String(one === this.mode));
-    if (this.along && !this.section()) { this.wantSection(); this.count('Click both ends of a section; then draw a line in it.'); } else if (this.mode && !this.selection) this.count(this.along ? 'Draw a line in the section, from one side to the other.' : this.mode === 'brush' ? 'Draw over echoes.' : 'Draw around echoes.');
+    if (this.along && !this.section()) this.wantSection(); else if (mode) this.leaveTool();
+    this.hint();
     $('brushed').hidden = this.mode !== 'brush'; this.pressed(); this.redraw();
+  }
+
+  // What the hand does next, where nothing is selected yet.
+  hint() {
+    if (!this.open || !this.may || this.last || this.busy) return;
+    const along = this.section() ? 'Draw a line in the section, from one side to the other.' : 'Click both ends of a section; then draw a line in it.';
+    this.count(this.along ? along : !this.mode || this.using() ? '' : this.mode === 'brush' ? 'Draw over echoes.' : 'Draw around echoes.');
   }
 
   get along() { return this.mode === 'above' || this.mode === 'below'; }
@@ -139,7 +148,7 @@ export class Relabel {
   words(told) {
     if (!told.echoes) return 'No echo is selected there: classes that are off and what the filters leave out never are.';
     const of = Object.entries(told.classes).sort((a, b) => b[1] - a[1]).map(([code, n]) => `${this.called(code)} ${n.toLocaleString('en')}`);
-    return `${echoes(told.echoes)} in ${counted(told.tiles, 'tile', 's')}: ${of.join(', ')}`;
+    return `${counted(told.echoes)} in ${counted(told.tiles, 'tile', 's')}: ${of.join(', ')}`;
   }
 
   called(code) { return Number(code) === 0 ? 'no class' : this.scene.classes.find((c) => c.code === Number(code))?.name || `code ${code}`; }
@@ -155,20 +164,22 @@ export class Relabel {
   }
 
   apply() {
-    if (!this.selection || $('give').value === '?') return;
+    if (!this.may || this.busy) return;
+    if (!this.selection) { this.count('Nothing is selected: draw first.'); return; }
+    if ($('give').value === '?') { this.count(`${this.words(this.selection)}\nChoose the class to give, then apply.`); return; }
     const give = $('give').value, code = give === '' ? null : Number(give), words = code === null ? 'as delivered' : this.called(code);
     this.write('0/correct.json', { selection: this.selection.selection, code }, (told) => {
       this.drop();
       if (told.time) { this.done.push(told.time); this.undone.length = 0; }
-      this.count(`Written: ${echoes(told.echoes)} ${told.echoes === 1 ? 'is' : 'are'} ${words}${told.left ? `; ${told.left.toLocaleString('en')} ${told.left === 1 ? 'was' : 'were'} so already` : ''}.`);
+      this.count(`Written: ${counted(told.echoes)} ${told.echoes === 1 ? 'is' : 'are'} ${words}${told.left ? `; ${told.left.toLocaleString('en')} ${told.left === 1 ? 'was' : 'were'} so already` : ''}.`);
     });
   }
 
   back(from, to, words) {
-    if (!from.length) return;
+    if (!from.length) { this.count(from === this.done ? 'Nothing to undo.' : 'Nothing to do again.'); return; }
     this.write('0/revert.json', { time: from.at(-1) }, (told) => {
       from.pop(); if (told.time) to.push(told.time);
-      this.count(`${words}: ${echoes(told.echoes)}${told.left ? `; ${told.left.toLocaleString('en')} were corrected anew since and stay` : ''}.`);
+      this.count(`${words}: ${counted(told.echoes)}${told.left ? `; ${told.left.toLocaleString('en')} were corrected anew since and stay` : ''}.`);
     });
   }
 
@@ -191,5 +202,5 @@ export class Relabel {
     if (anew) this.scene.anew(); else this.scene.correct(blocks);
   }
 
-  told(e, here) { if (e.status === 409) this.gone = true; if (!e.status) this.lost = true; if (!here || e.status === 409 || e.status === 401) this.failed(e.message, e.status); }
+  told(e, here) { if (e.status === 409) this.gone = true; if (!e.status || e.status === 410) this.lost = true; if (!here || [401, 409, 410].includes(e.status)) this.failed(e.message, e.status); }
 }
