@@ -132,6 +132,10 @@ function marks(m, w, h) {
   if (state.section) line(state.section.A, state.section.B);
   for (const p of state.points) { const [x, y, d] = at2(p); if (d > 0) out.push(svg('circle', { cx: x, cy: y, r: 5 })); }
   if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`)); }
+  if (works?.[at]) { // the squares of the unsure place
+    const [x0, y0, x1, y1] = works[at].box, o = scenes[0].origin, corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map(([x, y]) => at2([x - o[0], y - o[1], works[at].z - o[2]]));
+    if (corners.every((c) => c[2] > 0)) out.push(svg('path', { class: 'frame', d: `M${corners.map((c) => `${c[0]} ${c[1]}`).join('L')}Z` }));
+  }
   for (const t of marked()) { t.at = at2(t.place); if (t.at[2] > 0) out.push(svg('circle', { cx: t.at[0], cy: t.at[1], r: 4 })); }
   if (state.selected) scenes.forEach((_, k) => { const [x, y, d] = at2(state.selected.place); if (d > 0) out.push(svg('circle', { cx: x + k * w, cy: y, r: 8 })); });
   const shape = relabel?.shape(); if (shape) out.push(svg('path', shape));
@@ -230,7 +234,8 @@ async function go(step) {
   at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;
   cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
-  $('place').textContent = `${at + 1} of ${works.length}: ${counted(p.echoes)}`; moved();
+  const called = new Map(scenes[0].classes.map((c) => [c.code, c.name])), given_ = p.classes.slice(0, 3).map(([code, n]) => `${called.get(code) || `code ${code}`} ${n.toLocaleString('en')}`).join(', ');
+  $('place').textContent = `${at + 1} of ${works.length}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${given_}`; moved();
   const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
 const marked = () => works?.[at]?.told || []; // echoes of which a folder has everything
