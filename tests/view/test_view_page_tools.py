@@ -240,7 +240,7 @@ def test_a_phone_shows_the_work_list_and_what_a_tap_tells(browser_page: Driven, 
         page.until("/ of /.test(document.getElementById('place').textContent)")
         last, _, rest = text(page, "place").partition(" of ")
         assert int(last) > 1 and re.fullmatch(rf"{last}: (1 echo|[23] echoes), \d+ % sure: [a-z]+ \d.*", rest), rest
-        page.until("document.querySelector('#marks .frame')")
+        page.until("Boolean(document.querySelector('#marks .frame'))")
 
 
 def test_two_runs_say_which_is_which(browser_page: Driven, small_run: Path) -> None:
