@@ -139,7 +139,7 @@ def read_echo_labels(source: Path | bytes, where: object, field: str = FIELD, si
     """
     try:
         return _read(source, where, field, signed)
-    except (pa.ArrowException, OSError, ValueError) as fault:
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as fault:
         raise _unreadable(fault, where, "it is cut short or damaged; write it again") from fault
 
 
@@ -234,6 +234,9 @@ def _check_columns(schema: Any, where: object, field: str) -> None:
             got=", ".join(schema.names[:20]) or "no column",
             do=nearest(lacking[0], schema.names) if schema.names else "write the table again",
         )
+    twice = [n for n in (*_IDENTITY, field, *_PLACE, "time", "who") if schema.names.count(n) > 1]
+    if twice:
+        raise InputError("a column is there twice", where=where, got=", ".join(twice), do="remove one of them")
     for name in (*_IDENTITY, field, *_PLACE):
         kind = schema.field(name).type
         numbers = pa.types.is_integer(kind) or (name in _PLACE and pa.types.is_floating(kind))

@@ -45,8 +45,17 @@ def header(path: Path) -> Header:
     InputError
         No Parquet, no GeoParquet, or another encoding than well-known binary.
     """
+    try:
+        return _header(path)
+    except (KeyError, TypeError, AttributeError, RecursionError) as fault:
+        raise _foreign(path, "metadata of another shape") from fault
+
+
+def _header(path: Path) -> Header:
     with _opened(path) as file:
         schema, features = file.schema_arrow, file.metadata.num_rows
+    if len(set(schema.names)) < len(schema.names):
+        raise _foreign(path, "a column that is there twice")
     about = _geo(path, schema)
     column = about.get("primary_column")
     columns = about.get("columns")
@@ -82,13 +91,13 @@ def rows(path: Path, geometry: str, field: str | None) -> tuple[list[Any], list[
 
 def column(path: Path, name: str) -> list[Any]:
     """Values of one column, in the file's order."""
-    with _opened(path, name) as file:
-        try:
+    try:
+        with _opened(path, name) as file:
             found = file.read([name]).column(name)
             _check_size(found, SPARE + EACH * path.stat().st_size)
             return [value for chunk in found.chunks for value in _plain(chunk).to_pylist()]
-        except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as fault:
-            raise _foreign(path, str(fault)) from fault
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError) as fault:
+        raise _foreign(path, f"column {name}: {fault}") from fault
 
 
 def _check_size(found: Any, most: int) -> None:

@@ -16,11 +16,32 @@ _NAMED = re.compile(
     r"""
     PROJ4_GRIDS ["']? \s* , \s* ["'] ([^"']*)                        # WKT 1, GDAL's extension
     | PARAMETERFILE \s* [\[(] \s* "[^"]*" \s* , \s* "([^"]*)         # WKT 2
-    | (?:grids|file|catalog|tinshift) \s* = \s* ["']? ([^\s"'+]+)    # PROJ's words: nadgrids, geoidgrids, xy_grids …
+    | (?:grids|file|catalog|tinshift|model) \s* = \s* ["']? ([^\s"'+]+)    # PROJ's words: nadgrids, xy_grids …
+    | init \s* = \s* (?!["']?(?:epsg|esri|ignf)\s*:) ["']? ([^\s"'+]+)     # a file of definitions
     | "value" \s* : \s* "((?:[^"\\]|\\.)*)                           # PROJJSON: other values are numbers
     """,
     re.IGNORECASE | re.VERBOSE,
 )
+
+
+_SPELT = re.compile(
+    r"""
+    (?:urn:(?:x-)?ogc:def:crs:)? (?!dict:) [A-Z][\w.]* (?::[\w.]*){1,2} (?:\+\d+)?    # EPSG:25832 and as a URN
+    | urn:ogc:def:crs(?:,crs:[A-Z]+:[\w.]*:\w+)+                                        # of several systems
+    | https?://(?:www\.)?opengis\.net/(?:def/crs|gml/srs)/[\w./#-]+
+    | \s* [A-Z][A-Z_0-9]* \s* [\[(] .*                                                # WKT
+    | \s* \{ .* | \s* \+ .*                                                          # PROJJSON, PROJ's words
+    | (?!\.) (?!.*\.\.) [^:/\\,] [^:\\,]{0,99}                                        # a name: WGS 84 / UTM zone 33N
+    """,
+    re.IGNORECASE | re.VERBOSE | re.DOTALL,
+)
+
+
+def names_file(text: str) -> str:
+    """What in the text of a coordinate system GDAL or PROJ would open as a file; "" for a code, a name, WKT and PROJ's
+    words without any."""
+    paths = paths_named(text)
+    return paths[0] if paths else "" if _SPELT.fullmatch(text) else text
 
 
 def paths_named(text: str) -> list[str]:

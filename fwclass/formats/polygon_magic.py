@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import InputError, visible
-from fwclass.formats.grid_files import paths_named
+from fwclass.formats.grid_files import names_file, paths_named
 from fwclass.paths import open_regular, strange_kind
 
 SQLITE = b"SQLite format 3\0"
@@ -130,7 +130,8 @@ def _check_system(path: Path) -> None:
                         "a coordinate system that is to be fetched from an address",
                         "export it with a coordinate system that is named, such as EPSG:25832",
                     )
-                _refuse_paths(path, value)
+                if (key == "name" and (name := names_file(value))) or paths_named(value):
+                    _refuse_paths(path, value, name)
 
 
 def _members(path: Path, text: str) -> list[tuple[str, str]]:
@@ -163,8 +164,8 @@ def _check_beside(path: Path) -> None:
             _refuse_paths(path, text.decode("utf-8", "replace"))
 
 
-def _refuse_paths(path: Path, text: str) -> None:
-    if paths := paths_named(text):
+def _refuse_paths(path: Path, text: str, name: str = "") -> None:
+    if paths := paths_named(text) or ([name] if name else []):
         raise _other(
             path,
             f"a coordinate system that names the file {visible(paths[0])}",
@@ -180,7 +181,7 @@ def _check_tables(path: Path) -> None:
         opened = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{beside}", uri=True)
         opened.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
-            fault = _virtual(opened) or _computed(opened)
+            fault = _torn(opened) or _virtual(opened) or _computed(opened) or _miscounted(opened)
             systems = [] if fault else _systems(opened)
         finally:
             opened.close()
@@ -199,6 +200,28 @@ def _systems(opened: sqlite3.Connection) -> list[str]:
     texts = [column for column in known if column.lower().startswith("definition")]
     rows = opened.execute(f"SELECT {', '.join(texts)} FROM {name}") if texts else ()  # noqa: S608 (names of two columns)
     return [str(text) for row in rows for text in row if text]
+
+
+def _torn(opened: sqlite3.Connection) -> str:
+    """The fault of pages that do not make trees: one that is there twice would be walked without end."""
+    for (said,) in opened.execute("PRAGMA quick_check(100)"):
+        if re.search(r"page|tree|malformed", str(said), re.IGNORECASE):
+            return f"a damaged database ({visible(' '.join(str(said).split()))[:80]})"
+    return ""
+
+
+def _miscounted(opened: sqlite3.Connection) -> str:
+    """The fault of a layer that says another number of rows than it has: memory is taken for what it says."""
+    if not opened.execute("SELECT 1 FROM sqlite_master WHERE lower(name) = 'gpkg_ogr_contents'").fetchone():
+        return ""
+    tables = {str(name) for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    for name, told in opened.execute("SELECT table_name, feature_count FROM gpkg_ogr_contents").fetchall():
+        if told is not None and name in tables:
+            quoted = '"' + str(name).replace('"', '""') + '"'
+            rows = opened.execute(f"SELECT count(*) FROM {quoted}").fetchone()[0]  # noqa: S608 (quoted)
+            if rows != told:
+                return f"a layer {visible(str(name))} that says it has {told} rows, and has {rows}"
+    return ""
 
 
 def _virtual(opened: sqlite3.Connection) -> str:

@@ -73,6 +73,11 @@ class Model:
                 return f"its card names {len(self.features)} features"
             if not 1 <= len(self.codes) <= 256 or len(self.classes) != len(self.codes):
                 return f"its card names {len(self.codes)} classes"
+            numbers = [code for c in self.classes for code in (c.code, *c.codes)]
+            if any(type(code) is not int for code in numbers):
+                return "its card names class codes that are no whole numbers"
+            if not isinstance(self.card.get("computed", {}), Mapping):
+                return "its card does not say how its features were computed"
             if any(visible(c.name) != c.name or len(c.name) > MOST_LETTERS for c in self.classes):
                 return "its card names a class by characters that cannot be seen, or by too many"
             if any(c.legacy_code is not None and not 0 <= c.legacy_code < 32 for c in self.classes):

@@ -12,6 +12,9 @@ from fwclass.read.polygons import PolygonLayer, layers, open_polygons, read_poly
 MOST_VALUES = 40
 """A field with more values than this is no class field."""
 
+MOST_FIELDS = 100
+"""Fields whose values are counted, the first ones: each is another reading of the file."""
+
 MAX_TABLE = 1_000_000
 """Features of a layer whose values are counted."""
 
@@ -69,7 +72,7 @@ def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
 def _values(opened: PolygonLayer) -> dict[str, dict[str, int]]:
     """How many features have which value, of every field with few of them."""
     by_field = {}
-    for field in opened.fields:
+    for field in list(opened.fields)[:MOST_FIELDS]:
         counts = Counter("no value" if v is None or v != v else str(v) for v in values_of(opened, field))
         if len(counts) <= MOST_VALUES:
             by_field[field] = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))

@@ -27,7 +27,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
-from fwclass.formats.grid_files import without_paths
+from fwclass.formats.grid_files import names_file, without_paths
 from fwclass.read.beam_source import SPACINGS, SPEEDS, BeamRows, Ragged
 from fwclass.units import METRES_PER_NS
 
@@ -75,6 +75,8 @@ class Settings:
             faults.append("no usable CRS: name one in the configuration")
             return None
         try:
+            if name := names_file(self.crs):  # before PROJ opens it
+                raise CRSError(f"it names the file {name}")
             crs, paths = without_paths(CRS.from_user_input(self.crs))
             if paths:
                 raise CRSError(f"it names the file {paths[0]}")

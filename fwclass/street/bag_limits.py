@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import shutil
 import sqlite3
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+
+from fwclass.paths import strange_kind
 
 CHUNK = 64 << 20
 """Bytes of a chunk; recorders close one at 768 kB, and begin another with the next message."""
@@ -85,7 +89,16 @@ def limit_library() -> None:
     mcap.DECOMPRESSORS.update(lz4=_limit_output(LZ4FrameDecompressor, chunk), zstd=frame)
 
     def whole(file: Any, mode: str) -> Any:
-        return _Swelling(zstd.open(file, mode), CHUNK + SWOLLEN * file.seek(0, io.SEEK_END), file.seek(0))
+        """A database that is compressed as a whole, which is looked at before the library opens it."""
+        most = CHUNK + SWOLLEN * file.seek(0, io.SEEK_END)
+        unpacked = tempfile.NamedTemporaryFile(prefix="fwclass-bag-")  # noqa: SIM115 - the library closes it
+        with _Swelling(zstd.open(file, mode), most, file.seek(0)) as packed:
+            shutil.copyfileobj(packed, unpacked)
+        unpacked.flush()
+        unpacked.seek(0)
+        if _is_database(Path(unpacked.name)):
+            _check_database(Path(unpacked.name))
+        return unpacked
 
     two.zstd = SimpleNamespace(decompress=frame, open=whole)
 
@@ -102,7 +115,7 @@ class _Swelling:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def read(self, size: int) -> bytes:
+    def read(self, size: int = -1, /) -> bytes:
         data = bytes(self._file.read(size))
         self._left -= len(data)
         if self._left < 0:
@@ -112,12 +125,25 @@ class _Swelling:
 
 def check_files(path: Path) -> None:
     """`ValueError` for files of a ROS 2 bag that would work while they are read, or take any memory."""
-    files = [path] if path.is_file() else [p for p in sorted(path.iterdir()) if p.is_file()]
+    inside = [path] if path.is_file() else sorted(path.iterdir())
+    for one in inside:
+        if kind := strange_kind(one):
+            raise ValueError(f"{kind}, {one.name}")
+    files = [p for p in inside if p.is_file()]
     for file in files:
-        if file.name == "metadata.yaml" and file.stat().st_size > METADATA:
-            raise ValueError(f"a metadata.yaml of {file.stat().st_size} bytes")
-        if file.suffix == ".db3":
+        if file.name == "metadata.yaml":
+            if file.stat().st_size > METADATA:
+                raise ValueError(f"a metadata.yaml of {file.stat().st_size} bytes")
+            if b"<<" in file.read_bytes():
+                raise ValueError("a metadata.yaml that merges mappings, which may double at every level")
+        elif file.suffix == ".db3" or _is_database(file):
             _check_database(file)
+
+
+def _is_database(path: Path) -> bool:
+    """Under whatever name."""
+    with path.open("rb") as stream:
+        return stream.read(16) == b"SQLite format 3\0"
 
 
 def _check_database(path: Path) -> None:
@@ -128,9 +154,15 @@ def _check_database(path: Path) -> None:
     opened = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)
     try:
         opened.execute("PRAGMA trusted_schema = OFF")
+        for (said,) in opened.execute("PRAGMA quick_check(1)"):
+            if said != "ok":  # pages that are there twice would be walked without end
+                raise ValueError(f"a damaged database: {' '.join(str(said).split())[:80]}")
         for kind, name in opened.execute("SELECT type, name FROM sqlite_master").fetchmany(10_000):
             if kind not in ("table", "index"):
                 raise ValueError(f"a {kind} ({name}) in the database, which computes while it is read")
+        topics, numbers = opened.execute("SELECT count(*), count(DISTINCT id) FROM topics").fetchone()
+        if topics > numbers:
+            raise ValueError(f"{topics} topics of {numbers} numbers: each message would be read for every one of them")
         for name in ("messages", "topics", "schema", "message_definitions"):
             if any(row[6] for row in opened.execute(f"PRAGMA table_xinfo({name})")):
                 raise ValueError(f"generated columns in {name}, which are computed while it is read")

@@ -36,6 +36,8 @@ def check_columns(names: Iterable[str], path: Path) -> None:
                 got=name,
                 do=f"{nearest(name, COLUMNS)}, or leave it out",
             )
+    if twice := sorted({n for n in present if present.count(n) > 1}):
+        raise InputError("a column is there twice", where=path, got=", ".join(twice), do="remove one of them")
     lacking = [n for n in ("time", "ranges") if n not in present]
     if lacking:
         raise InputError(

@@ -105,6 +105,22 @@ def test_a_file_with_values_of_no_echo_is_refused(change, words, tmp_path):
         read_echo_labels(tmp_path / "f.parquet", tmp_path / "f.parquet")
 
 
+@pytest.mark.parametrize("name", ["x", "strip", "who", "time"])
+def test_a_column_that_is_there_twice_is_refused(name, tmp_path):
+    table = pq.read_table(pa.BufferReader(echo_labels_bytes(EchoLabels.none())))
+    pq.write_table(table.append_column(name, table.column(name)), tmp_path / "f.parquet")
+    with pytest.raises(InputError, match="there twice"):
+        read_echo_labels(tmp_path / "f.parquet", "f", signed=True)
+
+
+@pytest.mark.parametrize("names", [pa.array([], pa.list_(pa.string())), pa.array([], pa.struct([("a", pa.string())]))])
+def test_names_that_are_no_texts_are_refused(names, tmp_path):
+    table = pq.read_table(pa.BufferReader(echo_labels_bytes(EchoLabels.none())))
+    pq.write_table(table.set_column(table.schema.get_field_index("who"), "who", names), tmp_path / "f.parquet")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_echo_labels(tmp_path / "f.parquet", "f", signed=True)
+
+
 def test_a_damaged_file_is_refused_wherever_it_is_cut():
     data = echo_labels_bytes(rows(50, 2))
     for size in (0, 3, 9, len(data) // 2, len(data) - 9, len(data) - 1):

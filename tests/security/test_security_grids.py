@@ -20,7 +20,9 @@ import pytest
 import shapely
 from commandline import fwclass
 
-from fwclass.formats.grid_files import is_path, paths_named, without_paths
+from fwclass.errors import InputError
+from fwclass.formats.grid_files import is_path, names_file, paths_named, without_paths
+from fwclass.read.raw_columns import Settings
 
 GRID = "/tmp/x/fifo"  # noqa: S108 (only a name)
 PROJ4 = "+proj=utm +zone=33 +ellps=bessel +nadgrids={} +type=crs"
@@ -164,3 +166,47 @@ def test_so_is_a_configuration(tmp_path: Path):
     )
     ended = fwclass("run", "c.yaml", "--workflow", "ground", "--out", "r", "--workers", "0", cwd=tmp_path)
     assert ended.returncode == 2 and "not a coordinate system" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["dict:../secret.csv,7", "dict:secret.csv,7", "+init=/etc/x:1", "+init=secret:1", "+proj=defmodel +model=./s.csv"],
+)
+def test_a_system_that_is_looked_up_in_a_file_is_refused(tmp_path: Path, name: str):
+    """GDAL would take the system of the line that begins so."""
+    (tmp_path / "secret.csv").write_text(f"7,{pyproj.CRS.from_epsg(32633).to_wkt('WKT1_GDAL')}\n")
+    geojson(tmp_path / "a.geojson", name)
+    ended = fwclass("info", "a.geojson", cwd=tmp_path)
+    assert ended.returncode == 1 and "names the file" in ended.stderr, ended.stderr
+    assert names_file(name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "EPSG:25832",
+        "EPSG:25832+7837",
+        "urn:ogc:def:crs:EPSG::25832",
+        "urn:ogc:def:crs:EPSG:9.8:25832",
+        "urn:ogc:def:crs:OGC:1.3:CRS84",
+        "urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::7837",
+        "http://www.opengis.net/def/crs/EPSG/0/25832",
+        "http://www.opengis.net/gml/srs/epsg.xml#25832",
+        "WGS 84 / UTM zone 33N",
+        "WGS84",
+        "+proj=utm +zone=32 +datum=WGS84",
+        "+init=epsg:25832",
+        pyproj.CRS.from_epsg(25832).to_wkt(),
+        pyproj.CRS.from_epsg(25832).to_wkt("WKT1_ESRI"),
+        pyproj.CRS.from_epsg(25832).to_json(),
+    ],
+)
+def test_what_a_system_is_usually_called_names_no_file(name: str):
+    assert names_file(name) == ""
+
+
+@pytest.mark.parametrize("crs", ["+init=/etc/passwd:1", "+proj=defmodel +model=/etc/passwd", "dict:x,1"])
+def test_so_is_that_of_raw_waveforms(tmp_path: Path, crs: str):
+    settings = Settings(1.0, None, False, crs)
+    with pytest.raises(InputError, match="not a coordinate system"):
+        settings.system(tmp_path / "a.parquet", [])

@@ -10,18 +10,23 @@ import shutil
 import sqlite3
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import shapely
 from commandline import fwclass
 
 from fwclass.errors import FwclassError, InputError
 from fwclass.formats.gdal import DRIVERS, vector_gdal
 from fwclass.graph.area_of_interest import Area
 from fwclass.read.polygons import open_polygons, read_polygons
+from fwclass.read.polygons_info import polygon_info
 
 SQUARE = [[[0, 0], [10, 0], [10, 10], [0, 0]]]
 
@@ -211,6 +216,90 @@ def test_a_layer_that_is_computed_when_it_is_read_is_refused(statements, words, 
     with pytest.raises(InputError, match="not what its name says") as fault:
         read_polygons(open_polygons(path, None), "class")
     assert words in str(fault.value)
+
+
+def walked_over_and_over(path: Path, table: str, depth: int = 6, each: int = 50) -> None:
+    """Put a tree of pages in the place of a table's leaf: each has the next one as all of its children."""
+    with sqlite3.connect(path) as opened:
+        root = opened.execute("select rootpage from sqlite_master where name = ?", (table,)).fetchone()[0]
+        size = opened.execute("pragma page_size").fetchone()[0]
+    content = bytearray(path.read_bytes())
+    count = len(content) // size
+    leaf = content[(root - 1) * size : root * size]
+    assert leaf[0] == 0x0D
+
+    def page(child: int) -> bytes:
+        made, cells = bytearray(size), size - 5 * each
+        made[:12] = struct.pack(">BHHHBI", 5, 0, each, cells, 0, child)
+        for k in range(each):
+            struct.pack_into(">H", made, 12 + 2 * k, cells + 5 * k)
+            struct.pack_into(">IB", made, cells + 5 * k, child, 1)
+        return bytes(made)
+
+    content += leaf + b"".join(page(count + k) for k in range(1, depth))
+    content[(root - 1) * size : root * size] = page(count + depth)
+    struct.pack_into(">I", content, 28, len(content) // size)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("table", ["good", "gpkg_contents", "gpkg_spatial_ref_sys"])
+def test_pages_that_are_there_many_times_are_refused(table: str, sound: Path) -> None:
+    """50^6 rows of 100 kB: SQLite, and GDAL with it, would walk for a year."""
+    path = sound / "good.gpkg"
+    walked_over_and_over(path, table)
+    with pytest.raises(InputError, match="not what its name says") as told:
+        open_polygons(path)
+    assert "damaged database" in str(told.value)
+
+
+def test_a_layer_of_thousands_of_fields_is_read_a_hundred_times_at_most(tmp_path: Path) -> None:
+    about = collection()
+    about["features"][0]["properties"] = {f"f{k}": k for k in range(3000)}
+    (tmp_path / "a.geojson").write_text(json.dumps(about))
+    began = time.process_time()
+    told = polygon_info(tmp_path / "a.geojson")["layers"][0]
+    assert len(told["fields"]) == 3000 and len(told["values"]) == 100
+    assert time.process_time() - began < 10  # each reading is some 10 ms
+
+
+def test_a_layer_that_says_it_has_more_rows_is_refused(sound: Path) -> None:
+    with sqlite3.connect(sound / "good.gpkg") as opened:
+        opened.execute("update gpkg_ogr_contents set feature_count = 2000000000")
+    with pytest.raises(InputError, match="says it has 2000000000 rows, and has"):
+        open_polygons(sound / "good.gpkg")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"primary_column": ["geometry"]},
+        {"primary_column": {}},
+        {"columns": {"geometry": {"encoding": "WKB", "geometry_types": 5}}},
+        {"columns": {"geometry": {"encoding": "WKB", "covering": ["x"]}}},
+        {"columns": {"geometry": {"encoding": "WKB", "covering": {"bbox": [1]}}}},
+        "[" * 100_000,
+    ],
+)
+def test_metadata_of_another_shape_is_refused(change: Any, tmp_path: Path) -> None:
+    about = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB"}}}
+    text = change if isinstance(change, str) else json.dumps(about | change)
+    table = pa.table({"geometry": pa.array([b"x"])}).replace_schema_metadata({"geo": text})
+    pq.write_table(table, tmp_path / "a.parquet")
+    with pytest.raises(InputError, match="no GeoParquet"):
+        open_polygons(tmp_path / "a.parquet")
+
+
+def test_columns_that_are_there_twice_or_nested_are_refused(tmp_path: Path) -> None:
+    about = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": {"encoding": "WKB"}}}
+    shape = pa.array([shapely.to_wkb(shapely.box(0, 0, 9, 9))])
+    for name, columns in {
+        "twice": [pa.array([1]), pa.array([2]), shape],
+        "nested": [pa.array([[1]]), pa.array([{"a": 1}]), shape],
+    }.items():
+        table = pa.Table.from_arrays(columns, ["code", "code" if name == "twice" else "b", "geometry"])
+        pq.write_table(table.replace_schema_metadata({"geo": json.dumps(about)}), tmp_path / f"{name}.parquet")
+        with pytest.raises(InputError, match="no GeoParquet"):
+            read_polygons(open_polygons(tmp_path / f"{name}.parquet"), "code")
 
 
 def test_a_view_that_is_no_layer_is_none_of_ours(sound: Path) -> None:

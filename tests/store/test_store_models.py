@@ -98,6 +98,10 @@ def rewrite(directory, **changes):
         ({"classes": "abc"}, "damaged"),
         ({"features": {"a": 1}}, "damaged"),
         ({"features": 7}, "damaged"),
+        ({"computed": []}, "damaged"),
+        ({"computed": "ground"}, "damaged"),
+        ({"classes": [{"name": n, "code": 2, "codes": [[]]} for n in "abc"]}, "damaged"),
+        ({"classes": [{"name": n, "code": True, "codes": [2]} for n in "abc"]}, "damaged"),
     ],
 )
 def test_a_card_that_does_not_fit_is_refused(tmp_path, change, told):

@@ -1,9 +1,12 @@
 """Doors: Parquet, CSV, bags; frames that cannot be used are counted, files that cannot be read are told."""
 
 import math
+import os
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from streetmaker import config, drive
 
@@ -236,6 +239,70 @@ def test_a_database_that_computes_is_refused(tmp_path):
     opened.close()
     with pytest.raises(InputError, match="view"):
         open_recording(tmp_path / "bag", SCAN)
+
+
+@pytest.mark.parametrize("hidden", ["name", "compressed"])
+def test_a_database_that_computes_is_refused_under_any_name(tmp_path, hidden):
+    import sqlite3
+
+    from bagmaker import write_bag2
+
+    write_bag2(tmp_path / "bag", drive()[:3], "sqlite3", None)
+    (database,) = (tmp_path / "bag").glob("*.db3")
+    about = tmp_path / "bag" / "metadata.yaml"
+    with sqlite3.connect(database) as opened:
+        opened.execute("ALTER TABLE messages ADD COLUMN more AS (zeroblob(900000000))")
+    opened.close()
+    text = about.read_text()
+    if hidden == "name":
+        name = "x.sqlite"
+        database.rename(database.with_name(name))
+    else:
+        from backports import zstd
+
+        name = database.name + ".zstd"
+        database.with_name(name).write_bytes(zstd.compress(database.read_bytes()))
+        text = text.replace("compression_format: ''", "compression_format: zstd")
+        text = text.replace("compression_mode: ''", "compression_mode: FILE")
+    about.write_text(text.replace(database.name, name))
+    database.unlink(missing_ok=True)
+    with pytest.raises(InputError, match="generated columns"):
+        list(open_recording(tmp_path / "bag", SCAN).frames())
+
+
+@pytest.mark.parametrize(
+    ("statement", "words"), [("twice", "topics of"), ("<<", "merges mappings"), ("pipe", "a pipe")]
+)
+def test_a_bag_that_is_read_many_times_over_is_refused(tmp_path, statement, words):
+    import sqlite3
+
+    from bagmaker import write_bag2
+
+    write_bag2(tmp_path / "bag", drive()[:3], "sqlite3", None)
+    (database,) = (tmp_path / "bag").glob("*.db3")
+    if statement == "pipe":
+        os.mkfifo(tmp_path / "bag" / "x.mcap")
+    elif statement == "<<":
+        with (tmp_path / "bag" / "metadata.yaml").open("a") as about:
+            about.write("a: &a {b: 1}\nc: {<<: [*a, *a]}\n")
+    else:
+        with sqlite3.connect(database) as opened:
+            columns = [row[1] for row in opened.execute("PRAGMA table_info(topics)")]
+            opened.execute(f"CREATE TABLE other({', '.join(columns)})")
+            for _ in range(2):
+                opened.execute("INSERT INTO other SELECT * FROM topics")
+            opened.execute("DROP TABLE topics")
+            opened.execute("ALTER TABLE other RENAME TO topics")
+        opened.close()
+    with pytest.raises(InputError, match=words):
+        list(open_recording(tmp_path / "bag", SCAN).frames())
+
+
+def test_a_column_that_is_there_twice_is_refused(tmp_path):
+    table = pa.Table.from_arrays([pa.array([0.0]), pa.array([1.0]), pa.array([[1.0, 2.0]])], ["time", "time", "ranges"])
+    pq.write_table(table, tmp_path / "a.parquet")
+    with pytest.raises(InputError, match="there twice"):
+        open_recording(tmp_path / "a.parquet", SCAN)
 
 
 def test_a_bag_with_types_that_nobody_knows_is_read(tmp_path, shared_data):
