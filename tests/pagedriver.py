@@ -7,6 +7,7 @@ import base64
 import json
 import subprocess
 import tempfile
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -95,6 +96,19 @@ class Driven:
     def picture(self) -> bytes:
         """PNG of what the window shows."""
         return base64.b64decode(self.ask("Page.captureScreenshot")["data"])
+
+
+@contextmanager
+def running(server: Any) -> Iterator[Any]:
+    """A server that answers in a thread of its own until it is left."""
+    with server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,9 +47,14 @@ class Explanation:
 
 
 def explain(
-    store: Store, model: Path, row: Mapping[str, Any], tiles: Sequence[str], delivered: Callable[[str], Path]
+    store: Store,
+    model: Path,
+    row: Mapping[str, Any],
+    tiles: Callable[[], Iterable[str]],
+    delivered: Callable[[str], Path],
 ) -> Explanation:
-    """See `Delivery.explain`; `delivered` is the file of each of its `tiles`."""
+    """See `Delivery.explain`; `delivered` is the file of each of its `tiles`, which
+    are asked for where the store has none."""
     strip, pulse, number = (int(row[name]) for name in IDENTITY)
     forest = load_model(model)
     inputs = PartInputs(store)
@@ -76,11 +81,11 @@ def explain(
 
 
 def _identities(
-    store: Store, inputs: PartInputs, tiles: Sequence[str], delivered: Callable[[str], Path]
+    store: Store, inputs: PartInputs, tiles: Callable[[], Iterable[str]], delivered: Callable[[str], Path]
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Strip, pulse and number of the echoes of every tile: of the store, or where it has none any more delivered."""
     kept = [receipt.part for receipt in store.receipts("tile")]
-    for tile in kept or tiles:
+    for tile in kept or tiles():
         yield tile, inputs.table("tile", tile, IDENTITY) if kept else table_columns(delivered(tile), IDENTITY)
 
 

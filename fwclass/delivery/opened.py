@@ -110,7 +110,8 @@ class Delivery:
                 expected=", ".join(IDENTITY),
                 got=", ".join(map(str, row)) or "none",
             )
-        return explain(self._store, self._part("model"), row, [t["tile"] for t in self.tiles], self.table)
+        tiles = lambda: (t["tile"] for t in self.tiles)  # noqa: E731 (the list of tiles is read where it is needed)
+        return explain(self._store, self._part("model"), row, tiles, self.table)
 
     @cached_property
     def report(self) -> dict[str, Any]:

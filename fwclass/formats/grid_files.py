@@ -40,8 +40,9 @@ _SPELT = re.compile(
 def names_file(text: str) -> str:
     """What in the text of a coordinate system GDAL or PROJ would open as a file; "" for a code, a name, WKT and PROJ's
     words without any."""
-    paths = paths_named(text)
-    return paths[0] if paths else "" if _SPELT.fullmatch(text) else text
+    if paths := paths_named(text):
+        return paths[0]
+    return "" if _SPELT.fullmatch(text) else text
 
 
 def paths_named(text: str) -> list[str]:

@@ -7,7 +7,7 @@ import json
 import mmap
 import re
 import sqlite3
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +79,7 @@ def check_format(path: Path) -> None:
             do="copy the file again",
         )
     if ending == ".gpkg":
-        _check_tables(path)
+        _check_tables(path, _looks(path), _looks(Path(f"{path}-wal")))
     elif ending == ".shp":
         _check_beside(path)
     else:
@@ -130,8 +130,8 @@ def _check_system(path: Path) -> None:
                         "a coordinate system that is to be fetched from an address",
                         "export it with a coordinate system that is named, such as EPSG:25832",
                     )
-                if (key == "name" and (name := names_file(value))) or paths_named(value):
-                    _refuse_paths(path, value, name)
+                named = names_file(value) if key == "name" else next(iter(paths_named(value)), "")
+                _refuse_file(path, named)
 
 
 def _members(path: Path, text: str) -> list[tuple[str, str]]:
@@ -161,19 +161,30 @@ def _check_beside(path: Path) -> None:
                 text = file.read(HEAD + 1)
             if len(text) > HEAD:
                 raise _other(path, f"a coordinate system of more than {HEAD} bytes, {beside.name}")
-            _refuse_paths(path, text.decode("utf-8", "replace"))
+            _refuse_file(path, next(iter(paths_named(text.decode("utf-8", "replace"))), ""))
 
 
-def _refuse_paths(path: Path, text: str, name: str = "") -> None:
-    if paths := paths_named(text) or ([name] if name else []):
+def _refuse_file(path: Path, named: str) -> None:
+    """`InputError` where a coordinate system names a file, "" for none."""
+    if named:
         raise _other(
             path,
-            f"a coordinate system that names the file {visible(paths[0])}",
+            f"a coordinate system that names the file {visible(named)}",
             "export it with a coordinate system that is named, such as EPSG:25832",
         )
 
 
-def _check_tables(path: Path) -> None:
+def _looks(path: Path) -> tuple[int, ...]:
+    """What tells without reading whether a file is another one, () where there is none."""
+    try:
+        facts = path.stat()
+    except OSError:
+        return ()
+    return facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
+
+
+@lru_cache(maxsize=16)  # all of the file is read, and each layer of it asks
+def _check_tables(path: Path, *_: tuple[int, ...]) -> None:
     """`InputError` for tables that read other files (virtual ones, but for the indices of the format itself), and for
     layers that are computed while they are read, for as long as their maker likes: views and generated columns."""
     beside = "" if Path(f"{path}-wal").exists() else "&immutable=1"
@@ -190,7 +201,7 @@ def _check_tables(path: Path) -> None:
     if fault:
         raise _other(path, fault, "export the polygons alone, as a table (ogr2ogr does)")
     for text in systems:
-        _refuse_paths(path, text)
+        _refuse_file(path, next(iter(paths_named(text)), ""))
 
 
 def _systems(opened: sqlite3.Connection) -> list[str]:

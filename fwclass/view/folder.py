@@ -127,14 +127,13 @@ def _write_echo(scene: WholeScene, echo: UnsureEcho, here: Path) -> list[str]:
     at.parent.mkdir(parents=True, exist_ok=True)
     _write_json(at, echo.about)
     pulse, why = here / "pulse" / f"{echo.strip}-{echo.pulse}.json", here / "why" / f"{echo.name}.json"
-    answers = {
-        pulse: _answer(lambda: scene.pulse(echo.strip, echo.pulse)),
-        why: _answer(lambda: scene.why(echo.strip, echo.pulse, echo.echo_number)),
-    }
-    for path, answer in answers.items():
+    for path in (pulse, why):
         path.parent.mkdir(exist_ok=True)
-        _write_json(path, answer)
-    return [str(answer["error"]) for answer in answers.values() if "error" in answer]
+    if not pulse.exists():  # of two echoes of one pulse
+        _write_json(pulse, _answer(lambda: scene.pulse(echo.strip, echo.pulse)))
+    _write_json(why, _answer(lambda: scene.why(echo.strip, echo.pulse, echo.echo_number)))
+    answers = (json.loads(path.read_bytes()) for path in (pulse, why))
+    return [str(answer["error"]) for answer in answers if "error" in answer]
 
 
 def _answer(ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class UnsureEchoes:
     """
 
     def __init__(self, cell: float, place: float) -> None:
-        self.cell, self._across = cell, max(1, round(place / cell))
+        self.cell, self._across = cell, max(1, int(place / cell + 1e-9))  # no wider than `place`
         self._keys = [np.empty((0, 3), np.int64)]
         self._sums = [np.empty((0, 5), np.int64)]
 

@@ -30,19 +30,12 @@ import psutil
 from distributed import LocalCluster, Worker
 from nothing import waiting
 
-from fwclass.run.cluster import Cluster
+from fwclass.run.cluster import _QUIET, Cluster
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.run.tasks import Tasks
 from fwclass.store.run_store import Store
-
-QUIET = {
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.system-monitor.interval": "5s",
-}
-"""Fifty workers in two processes look at themselves fifty times as often as one in each."""
 
 MEAN = 0.093
 """Seconds of a part of `city-1200m` (docs/performance.md)."""
@@ -60,7 +53,7 @@ def durations(run: Path | None) -> list[float]:
 
 async def work(address: str, count: int) -> None:
     """`count` workers of one thread each in this process, until they are stopped."""
-    dask.config.set(QUIET)
+    dask.config.set(_QUIET)  # as those that a run starts
     workers = [Worker(address, nthreads=1, memory_limit=None, dashboard=False) for _ in range(count)]
     await asyncio.gather(*workers)
     await asyncio.gather(*(w.finished() for w in workers))

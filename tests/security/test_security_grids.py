@@ -181,6 +181,13 @@ def test_a_system_that_is_looked_up_in_a_file_is_refused(tmp_path: Path, name: s
     assert names_file(name)
 
 
+def test_a_file_that_another_member_names_is_refused(tmp_path: Path):
+    system = {"type": FORMS["PROJ"](GRID), "properties": {"name": "EPSG:25832"}}
+    (tmp_path / "a.geojson").write_text(json.dumps({"type": "FeatureCollection", "crs": system, "features": []}))
+    ended = fwclass("info", "a.geojson", cwd=tmp_path)
+    assert ended.returncode == 1 and GRID in ended.stderr, ended.stderr
+
+
 @pytest.mark.parametrize(
     "name",
     [

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import shutil
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pagedriver import Driven, driven
+from pagedriver import Driven, driven, running
 
 from fwclass import conf
 from fwclass.delivery.viewed_colours import kinds
@@ -37,14 +36,8 @@ def browser_page() -> Iterator[Driven]:
 @contextmanager
 def served(root: Path, against: Path | None = None, *settings: str) -> Iterator[Server]:
     params = conf.section("view", settings)
-    with Server(scenes_of(root, against, params), params) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.shutdown()
-            thread.join()
+    with running(Server(scenes_of(root, against, params), params)) as server:
+        yield server
 
 
 def opened(page: Driven, server: Server, width: int = 1280, height: int = 800, more: str = "") -> Driven:

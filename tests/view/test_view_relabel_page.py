@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import math
-import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pagedriver import Driven, driven
+from pagedriver import Driven, driven, running
 from smallsurvey import deliver
 
 from fwclass import conf
@@ -43,14 +42,8 @@ def browser_page() -> Iterator[Driven]:
 def served(root: Path, allowed: bool = False) -> Iterator[Server]:
     params = conf.section("view", SMALL_BLOCKS)
     again = LastCommand(root, allowed)
-    with Server([ViewedRun(open_run(root), params)], params, again=again) as server, closing(again):
-        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.shutdown()
-            thread.join()
+    with closing(again), running(Server([ViewedRun(open_run(root), params)], params, again=again)) as server:
+        yield server
 
 
 def opened(page: Driven, server: Server, width: int = 1280) -> Driven:
@@ -259,7 +252,7 @@ def test_two_windows_see_each_others_corrections(browser_page: Driven, small_run
         other.until(f"/Written/.test({COUNT})")
         page.until(f"{CODES}['2'] > {after['2']}", 15)
         key(page, "z")
-        page.until(f"/corrected anew since and stay/.test({COUNT})")
+        page.until(f"/have another class by now and stay/.test({COUNT})")
         assert set(read_corrections(small_run).standing().code) == {-1, 2}
         assert page.faults == [] and other.faults == []
 

@@ -234,8 +234,8 @@ async function go(step) {
   at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;
   cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
-  const called = new Map(scenes[0].classes.map((c) => [c.code, c.name])), given_ = p.classes.slice(0, 3).map(([code, n]) => `${called.get(code) || `code ${code}`} ${n.toLocaleString('en')}`).join(', ');
-  $('place').textContent = `${at + 1} of ${works.length}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${given_}`; moved();
+  const called = new Map(scenes[0].classes.map((c) => [c.code, c.name])), classes_ = p.classes.slice(0, 3).map(([code, n]) => `${called.get(code) || `code ${code}`} ${n.toLocaleString('en')}`).join(', ');
+  $('place').textContent = `${at + 1} of ${works.length}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${classes_}`; moved();
   const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
 const marked = () => works?.[at]?.told || []; // echoes of which a folder has everything

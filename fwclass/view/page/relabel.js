@@ -179,7 +179,7 @@ export class Relabel {
     if (!from.length) { this.count(from === this.done ? 'Nothing to undo.' : 'Nothing to do again.'); return; }
     this.write('0/revert.json', { time: from.at(-1) }, (told) => {
       from.pop(); if (told.time) to.push(told.time);
-      this.count(`${words}: ${counted(told.echoes)}${told.left ? `; ${told.left.toLocaleString('en')} were corrected anew since and stay` : ''}.`);
+      this.count(`${words}: ${counted(told.echoes)}${told.left ? `; ${told.left.toLocaleString('en')} have another class by now and stay` : ''}.`);
     });
   }
 
