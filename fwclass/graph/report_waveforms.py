@@ -99,7 +99,8 @@ def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInput
     waves = waveforms_of(chunk, inputs, returns=False)
     columns = ("pulse", "time", "amplitude", "width", "baseline", "fit_flags")
     echoes = inputs.table("decompose", chunk, columns)
-    fitted = np.flatnonzero(np.isfinite(echoes["time"]) & (echoes["fit_flags"] & 128 == 0))
+    whole = np.logical_and.reduce([np.isfinite(echoes[n]) for n in columns[1:5]])  # an echo without a fit has no curve
+    fitted = np.flatnonzero(whole & (echoes["fit_flags"] & 128 == 0))
     known, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
     single = np.isin(known, waves.pulses["pulse"])
     known, counts = known[single], counts[single]

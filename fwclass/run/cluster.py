@@ -9,13 +9,14 @@ from __future__ import annotations
 import importlib.util
 import logging
 import math
+import os
 import re
 import signal
 import threading
 import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict
 from functools import cache
 from multiprocessing import resource_tracker
@@ -133,7 +134,7 @@ def _settle_tracker() -> None:
     tracker: Any = resource_tracker._resource_tracker
     if "_send" in vars(tracker):  # done before
         return
-    send, known = tracker._send, set[tuple[object, ...]]()
+    known = set[tuple[object, ...]]()
 
     def send_known(command: str, name: str, kind: str) -> None:
         tracker.ensure_running()
@@ -144,7 +145,8 @@ def _settle_tracker() -> None:
             return
         else:
             known.remove(thing)
-        send(command, name, kind)
+        with suppress(OSError):  # it was killed since; Python's own `_send` would tell the next one of this name
+            os.write(tracker._fd, f"{command}:{name}:{kind}\n".encode("ascii"))
 
     tracker._send = send_known
 
