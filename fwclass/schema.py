@@ -80,7 +80,8 @@ def column(name: str) -> Column:
     coded = _CODED.match(name)
     if coded and coded["base"] in COLUMNS and COLUMNS[coded["base"]].scales == PER_CODE and int(coded["code"]) < 256:
         record, code = COLUMNS[coded["base"]], coded["code"]
-        return replace(record, name=name, las=f"{record.las} {code}", meaning=f"{record.meaning}; class code {code}")
+        las = f"{record.las} {code}" if record.las else ""
+        return replace(record, name=name, las=las, meaning=f"{record.meaning}; class code {code}")
     base, scale = split_name(name)
     record = COLUMNS[base]
     if scale is None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fwclass.model import FORMAT, LEAF, Boosted, Forest, KernelMachine, LinearMachine, TwoLayer
+from fwclass.model import FORMAT, LEAF, Boosted, Contextual, Forest, KernelMachine, LinearMachine, TwoLayer
+from fwclass.model.contextual import context_names
 
 NAMES = ("zc", "width")
 
@@ -43,3 +44,14 @@ def two_layers(seed=1, within=1.5):
     own = {**card(2), "features": names}
     fine = KernelMachine(r.normal(size=(5, 2)), r.normal(size=(1, 5)), np.zeros(1), np.array([2, 3]), np.ones(1), own)
     return TwoLayer(coarse, fine, {**card(), "kind": "two-layer", "refine": {"within": within}})
+
+
+def contextual(cells=(0.5, 1.0), split=0.4):
+    """A forest of three classes, and one by its features and the neighbours' shares of the last class."""
+    coarse = models()["forest"]
+    names = (*NAMES, *context_names(coarse.codes, cells))
+    feature, threshold, child, offsets = tree()
+    feature = np.where(feature == 0, len(names) - 1, feature).astype(np.uint16)
+    threshold = np.where(feature == len(names) - 1, split, threshold).astype(np.float32)
+    fine = Forest(feature, threshold, child, offsets, {**card(), "features": list(names)})
+    return Contextual(coarse, fine, {**card(), "kind": "contextual", "context": {"cells": list(cells)}})

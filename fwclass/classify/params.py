@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from fwclass.model import ClassifierMethod
+from fwclass.model.contextual import MOST_CELLS, WIDEST
 from fwclass.stage import Params
 
 FURTHEST = 100.0
@@ -57,11 +58,35 @@ class RefineParams(Params):
         return tuple(f"eigenvalue_{k}_r{round(100 * s)}" for s in self.scales for k in (1, 2, 3))
 
 
+class ContextParams(Params):
+    """A second layer that decides every echo again, by the first one's answers around it; numbers stand in
+    `conf/base.yaml`.
+
+    Attributes
+    ----------
+    cells : edges of the cells that neighbours are counted in, boxes of 5 x 5 and of 5 x 5 x 5 of them [m]; empty: no
+        such layer.
+    folds : so many first layers answer for the training areas, each for squares that it has not learned from.
+    """
+
+    cells: tuple[Annotated[float, Field(ge=0.1, le=WIDEST)], ...] = Field(max_length=MOST_CELLS)
+    folds: int = Field(ge=2, le=50)
+
+    @field_validator("cells")
+    @classmethod
+    def _rising(cls, cells: tuple[float, ...]) -> tuple[float, ...]:
+        if any(b <= a for a, b in zip(cells, cells[1:], strict=False)):
+            raise ValueError("edges must rise")
+        if any(abs(100 * c - round(100 * c)) > 1e-6 for c in cells):
+            raise ValueError("edges must be whole centimetres")
+        return cells
+
+
 Code = Annotated[int, Field(ge=0, le=255)]
 
 
 class ClassifyParams(Params):
-    """What is classified and written, and the second layer; everything else that decides comes from the model.
+    """What is classified and written, and second layers; everything else that decides comes from the model.
 
     `only`: class codes of the sources whose echoes are classified, all others keep theirs; empty: all are classified.
     `keep`: class codes of the sources that stay. `probabilities`: the share of every class too, in columns
@@ -75,6 +100,7 @@ class ClassifyParams(Params):
     max_outside: float = Field(ge=0.0, le=1.0)
     accept_drift: bool
     refine: RefineParams
+    context: ContextParams
 
     @model_validator(mode="after")
     def _kept_or_classified(self) -> Self:

@@ -99,6 +99,14 @@ RESULTS = (
     Column("coarse_class", "u1", "", "class code given by the first of two layers"),
     Column("coarse_confidence", "f4", "", "share of the class in the first of two layers", low=0, high=1),
     Column("coarse_entropy", "f4", "", "entropy of the shares in the first of two layers", low=0, high=1),
+    Column("coarse_share", "u1", "", "share of a class by the first of two layers, in 255ths", scales=PER_CODE),
+    Column(
+        "fold_share",
+        "u1",
+        "",
+        "as coarse_share, by a layer that has not learned from the square that the echo lies in",
+        scales=PER_CODE,
+    ),
     Column("boundary", "bool", "", "the echo lies where two classes meet, and the second of two layers answers"),
     Column("classification", "u1", "", "class code given by the model"),
     Column(

@@ -257,6 +257,17 @@ def _check(config: Config) -> None:
             got=f"thin.rate {config.thin.rate:g}",
             do="--set thin.rate=1, or --set classify.refine.between=[]",
         )
+    if config.classify.context.cells:
+        both = bool(config.classify.refine.between)
+        if both or config.thin.rate < 1.0:
+            raise ConfigError(
+                "a layer that decides in context stands behind one first layer, of all echoes",
+                where=f"{where}: classify.context, " + ("classify.refine" if both else "thin.rate"),
+                got=f"refine.between {list(config.classify.refine.between)}"
+                if both
+                else f"thin.rate {config.thin.rate:g}",
+                do="--set classify.context.cells=[], or without the other",
+            )
     for kind in ("train", "test"):
         for box in getattr(config.areas, kind):
             if not all(map(math.isfinite, box)) or box[0] >= box[2] or box[1] >= box[3]:

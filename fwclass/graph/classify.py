@@ -12,6 +12,7 @@ import numpy as np
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.errors import InputError
+from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument, source_classes
 from fwclass.graph.layout import FileDigests
@@ -150,7 +151,7 @@ CLASSIFY_ECHOES = Stage(
     "tile",
     "echo",
     classify_tile,
-    when=lambda plan: not thins(plan.config) and fine_layer(plan) is None,
+    when=lambda plan: not thins(plan.config) and fine_layer(plan) is None and context_layer(plan) is None,
     arguments=_arguments,
     own=lambda plan: (*plan.names, *deciding_column(plan)),
     writes=classes_written,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
+from fwclass.graph.context_layer import context_layer
 from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corrections_here, corrections_of, reach_here
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.machine_search import MACHINE_SEARCH, folds_of_squares, gather_trials, judge, searches, trials
@@ -43,6 +44,7 @@ from fwclass.train.stage import (
 )
 
 SAMPLE, TREES, DROPS, MODEL = "sample", "trees", "drops", "model"
+TRAIN_COARSE = "train-coarse"
 
 TREES_PER_PART = 5
 """Trees that one task grows; a forest does not depend on it."""
@@ -195,6 +197,16 @@ def try_machine(
     return judge(here, sample, trial, machine, scaling, weights, places)
 
 
+def fit_layer(
+    sample: Sample, params: TrainParams, compare: CompareParams, classes: tuple[ClassDef, ...], block: float, gap: float
+) -> Any:
+    """A classifier of any kind, by ``train.method``."""
+    if params.method != "forest":
+        return train_other(sample, params, compare, classes, params.method, folds_of_squares(block, gap))
+    review(sample, classes)
+    return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
+
+
 def with_feature_parameters(model: Any, computed: Mapping[str, Any]) -> Any:
     """`model` with what its features were computed with in its card."""
     return replace(model, card={**model.card, "computed": dict(computed)})
@@ -210,8 +222,12 @@ def forest_learns(plan: Plan) -> bool:
     return trains(plan) and plan.config.train.method == "forest"
 
 
+def _two_layers(plan: Plan) -> bool:
+    return fine_layer(plan) is not None or context_layer(plan) is not None
+
+
 def _one_layer(plan: Plan) -> bool:
-    return trains(plan) and fine_layer(plan) is None
+    return trains(plan) and not _two_layers(plan)
 
 
 @dataclass(frozen=True)
@@ -364,4 +380,13 @@ TRAIN_BASELINE = Stage(
     after=("training", MACHINE_SEARCH),
     needs=lambda plan, part: (("training", "all"), *((MACHINE_SEARCH, t.key) for t in trials(plan) if searches(plan))),
     where="deliver",
+)
+TRAIN_COARSE_FOREST = replace(
+    TRAIN_FOREST, name=TRAIN_COARSE, when=lambda plan: forest_learns(plan) and _two_layers(plan), where="store"
+)
+TRAIN_COARSE_BASELINE = replace(
+    TRAIN_BASELINE,
+    name=TRAIN_COARSE,
+    when=lambda plan: trains(plan) and _two_layers(plan) and not forest_learns(plan),
+    where="store",
 )

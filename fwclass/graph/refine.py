@@ -4,7 +4,6 @@ the answers of both."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,9 +26,8 @@ from fwclass.graph.learn import (
     MODEL,
     NOT_OF_THE_SAMPLE,
     SAMPLE,
-    TRAIN_BASELINE,
-    TRAIN_FOREST,
-    forest_learns,
+    TRAIN_COARSE,
+    fit_layer,
     load_sample,
     parameters_of,
     places,
@@ -38,7 +36,6 @@ from fwclass.graph.learn import (
     trains,
     with_feature_parameters,
 )
-from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import RangeCounter
@@ -48,12 +45,11 @@ from fwclass.store.arrays import write_arrays
 from fwclass.store.models import load_model, save_model
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
-from fwclass.train.baselines.stage import train_other
 from fwclass.train.params import TrainParams
-from fwclass.train.sample import Sample, review
-from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, candidates, grow_trees, merge, train
+from fwclass.train.sample import Sample
+from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, candidates, merge
 
-TRAIN_COARSE, ANSWERED = "train-coarse", "coarse"
+ANSWERED = "coarse"
 DRAWN, MERGED = "refine-sample", "refine-training"
 _PLACE = ("x", "y", "z")
 
@@ -186,16 +182,6 @@ def _with_values(sample: Sample) -> tuple[Sample, list[str]]:
     return Sample(names, *columns), [n for n in sample.features if n not in names]
 
 
-def fit_layer(
-    sample: Sample, params: TrainParams, compare: CompareParams, classes: tuple[ClassDef, ...], block: float, gap: float
-) -> Any:
-    """A classifier of any kind, by ``train.method``."""
-    if params.method != "forest":
-        return train_other(sample, params, compare, classes, params.method, folds_of_squares(block, gap))
-    review(sample, classes)
-    return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
-
-
 def classify_refined(
     here: StageInputs,
     layer: FineLayer,
@@ -253,12 +239,6 @@ def _drawing_arguments(plan: Plan) -> Mapping[str, Any]:
     return {"rows": refine.rows, "drawing": drawing}
 
 
-TRAIN_COARSE_FOREST = replace(
-    TRAIN_FOREST, name=TRAIN_COARSE, when=lambda plan: _learns(plan) and forest_learns(plan), where="store"
-)
-TRAIN_COARSE_BASELINE = replace(
-    TRAIN_BASELINE, name=TRAIN_COARSE, when=lambda plan: _learns(plan) and not forest_learns(plan), where="store"
-)
 ANSWER_COARSE = Stage(
     ANSWERED,
     CLASSIFY.version,

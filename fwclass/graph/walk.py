@@ -29,7 +29,7 @@ from fwclass.graph.survey import SIMULATE, check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
 from fwclass.graph.vectors import lacking
 from fwclass.label.stage import LABEL
-from fwclass.model import TwoLayer
+from fwclass.model import Layered, TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
 from fwclass.store.models import load_model, model_digest
@@ -68,8 +68,9 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     path = local(place)
     model = load_model(path)
     check_model(model, config, path)
-    if isinstance(model, TwoLayer):
-        check_computed(model.fine, config.features, path)
+    if isinstance(model, Layered):
+        if isinstance(model, TwoLayer):
+            check_computed(model.fine, config.features, path)
         if config.thin.rate < 1.0:
             raise ConfigError(
                 "a thinned run has no second layer, and the model has one",

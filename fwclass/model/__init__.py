@@ -5,10 +5,12 @@ from __future__ import annotations
 from fwclass.classes import ClassDef, class_index, code_index
 from fwclass.model.base import FORMAT, LEAF, ClassifierMethod, Model
 from fwclass.model.boosted import Boosted, scores_of
+from fwclass.model.contextual import Contextual
 from fwclass.model.forest import Forest, Tree, assemble
+from fwclass.model.layered import LAYERS, Layered
 from fwclass.model.machines import KernelMachine, LinearMachine, Machine, Preparation
 from fwclass.model.matrix import sample_matrix
-from fwclass.model.two_layer import LAYERS, TwoLayer
+from fwclass.model.two_layer import TwoLayer
 
 __all__ = [
     "FORMAT",
@@ -18,8 +20,10 @@ __all__ = [
     "Boosted",
     "ClassDef",
     "ClassifierMethod",
+    "Contextual",
     "Forest",
     "KernelMachine",
+    "Layered",
     "LinearMachine",
     "Machine",
     "Model",
@@ -33,5 +37,7 @@ __all__ = [
     "scores_of",
 ]
 
-KINDS: dict[str, type[Model]] = {m.kind: m for m in (Forest, Boosted, LinearMachine, KernelMachine, TwoLayer)}
+KINDS: dict[str, type[Model]] = {
+    m.kind: m for m in (Forest, Boosted, LinearMachine, KernelMachine, TwoLayer, Contextual)
+}
 """Every kind of model, by the name that its card has."""

@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
 
-from fwclass.model.base import Model
-
-LAYERS = ("coarse", "fine")
+from fwclass.model.layered import Layered
 
 
-@dataclass(frozen=True, eq=False)
-class TwoLayer(Model):
-    """Two models of other kinds, each with arrays and a card of its own.
+class TwoLayer(Layered):
+    """`fine` tells the two classes between which it decides, and nothing else.
 
-    Attributes
-    ----------
-    coarse, fine : the layers; `fine` tells the two classes between which it decides, and nothing else.
-    card : the coarse model's, and besides ``refine`` (what `RefineParams` says) and ``layers`` (digest of each layer).
+    The card has besides ``refine`` (what `RefineParams` says).
     """
 
     kind = "two-layer"
-    layout: ClassVar[Mapping[str, tuple[str, int]]] = {}
-
-    coarse: Model
-    fine: Model
-    card: Mapping[str, Any]
 
     @property
     def pair(self) -> tuple[int, int]:
@@ -45,17 +31,7 @@ class TwoLayer(Model):
         """Features of the second layer that the first one lacks."""
         return tuple(n for n in self.fine.features if n not in self.coarse.features)
 
-    def check(self, where: object = "model") -> None:
-        """`InputError` unless both layers are sound and fit together."""
-        self.coarse.check(where)
-        self.fine.check(where)
-        super().check(where)
-
-    def _fault(self) -> str:
-        if isinstance(self.coarse, TwoLayer) or isinstance(self.fine, TwoLayer):
-            return "a layer has layers of its own"
-        if self.features != self.coarse.features or self.classes != self.coarse.classes:
-            return "its card has other features or classes than its first layer"
+    def _layer_fault(self) -> str:
         unknown = [c.name for c in self.fine.classes if c not in self.coarse.classes]
         if unknown or len(self.fine.codes) != 2:
             names = ", ".join(unknown or (c.name for c in self.fine.classes))

@@ -13,19 +13,18 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.classes import standard_name
+from fwclass.classify.context import whole_shares
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import classify, count_filled
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
-from fwclass.features.stage import features
 from fwclass.graph.drift import drift
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
-from fwclass.ground.blocks import blocks_of
-from fwclass.model import ClassDef, Model, TwoLayer, sample_matrix
+from fwclass.model import ClassDef, Contextual, Layered, Model, TwoLayer
 from fwclass.model.ranges import RangeCounter
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
@@ -34,6 +33,7 @@ from fwclass.read.points import classes_of
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import open_source
 from fwclass.schema import Table
+from fwclass.single_file.context import answer_in_context
 from fwclass.single_file.features.echoes import (
     FileEchoes,
     Flight,
@@ -45,7 +45,7 @@ from fwclass.single_file.features.echoes import (
 from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.refine import refine
-from fwclass.stage import Chunk
+from fwclass.single_file.samples import samples
 from fwclass.store.models import load_model
 
 SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "classify", "publish", "tile")
@@ -107,10 +107,10 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     codes = legal_codes(job, model, source)
     asked = Asked.of(n for n in model.features if is_feature(n))
     echoes = _echoes(job, model, asked, tell)
-    first = model.coarse if isinstance(model, TwoLayer) else model
+    first = model.coarse if isinstance(model, Layered) else model
     outside = RangeCounter.of(first.card, first.features)
     kept = Kept.of(conf.section("classify", job.settings))
-    results, without, medians, dense = _classify(echoes.table, first, asked, job.settings, tell, outside, kept)
+    results, without, medians, dense = _classify(echoes.table, model, job.settings, tell, outside, kept)
     drifted = drift(first.card, [outside.counts()] if outside else [])
     boundary = None
     if isinstance(model, TwoLayer):
@@ -259,44 +259,34 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
 
 
 def _classify(
-    table: Table,
-    model: Model,
-    asked: Asked,
-    settings: tuple[str, ...],
-    tell: Tell,
-    outside: RangeCounter | None,
-    kept: Kept | None,
+    table: Table, model: Model, settings: tuple[str, ...], tell: Tell, outside: RangeCounter | None, kept: Kept | None
 ) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
-    """Columns of `classify` for every echo; echoes without a value by feature; values that were filled; a remark
-    where echoes are too dense for all of them to count. `outside` counts values that the model has not seen, but of
-    what is `kept`.
-
-    Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
-    """
-    params, shares = conf.section("features", settings), conf.section("classify", settings).probabilities
-    size, count, replaced = conf.section("tile", settings).size, 0, 0
-    halo = asked.halo(params) if asked.names else 0.0
+    """Columns of `classify` for every echo, of a model of two layers by the first, unless it decides in context;
+    echoes without a value by feature; values that were filled; a remark where echoes are too dense for all of them to
+    count. `outside` counts values that the model has not seen, but of what is `kept`."""
+    first = model.coarse if isinstance(model, Layered) else model
+    params, probabilities = conf.section("features", settings), conf.section("classify", settings).probabilities
     results: dict[str, NDArray] = {}
-    without, crowds = np.zeros(len(model.features), np.int64), []
-    for tile, rows, own in blocks_of(table["x"], table["y"], size, halo):
+    shares = np.empty((table.rows, len(first.codes)), np.uint8) if isinstance(model, Contextual) else None
+    without, crowds, count, replaced = np.zeros(len(first.features), np.int64), [], 0, 0
+    for block in samples(table, first, settings):
         tell(f"classes: {count:,} of {table.rows:,} echoes")
-        rows = rows[order := np.lexsort((table["echo_number"][rows], table["pulse"][rows]))]
-        core = np.flatnonzero(own[order])
-        near = table.take(rows)
-        whole = near.take(core)
-        if asked.names:
-            around = features(chunk := Chunk(near, core, tile), asked.names, params)
-            crowds.append(crowd_facts(chunk, params))
-            whole = whole.with_columns(around.select(asked.names))
-        X = sample_matrix(whole, model.features, tile.key)
+        X = block.X
+        if any(is_feature(n) for n in first.features):
+            crowds.append(crowd_facts(block.chunk, params))
         if outside is not None:
-            outside.add(X[~kept.rows(whole["source_class"])] if kept else X)
-        for name, values in classify(X, model, shares).items():
-            results.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
+            outside.add(X[~kept.rows(block.chunk.table["source_class"][block.chunk.core])] if kept else X)
+        if shares is not None:
+            shares[block.rows] = whole_shares(X, first)
+        else:
+            for name, values in classify(X, first, probabilities).items():
+                results.setdefault(name, np.empty(table.rows, values.dtype))[block.rows] = values
         without += np.isnan(X).sum(axis=0)
-        count, replaced = count + len(core), replaced + count_filled(X, model)
+        count, replaced = count + len(X), replaced + count_filled(X, first)
+    if isinstance(model, Contextual) and shares is not None:
+        results = answer_in_context(table, shares, model, settings, tell)
     crowd = Crowd.of_parts(crowds)
-    lacking = {n: int(k) for n, k in zip(model.features, without, strict=True) if k}
+    lacking = {n: int(k) for n, k in zip(first.features, without, strict=True) if k}
     return results, lacking, replaced, [crowd.text(params)] if crowd else []
 
 

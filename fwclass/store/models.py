@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.model import FORMAT, KINDS, LAYERS, Forest, Model, TwoLayer
+from fwclass.model import FORMAT, KINDS, LAYERS, Forest, Layered, Model
 from fwclass.paths import open_regular
 from fwclass.store.atomic import digest_of, file_digest
 
@@ -23,18 +23,18 @@ _ARRAY_LIMIT = 1 << 32
 """Bytes of an array: a forest of a thousand trees of a million nodes each has so many."""
 _NPY = b"\x93NUMPY\x01\x00"
 """What numpy writes for arrays without fields."""
-_DECIDES = ("format", "kind", "features", "classes", "params", "computed", "preparation", "refine", "layers")
+_DECIDES = ("format", "kind", "features", "classes", "params", "computed", "preparation", "refine", "context", "layers")
 """Keys of the card without which the arrays mean nothing, or something else."""
 
 
 def save_model(directory: Path, model: Model) -> None:
     """Write `model` into `directory`, which is made; of two layers each into a directory below it."""
     directory.mkdir(parents=True, exist_ok=True)
-    if isinstance(model, TwoLayer):
+    if isinstance(model, Layered):
         for name in LAYERS:
             save_model(directory / name, getattr(model, name))
         layers = {name: _card(directory / name / CARD)["digest"] for name in LAYERS}
-        model = TwoLayer(model.coarse, model.fine, {**model.card, "layers": layers})
+        model = type(model)(model.coarse, model.fine, {**model.card, "layers": layers})
     for name in model.layout:
         np.save(directory / f"{name}.npy", getattr(model, name), allow_pickle=False)
     card = {**model.card, "kind": model.kind}
@@ -55,8 +55,8 @@ def load_model(directory: Path) -> Model:
     try:
         card = _card(directory / CARD)
         cls = KINDS[card["kind"]]
-        if cls is TwoLayer:
-            return _two_layers(directory, card)
+        if issubclass(cls, Layered):
+            return _two_layers(directory, cls, card)
         arrays = {name: _array(directory / f"{name}.npy", *of) for name, of in cls.layout.items()}
         model: Model = cls(**arrays, card=card)  # type: ignore[call-arg]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
@@ -72,16 +72,16 @@ def load_model(directory: Path) -> Model:
     return model
 
 
-def _two_layers(directory: Path, card: dict[str, Any]) -> Model:
+def _two_layers(directory: Path, cls: type[Layered], card: dict[str, Any]) -> Model:
     """A model of two layers, each of which lies in a directory below."""
     digests = {}
     for name in LAYERS:
         of_layer = _card(directory / name / CARD)
-        if of_layer["kind"] == TwoLayer.kind:
+        if issubclass(KINDS[of_layer["kind"]], Layered):
             raise ValueError(f"its layer {name!r} has layers of its own")
         digests[name] = of_layer.get("digest")
     coarse, fine = (load_model(directory / name) for name in LAYERS)
-    model = TwoLayer(coarse, fine, card)
+    model = cls(coarse, fine, card)
     model.check(directory)
     if card.get("layers") != digests:
         card = {**card, "digest": "of other layers"}
@@ -174,9 +174,9 @@ def _files(directory: Path) -> Iterator[str]:
     for name in cls.layout:
         _check_size(directory / f"{name}.npy")
         yield f"{name}.npy"
-    for layer in LAYERS if cls is TwoLayer else ():
+    for layer in LAYERS if issubclass(cls, Layered) else ():
         of_layer = KINDS[_card(directory / layer / CARD)["kind"]]
-        if of_layer is not TwoLayer:
+        if not issubclass(of_layer, Layered):
             yield from (f"{layer}/{name}" for name in _files(directory / layer))
 
 

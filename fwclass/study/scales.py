@@ -15,9 +15,9 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.fine_layer import FineLayer, fine_layer
 from fwclass.graph.layout import plain
-from fwclass.graph.learn import load_sample
+from fwclass.graph.learn import fit_layer, load_sample
 from fwclass.graph.machine_search import folds_of_squares
-from fwclass.graph.refine import MERGED, fit_layer
+from fwclass.graph.refine import MERGED
 from fwclass.graph.stages import LEARNING
 from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.model import ClassDef

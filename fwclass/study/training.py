@@ -48,7 +48,11 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
         accuracy = judged.meta["accuracy"] if judged else None
         sentences = accuracy_remarks(accuracy, config, names, plan.layout.echoes) if accuracy else [NOTHING_TESTED]
         plain |= {"accuracy": accuracy, "remarks": sentences}
-    if plain["accuracy"] is None and config.train.method == "forest" and not config.classify.refine.between:
+    if (
+        plain["accuracy"] is None
+        and config.train.method == "forest"
+        and not (config.classify.refine.between or config.classify.context.cells)
+    ):
         try:
             validated = cross_validate(config, runner, plan.layout, before, config.features_asked)
             plain["cross_validation"] = validated

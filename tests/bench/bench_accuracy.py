@@ -25,7 +25,7 @@ from fwclass import conf
 from fwclass.assess.confusion import describe, figures
 from fwclass.assess.intervals import difference, intervals
 from fwclass.conf import Config
-from fwclass.graph.stages import CLASSIFYING, JUDGING
+from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
 from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -79,7 +79,7 @@ def judged(split: Split, seed: int, root: Path, data: Path, settings: tuple[str,
 def assessed(config: Config, runner: Runner) -> tuple[dict[str, Any], Any]:
     """What `fwclass run` with a model does up to the assessment; nothing is published."""
     plan = until_tiles(plan_with_features(config), runner)
-    tasks = tasks_until_labels(plan) + tasks_of(plan, (*CLASSIFYING, *JUDGING))
+    tasks = tasks_until_labels(plan) + tasks_of(plan, (*LEARNING, *CLASSIFYING, *JUDGING))
     require_all(runner, ancestors(tasks, [("assess", "all")]))
     receipt = runner.store.receipt("assess", "all")
     if receipt is None:

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from modelmaker import NAMES, card, models, two_layers
+from modelmaker import NAMES, card, contextual, models, two_layers
 
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
-from fwclass.model import FORMAT, KINDS, LEAF, Boosted, KernelMachine, TwoLayer, trees
+from fwclass.model import FORMAT, KINDS, LEAF, Boosted, Contextual, KernelMachine, Layered, TwoLayer, trees
 from fwclass.store.models import load_forest, load_model, model_digest, save_model
 
-ONE_LAYER = sorted(set(KINDS) - {TwoLayer.kind})
+ONE_LAYER = sorted(name for name, kind in KINDS.items() if not issubclass(kind, Layered))
 
 
 def test_every_kind_is_tried():
@@ -278,9 +278,39 @@ def test_two_layers_round_trip(tmp_path):
     assert load_model(tmp_path / "m" / "coarse").features == NAMES, "a layer is a model by itself"
 
 
-def test_damaged_layers_are_refused(tmp_path):
+def test_a_contextual_model_round_trips(tmp_path):
+    given = contextual()
+    save_model(tmp_path / "m", given)
+    read = load_model(tmp_path / "m")
+    assert isinstance(read, Contextual) and read.cells == given.cells
+    assert read.fine.features == given.fine.features and model_digest(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"context": None}, "how wide its cells are"),
+        ({"context": {"cells": []}}, "none"),
+        ({"context": {"cells": [0.5, "wide"]}}, "how wide its cells are"),
+        ({"context": {"cells": [0.5, -1.0]}}, "are none"),
+        ({"context": {"cells": [0.5, float("nan")]}}, "are none"),
+        ({"context": {"cells": [0.5, 1e9]}}, "are none"),
+        ({"context": {"cells": [0.5, 0.00001]}}, "whole millimetres"),
+        ({"context": {"cells": [0.5, 2.0]}}, "other features"),
+        ({"context": {"cells": [0.5] * 1000}}, "none"),
+        ({"features": ["zc"]}, "other features or classes"),
+    ],
+)
+def test_a_card_of_a_contextual_model_that_cannot_be_is_refused(change, told):
+    given = contextual()
+    with pytest.raises(InputError, match=told):
+        Contextual(given.coarse, given.fine, {**given.card, **change}).check()
+
+
+@pytest.mark.parametrize("layers", [two_layers, contextual])
+def test_damaged_layers_are_refused(tmp_path, layers):
     """Any byte of any file of either layer set to another: loading refuses, or only a remark has changed."""
-    save_model(tmp_path / "m", two_layers())
+    save_model(tmp_path / "m", layers())
     refused = 0
     for path in sorted(p for p in (tmp_path / "m").rglob("*") if p.is_file()):
         good = path.read_bytes()

@@ -1,0 +1,445 @@
+"""The stages of a layer that decides in context: first layers by folds, what they say of the training areas, what the
+second layer learns from, and the answers of both.
+
+In the training areas a first layer knows the echoes too well. So there the shares that the second layer learns from are
+those of a model that has not learned from the echo's square; where it decides they are those of the whole first layer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.classify.context import CONTEXT, classify_in_context, context_of, fractions, whole_shares
+from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.shares import answer
+from fwclass.classify.stage import CLASSIFY, count_filled
+from fwclass.errors import InputError
+from fwclass.graph.areas import training_tiles
+from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
+from fwclass.graph.context_layer import ContextLayer, context_layer
+from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument
+from fwclass.graph.learn import (
+    MODEL,
+    NOT_OF_THE_SAMPLE,
+    SAMPLE,
+    TRAIN_COARSE,
+    fit_layer,
+    learning_arguments,
+    load_sample,
+    parameters_of,
+    survey_sample,
+    trains,
+    with_feature_parameters,
+)
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.grid import Tile, millimetres, whole_millimetres
+from fwclass.model import ClassDef, Contextual, Model, sample_matrix
+from fwclass.model.ranges import RangeCounter
+from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.select.folds import Folds, spatial_folds
+from fwclass.store.arrays import write_arrays
+from fwclass.store.models import load_model, save_model
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
+from fwclass.train.params import TrainParams
+from fwclass.train.sample import Sample
+from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, merge
+
+FOLDS, FOLD_SHARES, FIRST = "fold-models", "fold-shares", "first-shares"
+DRAWN, MERGED, TRIED = "context-sample", "context-training", "context-folds"
+FOLD_SHARE = "fold_share"
+_PLACE = ("x", "y", "z")
+LEAST_SQUARE = 2.0
+"""m, squares of the folds are halved down to this where training areas are small."""
+
+
+def squares_of(sample: Sample, block: float, gap: float, folds: int) -> tuple[Folds, float]:
+    """Folds of a sample's rows by squares of `block` [m], or of a half, a quarter … where there are too few; and the
+    edge [m] that it was. `InputError` where squares of `LEAST_SQUARE` are too few."""
+    x, y = sample.place[:, 0].astype(np.float64) * 0.001, sample.place[:, 1].astype(np.float64) * 0.001
+    while True:
+        try:
+            return spatial_folds(x, y, sample.y, block, min(gap, block / 4), folds), block
+        except InputError as fault:
+            if block / 2 < LEAST_SQUARE:
+                raise InputError(
+                    "the training areas are too small to learn the context of an echo",
+                    where="classify.context, areas.train",
+                    expected=f"{folds} squares of {block:g} m with labelled echoes",
+                    got=fault.got,
+                    do="larger training areas, or no such layer: --set classify.context.cells=[]",
+                ) from fault
+            block = round(block / 2, 3)
+
+
+def train_fold(
+    here: StageInputs,
+    names: tuple[str, ...],
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+    compare: CompareParams,
+    block: float,
+    gap: float,
+    folds: int,
+) -> Result:
+    """A first layer that has not learned from the squares of a fold."""
+    sample = survey_sample(here.inputs, names)
+    division, _ = squares_of(sample, block, gap, folds)
+    rest = sample.take(division.trains(int(here.part)))
+    model: Model | None = None
+    if (rest.counts > 0).all():
+        model = fit_layer(rest, params, compare, classes, block, gap)
+        save_model(here.directory / MODEL, model)
+    return {"rows": rest.rows, "model": model is not None}
+
+
+def share_folds(
+    here: StageInputs, names: tuple[str, ...], layer: ContextLayer, block: float, gap: float, folds: int
+) -> Result:
+    """Shares of a tile's echoes by the first layer that has not learned from their square, or the whole one where
+    nothing of it was learned, or a class stands in one fold alone."""
+    sample = survey_sample(here.inputs, names)
+    division, edge = squares_of(sample, block, gap, folds)
+    mm = whole_millimetres(edge, "select.block")
+    squares, at = np.unique(sample.place // mm, axis=0, return_index=True)
+    fold_of = division.fold[at]
+    models = {
+        k: model_at(here.inputs.path(FOLDS, str(k), MODEL), here.inputs.digest(FOLDS, str(k)), False)
+        for k in range(folds)
+        if here.inputs.meta(FOLDS, str(k))["model"]
+    }
+    whole = model_at(here.inputs.path(TRAIN_COARSE, "model", MODEL), here.inputs.digest(TRAIN_COARSE, "model"), False)
+    tables = []
+    for rows in here.cuts():
+        X = sample_matrix(rows, names, here.part)
+        fold = _folds_at(millimetres(rows["x"]) // mm, millimetres(rows["y"]) // mm, squares, fold_of)
+        shares = np.empty((rows.rows, len(layer.codes)), np.uint8)
+        for k in np.unique(fold):
+            mine = fold == k
+            shares[mine] = whole_shares(X[mine], models.get(int(k), whole))
+        tables.append(Table(dict(zip(layer.columns(FOLD_SHARE), shares.T, strict=True))))
+    return tables[0] if len(tables) == 1 else Table.concat(tables)
+
+
+def _folds_at(x: NDArray, y: NDArray, squares: NDArray, fold_of: NDArray) -> NDArray[np.int64]:
+    """int64 (rows,): the fold of the square (x, y) of every row; -1 for one that is none of `squares` (n, 2)."""
+    width = int(squares[:, 1].max() - squares[:, 1].min()) + 1
+    low = squares.min(axis=0)
+    known = (squares[:, 0] - low[0]) * width + squares[:, 1] - low[1]  # rises, as `squares` are in order
+    inside = (y >= low[1]) & (y < low[1] + width)
+    asked = (x - low[0]) * width + y - low[1]
+    place = np.minimum(np.searchsorted(known, asked), len(known) - 1)
+    return np.where(inside & (known[place] == asked), fold_of[place], -1).astype(np.int64)
+
+
+def draw_context_tile(here: StageInputs, names: tuple[str, ...], layer: ContextLayer) -> Result:
+    """The rows of a tile that train, with their context."""
+    drawn = load_sample(here.inputs, TRAIN_SAMPLE.name, here.part, names)
+    more = np.empty((drawn.rows, len(layer.names)), np.uint8)
+    wanted = canonical_key(here.own_rows())
+    order = np.argsort(wanted)
+    chosen = order[np.searchsorted(wanted[order], drawn.key)] if drawn.rows else order[:0]
+    for these, chunk in here.chunks():
+        mine = np.flatnonzero(np.isin(chosen, these))
+        core = chunk.core[np.searchsorted(these, chosen[mine])]
+        more[mine] = context_of(replace(chunk, core=core), layer.columns(FOLD_SHARE), layer.cells)
+    sample = replace(drawn, features=(*names, *layer.names), X=np.concatenate([drawn.X, fractions(more)], axis=1))
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows}
+
+
+def merge_context_samples(
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, layer: ContextLayer
+) -> Result:
+    """The rows of the survey's sample, with their context."""
+    tiles = here.parts(DRAWN)
+    sample = merge((load_sample(here.inputs, DRAWN, t, (*names, *layer.names)) for t in tiles), params)
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+def try_context(
+    here: StageInputs,
+    names: tuple[str, ...],
+    layer: ContextLayer,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: tuple[ClassDef, ...],
+    block: float,
+    gap: float,
+    folds: int,
+) -> Result:
+    """How many rows of a fold's squares the first layer has right, and both, which have not learned from them."""
+    sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
+    division, _ = squares_of(sample, block, gap, folds)
+    fold = int(here.part)
+    asked, rest = sample.take(division.judged(fold)), sample.take(division.trains(fold))
+    if not (rest.counts > 0).all():
+        return {"rows": 0, "first": 0, "both": 0}
+    first = asked.X[:, len(names) : len(names) + len(classes)].astype(np.float64)
+    both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap))[1]
+    right = [int((shares.argmax(axis=1) == asked.y).sum()) for shares in (first, both)]
+    return {"rows": asked.rows, "first": right[0], "both": right[1]}
+
+
+def train_context(
+    here: StageInputs,
+    names: tuple[str, ...],
+    layer: ContextLayer,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: tuple[ClassDef, ...],
+    computed: Mapping[str, Any],
+    block: float,
+    gap: float,
+    folds: int,
+) -> Result:
+    """The second layer, and both as one model, delivered as the run's."""
+    coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
+    sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
+    fine = with_feature_parameters(fit_layer(sample, params, compare, classes, block, gap), computed)
+    trials = [here.inputs.meta(TRIED, str(k)) for k in range(folds)]
+    judged = {n: sum(int(t[n]) for t in trials) for n in ("rows", "first", "both")}
+    card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
+    card["notes"] = [*card["notes"], *_note_of(judged)]
+    both = Contextual(
+        coarse, fine, {**card, "kind": Contextual.kind, "context": {"cells": list(layer.cells), "judged": judged}}
+    )
+    both.check("a newly trained model")
+    save_model(here.directory / MODEL, both)
+    return {"card": dict(both.card), "trees": None}
+
+
+def _note_of(judged: Mapping[str, int]) -> list[str]:
+    if not judged["rows"]:
+        return ["whether the second layer pays could not be tried: a class stands in one square of the folds alone"]
+    first, both = (100 * judged[n] / judged["rows"] for n in ("first", "both"))
+    pays = "" if both > first else ": it does not pay here (--set classify.context.cells=[])"
+    return [
+        f"of training rows in squares not learned from the first layer has {first:.1f} % right, both {both:.1f} %{pays}"
+    ]
+
+
+def share_first(here: StageInputs, layer: ContextLayer, names: tuple[str, ...], model: str | None) -> Result:
+    """The first layer's shares of a tile's echoes."""
+    if model is None:
+        used = model_at(
+            here.inputs.path(TRAIN_COARSE, "model", MODEL), here.inputs.digest(TRAIN_COARSE, "model"), False
+        )
+    else:
+        used = _contextual(here, model).coarse
+    tables = []
+    outside = RangeCounter.of(used.card, used.features)
+    for rows in here.cuts():
+        X = sample_matrix(rows, used.features, here.part)
+        if outside is not None:
+            outside.add(X)
+        tables.append(Table(dict(zip(layer.columns(), whole_shares(X, used).T, strict=True))))
+    table = tables[0] if len(tables) == 1 else Table.concat(tables)
+    return table, outside_facts(outside)
+
+
+def classify_tile_in_context(
+    here: StageInputs,
+    layer: ContextLayer,
+    names: tuple[str, ...],
+    probabilities: bool,
+    model: str | None,
+    kept: Kept | None = None,
+) -> Result:
+    """Answers of both layers for a tile; `kept` echoes have the class of their source."""
+    used = _contextual(here, model)
+    pieces = [(these, context_of(chunk, layer.columns(), layer.cells)) for these, chunk in here.chunks()]
+    context = np.concatenate([p for _, p in pieces])[np.argsort(np.concatenate([t for t, _ in pieces]))]
+    tables, missing, first = [], 0, 0
+    for rows in here.cuts():
+        X = sample_matrix(rows, used.features, here.part)
+        answers = classify_in_context(X, context[first : first + rows.rows], used, probabilities)
+        tables.append(with_kept(answers, rows["source_class"] if kept else NO_SOURCE, kept))
+        missing += count_filled(X, used.coarse)
+        first += rows.rows
+    table = tables[0] if len(tables) == 1 else Table.concat(tables)
+    return table, {"codes": codes_of(table), "filled": missing}
+
+
+def _contextual(here: StageInputs, model: str | None) -> Contextual:
+    """The model of both layers that is given, by its digest; None: the run's own."""
+    if model is None:
+        used = model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
+    else:
+        used = model_at(here.file(), model, True)
+    if not isinstance(used, Contextual):
+        raise InputError("the model has no context", where=here.part, do="run the same again: it was changed")
+    return used
+
+
+def _has(plan: Plan) -> bool:
+    return context_layer(plan) is not None
+
+
+def _learns(plan: Plan) -> bool:
+    return trains(plan) and _has(plan)
+
+
+def _layer(plan: Plan) -> ContextLayer:
+    layer = context_layer(plan)
+    if layer is None:
+        raise InputError("the run decides without context", where="classify.context")
+    return layer
+
+
+def _folds(plan: Plan) -> list[str]:
+    return [str(k) for k in range(plan.config.classify.context.folds)]
+
+
+def _tiles_around(plan: Plan) -> list[Tile]:
+    """Training tiles, and those that their context reaches into."""
+    halo, layout = _layer(plan).halo, plan.layout
+    keys = {key for tile in training_tiles(plan) for key in layout.around(tile.box.grown(halo), layout.keys)}
+    return [tile for tile in layout.tiles if tile.key in keys]
+
+
+def _squares(plan: Plan) -> Mapping[str, Any]:
+    return {
+        "block": plan.config.select.block,
+        "gap": plan.config.select.gap,
+        "folds": plan.config.classify.context.folds,
+    }
+
+
+def _fitting(plan: Plan) -> Mapping[str, Any]:
+    """Arguments of the stages that fit a layer."""
+    return {**learning_arguments(plan), "compare": plan.config.compare, **_squares(plan)}
+
+
+_OF_LAYERS = 1000 * BASELINE_VERSION + TRAIN.version
+_OF_ROWS = 1000 * CONTEXT.version + TRAIN_SAMPLE.version
+
+TRAIN_FOLDS = Stage(
+    FOLDS,
+    _OF_LAYERS,
+    "survey",
+    "tree_row",
+    train_fold,
+    when=_learns,
+    parts=_folds,
+    arguments=_fitting,
+    silent=frozenset({"importance_repeats"}),
+    after=("training",),
+    needs=lambda plan, part: (("training", "all"),),
+)
+SHARE_FOLDS = Stage(
+    FOLD_SHARES,
+    CLASSIFY.version,
+    "tile",
+    "echo",
+    share_folds,
+    when=_learns,
+    parts=_tiles_around,
+    arguments=lambda plan: {"names": plan.names, "layer": _layer(plan), **_squares(plan)},
+    own=lambda plan: ("x", "y", *plan.names),
+    writes=lambda plan: _layer(plan).columns(FOLD_SHARE),
+    after=("training", FOLDS, TRAIN_COARSE),
+    needs=lambda plan, part: (("training", "all"), (TRAIN_COARSE, "model"), *((FOLDS, k) for k in _folds(plan))),
+    cells=True,
+)
+DRAW_CONTEXT = Stage(
+    DRAWN,
+    _OF_ROWS,
+    "tile",
+    "echo",
+    draw_context_tile,
+    when=_learns,
+    parts=training_tiles,
+    arguments=lambda plan: {"names": plan.names, "layer": _layer(plan)},
+    reads=lambda plan: (*_PLACE, *_layer(plan).columns(FOLD_SHARE)),
+    own=IDENTITY,
+    halo=lambda plan: _layer(plan).halo,
+    after=(TRAIN_SAMPLE.name,),
+    needs=lambda plan, tile: ((TRAIN_SAMPLE.name, tile.key),),
+)
+MERGE_CONTEXT = Stage(
+    MERGED,
+    TRAIN_SAMPLE.version,
+    "survey",
+    "row",
+    merge_context_samples,
+    when=_learns,
+    arguments=lambda plan: {"names": plan.names, "params": plan.config.train, "layer": _layer(plan)},
+    silent=NOT_OF_THE_SAMPLE,
+    after=(DRAWN,),
+    needs=lambda plan, part: [(DRAWN, t.key) for t in training_tiles(plan)],
+)
+TRY_CONTEXT = Stage(
+    TRIED,
+    _OF_LAYERS,
+    "survey",
+    "tree_row",
+    try_context,
+    when=_learns,
+    parts=_folds,
+    arguments=lambda plan: {**_fitting(plan), "layer": _layer(plan)},
+    silent=frozenset({"importance_repeats"}),
+    after=(MERGED,),
+    needs=lambda plan, part: ((MERGED, "all"),),
+)
+TRAIN_CONTEXT = Stage(
+    TRAIN.name,
+    _OF_LAYERS,
+    "survey",
+    "tree_row",
+    train_context,
+    when=_learns,
+    parts=lambda plan: ("model",),
+    arguments=lambda plan: {
+        **_fitting(plan),
+        "layer": _layer(plan),
+        "classes": plan.config.written_classes,
+        "computed": parameters_of(plan, plan.names),
+    },
+    after=(MERGED, TRIED, TRAIN_COARSE),
+    needs=lambda plan, part: ((MERGED, "all"), (TRAIN_COARSE, "model"), *((TRIED, k) for k in _folds(plan))),
+    where="deliver",
+)
+SHARE_FIRST = Stage(
+    FIRST,
+    CLASSIFY.version,
+    "tile",
+    "echo",
+    share_first,
+    when=_has,
+    arguments=lambda plan: {"layer": _layer(plan), "names": plan.names, "model": plan.model[1] if plan.model else None},
+    own=lambda plan: plan.names,
+    writes=lambda plan: _layer(plan).columns(),
+    after=(TRAIN_COARSE,),
+    needs=lambda plan, part: () if plan.model else ((TRAIN_COARSE, "model"),),
+    source=given_model,
+    cells=True,
+)
+CLASSIFY_IN_CONTEXT = Stage(
+    CLASSIFY.name,
+    1000 * CONTEXT.version + CLASSIFY.version,
+    "tile",
+    "echo",
+    classify_tile_in_context,
+    when=_has,
+    arguments=lambda plan: {
+        "layer": _layer(plan),
+        "names": plan.names,
+        "probabilities": plan.config.classify.probabilities,
+        "model": plan.model[1] if plan.model else None,
+        **kept_argument(plan),
+    },
+    reads=lambda plan: (*_PLACE, *_layer(plan).columns()),
+    own=lambda plan: (*plan.names, *deciding_column(plan)),
+    writes=classes_written,
+    halo=lambda plan: _layer(plan).halo,
+    after=("train", FIRST),
+    needs=own_model,
+    source=given_model,
+)

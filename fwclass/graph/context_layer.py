@@ -1,0 +1,50 @@
+"""The layer that decides in context which a run has: of the settings, or of the model that is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from fwclass.classify.context import coarse_share_columns, halo_of
+from fwclass.graph.stage import Plan
+from fwclass.model import Contextual
+from fwclass.model.contextual import context_names
+from fwclass.store.models import load_model
+from fwclass.store.remote_file import local
+
+
+@dataclass(frozen=True)
+class ContextLayer:
+    """What it decides by: `codes` of the classes, in the order of the shares, and edges of `cells` [m]."""
+
+    codes: tuple[int, ...]
+    cells: tuple[float, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its features besides those of the first layer."""
+        return context_names(self.codes, self.cells)
+
+    @property
+    def halo(self) -> float:
+        """What it reads around a tile [m]."""
+        return halo_of(self.cells)
+
+    def columns(self, base: str = "coarse_share") -> tuple[str, ...]:
+        """Columns with the first layer's share of every class."""
+        return coarse_share_columns(self.codes, base)
+
+
+def context_layer(plan: Plan) -> ContextLayer | None:
+    """The layer of a run, None without one."""
+    if plan.model is not None:
+        return _of_model(str(local(plan.model[0])), plan.model[1])
+    cells = plan.config.classify.context.cells
+    return ContextLayer(tuple(c.code for c in plan.config.classes), cells) if cells else None
+
+
+@lru_cache(maxsize=4)
+def _of_model(path: str, digest: str) -> ContextLayer | None:
+    model = load_model(Path(path))
+    return ContextLayer(tuple(model.codes.tolist()), model.cells) if isinstance(model, Contextual) else None

@@ -1,0 +1,55 @@
+"""A model of two layers: the second answers for every echo again, by the first one's answers around it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from fwclass.model.layered import Layered
+
+WHOLE = 255
+"""What shares of the first layer count in: a byte holds them."""
+
+MOST_CELLS = 10
+"""Sizes of cells at most."""
+
+WIDEST = 20.0
+"""m, edge of a cell at most: a box of five is as wide as a feature may reach."""
+
+
+class Contextual(Layered):
+    """Both layers tell all classes; the answer is the mean of their shares.
+
+    The card's ``context`` has ``cells``, the edges of the cells that neighbours are counted in [m].
+    """
+
+    kind = "contextual"
+
+    @property
+    def cells(self) -> tuple[float, ...]:
+        """Edges of the cells [m]."""
+        return tuple(float(c) for c in self.card["context"]["cells"])
+
+    def _layer_fault(self) -> str:
+        try:
+            cells = self.cells
+        except (KeyError, TypeError, ValueError, OverflowError) as fault:
+            return f"its card does not say how wide its cells are ({type(fault).__name__}: {fault})"
+        if not 1 <= len(cells) <= MOST_CELLS or not all(math.isfinite(c) and 0 < c <= WIDEST for c in cells):
+            return f"cells of {', '.join(f'{c:g}' for c in cells[:MOST_CELLS])} m are none"
+        if any(abs(1000 * c - round(1000 * c)) > 1e-6 or round(1000 * c) < 1 for c in cells):
+            return "its cells are no whole millimetres"
+        if self.fine.classes != self.coarse.classes:
+            return "its layers tell other classes"
+        if self.fine.features != (*self.features, *context_names((c.code for c in self.classes), cells)):
+            return "its second layer decides by other features than the first one's and their context"
+        return ""
+
+
+def context_names(codes: Iterable[int], cells: Iterable[float]) -> tuple[str, ...]:
+    """Names of the features that the second layer has besides: the own shares of every class, and for cells of every
+    edge [m] their means in plan (`c`) and in space (`v`), by the edge in millimetres."""
+    codes = tuple(int(code) for code in codes)
+    own = tuple(f"share_{code}" for code in codes)
+    boxes = ((kind, round(1000 * edge)) for edge in cells for kind in "cv")
+    return (*own, *(f"share_{code}_{kind}{edge}" for kind, edge in boxes for code in codes))

@@ -1,0 +1,156 @@
+"""A layer that decides in context in a run: tiles, workers and a restart change nothing; its model travels."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from commandline import fwclass
+from runmaker import SETTINGS, delivered, looked, walk
+
+from fwclass import conf
+from fwclass.errors import ConfigError, InputError
+from fwclass.graph.context import _folds_at, squares_of
+from fwclass.operate.seams.walk import SeamRequest, seams
+from fwclass.operate.status.walk import Silent
+from fwclass.run.cluster import Cluster
+from fwclass.store.models import load_model
+from fwclass.train.sample import Sample
+
+LAYER = (
+    "classify.context.cells=[0.5, 1, 2.5]",
+    "classify.context.folds=3",
+    "select.block=20",
+    "train.samples_per_class=800",
+    "train.importance_repeats=0",
+)
+COLUMNS = ("strip", "pulse", "echo_number", "classification", "confidence", "entropy")
+
+
+@pytest.fixture(scope="module")
+def in_context(survey, tmp_path_factory):
+    root = tmp_path_factory.mktemp("context")
+    runner, report = walk(survey, root, *LAYER)
+    assert not runner.failures, runner.failures
+    return root, report
+
+
+def echoes(root):
+    parts = [pq.read_table(p, columns=list(COLUMNS)) for p in sorted((root / "parquet").glob("*.parquet"))]
+    columns = {n: np.concatenate([p.column(n).to_numpy() for p in parts]) for n in COLUMNS}
+    order = np.lexsort((columns["echo_number"], columns["pulse"], columns["strip"]))
+    return {n: v[order] for n, v in columns.items()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", ["tile.size=37.5", "tile.size=150", "tile.size=1000"])
+def test_tiles_change_no_answer(setting, survey, in_context, tmp_path):
+    runner, _ = walk(survey, tmp_path, setting, *LAYER)
+    assert not runner.failures
+    before, after = echoes(in_context[0]), echoes(tmp_path)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(before[name], after[name], err_msg=name)
+
+
+@pytest.mark.slow
+def test_workers_give_the_same_bytes_and_a_restart_computes_nothing(survey, in_context, tmp_path):
+    runner, _ = walk(survey, tmp_path, *LAYER, executor=Cluster(None, 2, 4.0, 1000))
+    assert not runner.failures
+    assert delivered(tmp_path) == delivered(in_context[0])
+    again, _ = walk(survey, tmp_path, *LAYER)
+    assert not [n for n, one in again.outcomes.items() if one.status == "computed" and n[0] != "report"]
+    assert looked(survey, tmp_path, *LAYER).all_done
+
+
+@pytest.mark.slow
+def test_short_memory_changes_no_byte(survey, in_context, tmp_path, monkeypatch):
+    """Every tile in nine pieces."""
+    monkeypatch.setattr("fwclass.run.inputs.PartInputs.split", 3)
+    runner, _ = walk(survey, tmp_path, *LAYER)
+    assert not runner.failures and delivered(tmp_path) == delivered(in_context[0])
+
+
+@pytest.mark.slow
+def test_seams_are_none_and_the_stages_are_compared(survey, in_context):
+    settings = (*SETTINGS, f"survey.directory={survey}", "seams.width=4", "seams.share=1", *LAYER)
+    config = conf.load("demo", settings)
+    compared = seams(config, in_context[0], SeamRequest((50.0, 50.0), config.seams.share, None, None), Silent())
+    assert {"first-shares", "classify"} <= {s.stage for s in compared.bounded}
+    assert all(s.differ == 0 for s in compared.bounded)
+
+
+@pytest.mark.slow
+def test_its_model_classifies_another_run_and_a_file(survey, in_context, tmp_path):
+    model = in_context[0] / "model"
+    card = load_model(model).card
+    judged = card["context"]["judged"]
+    assert judged["rows"] > 500 and 0.5 < judged["first"] / judged["rows"] <= 1
+    assert any("both" in note for note in card["notes"]), "what the layer gains is said"
+    runner, _ = walk(survey, tmp_path / "run", f"survey.model={model}", "survey.reference.kind=none")
+    assert not runner.failures
+    before, after = echoes(in_context[0]), echoes(tmp_path / "run")
+    for name in COLUMNS:
+        np.testing.assert_array_equal(before[name], after[name], err_msg=name)
+    strip = sorted((survey / "strips").glob("*.las"))[0]
+    words = ("--set", "ground.block=64", "--set", "ground.max_building_size=50")
+    files = []
+    for size in ("30", "500"):
+        out = tmp_path / f"{size}.laz"
+        line = ("classify", strip, out, "--model", model, "--json", *words, "--set", f"tile.size={size}")
+        described = json.loads(fwclass(*line).stdout)
+        assert described["kind"] == "contextual" and len(described["classes"]) > 2
+        files.append(out.read_bytes())
+    assert files[0] == files[1]
+
+
+@pytest.mark.slow
+def test_another_training_row_changes_what_follows_and_features_stay(survey, in_context, tmp_path):
+    import shutil
+
+    shutil.copytree(in_context[0], tmp_path / "r", symlinks=True)
+    runner, _ = walk(survey, tmp_path / "r", *LAYER, "train.seed=2")
+    computed = {n[0] for n, one in runner.outcomes.items() if one.status == "computed"}
+    assert {"fold-models", "fold-shares", "context-sample", "train", "first-shares", "classify"} <= computed
+    assert not {"features", "ground-filter", "tile"} & computed
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (("classify.context.cells=[1, 0.5]",), "edges must rise"),
+        (("classify.context.cells=[0.333]",), "whole centimetres"),
+        (("classify.context.cells=[200]",), "classify.context.cells"),
+        (("classify.context.cells=[0.01]",), "classify.context.cells"),
+        (("classify.context.folds=1",), "classify.context.folds"),
+        (("classify.context.cells=[1]", "thin.rate=0.1"), "thin.rate"),
+        (("classify.context.cells=[1]", "classify.refine.between=[building, vegetation]"), "classify.refine"),
+    ],
+)
+def test_a_layer_that_cannot_be_is_refused_before_anything_is_computed(settings, told):
+    with pytest.raises(ConfigError, match=told):
+        conf.load("demo", settings)
+
+
+def rows_at(x, y):
+    n = len(x)
+    place = np.stack([x, y], axis=1).astype(np.int64)
+    key, one = np.arange(n, dtype=np.uint64), np.array([n], np.int64)
+    return Sample(("zc",), np.zeros((n, 1), np.float32), np.zeros(n, np.uint8), key, key, one, one, place)
+
+
+def test_squares_are_halved_where_training_areas_are_small():
+    r = np.random.default_rng(1)
+    division, edge = squares_of(rows_at(r.uniform(0, 12e3, 200), r.uniform(0, 12e3, 200)), 25.0, 3.0, 4)
+    assert edge == 6.25 and set(division.fold.tolist()) == {0, 1, 2, 3}
+    with pytest.raises(InputError, match="too small to learn the context"):
+        squares_of(rows_at(np.full(9, 100.0), np.full(9, 100.0)), 25.0, 3.0, 4)
+
+
+def test_the_fold_of_an_echo_is_that_of_its_square():
+    r = np.random.default_rng(2)
+    squares = np.unique(r.integers(-9, 9, (60, 2)), axis=0)
+    fold = r.integers(0, 4, len(squares))
+    x, y = r.integers(-12, 12, (2, 900))
+    of = {tuple(s): f for s, f in zip(squares.tolist(), fold.tolist(), strict=True)}
+    expected = [of.get((a, b), -1) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    np.testing.assert_array_equal(_folds_at(x, y, squares, fold), expected)
