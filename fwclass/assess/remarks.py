@@ -67,7 +67,7 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
         )
     if tested.apart is not None and tested.apart < tested.reach:
         sentences.append(
-            f"Tested {tested.apart:.3g} m from the training areas, and the widest feature reaches {tested.reach:g} m: "
+            f"Tested {tested.apart:.3g} m from the training areas, and what decides reaches {tested.reach:g} m: "
             f"the classifier has seen part of what it is tested on: --set areas.gap={tested.reach:g} or more."
         )
     share = tested.scored / tested.echoes if tested.echoes else 0.0

@@ -12,14 +12,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classify.shares import answer, entropy
-from fwclass.classify.stage import probability_columns
+from fwclass.classify.shares import answer
 from fwclass.grid import millimetres, whole_millimetres
 from fwclass.kernel import kernel
-from fwclass.model import Contextual, Model
+from fwclass.model import Model
 from fwclass.model.contextual import WHOLE
 from fwclass.schema import Table
-from fwclass.stage import Chunk, Computation
+from fwclass.stage import Computation
 
 CONTEXT = Computation(name="context", version=1, writes=())
 
@@ -43,28 +42,24 @@ def coarse_share_columns(codes: Iterable[int], base: str = "coarse_share") -> tu
     return tuple(f"{base}_{int(code)}" for code in codes)
 
 
-def context_of(chunk: Chunk, columns: Sequence[str], cells: Iterable[float]) -> NDArray[np.uint8]:
+def context_of(
+    table: Table, core: NDArray[np.int64], columns: Sequence[str], cells: Iterable[float]
+) -> NDArray[np.uint8]:
     """uint8 (core rows, features), in the order of `model.contextual.context_names`: the own shares and the means of
     the boxes, in 255ths.
 
     Parameters
     ----------
-    chunk : x, y, z and `columns` (uint8, 255ths) of the rows, and rows as far around as `halo_of` says.
+    table : x, y, z and `columns` (uint8, 255ths) of the `core` rows, and of rows as far around as `halo_of` says.
     cells : edges of cells [m]. They hang on the global origin; a box is the echo's own cell and `REACH` more on every
         side, in plan (all heights) and in space.
     """
-    table, core = chunk.table, chunk.core
     shares = np.stack([table[n] for n in columns], axis=1)
     place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
     parts = [shares[core]]
     for edge in cells:
         parts += _means(place, shares, core, whole_millimetres(edge, "classify.context.cells"))
     return np.concatenate(parts, axis=1)
-
-
-def fractions(context: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """float32, 0 to 1: what the second layer sees of `context_of` (rows, features)."""
-    return context.astype(np.float32) / np.float32(WHOLE)
 
 
 def _means(
@@ -148,19 +143,7 @@ def _average(
                 space[voxel, k] = (2 * sums[k] + sums[classes]) // (2 * sums[classes])
 
 
-def classify_in_context(
-    X: NDArray[np.float32], context: NDArray[np.uint8], model: Contextual, probabilities: bool = False
-) -> Table:
-    """As `classify`, of rows X (rows, features of the first layer) and their `context_of`: the class with the greatest
-    mean share of both layers, the first on a tie."""
-    first, second = answer(X, model.coarse)[1], answer(np.concatenate([X, fractions(context)], axis=1), model.fine)[1]
-    shares = (first + second) / 2
-    winner = shares.argmax(axis=1)
-    columns = {
-        "classification": model.codes[winner],
-        "confidence": np.take_along_axis(shares, winner[:, None], axis=1)[:, 0],
-        "entropy": entropy(shares),
-    }
-    if probabilities:
-        columns |= {name: shares[:, k] for k, name in enumerate(probability_columns(model.codes))}
-    return Table(columns)
+def with_context(X: NDArray[np.float32], context: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """float32 (rows, features): features X of rows and their `context_of`, which the second layer sees as 0 to 1; as
+    ``Contextual.deciding`` names them."""
+    return np.concatenate([X, context.astype(np.float32) / np.float32(WHOLE)], axis=1)

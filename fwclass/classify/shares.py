@@ -12,14 +12,14 @@ from fwclass.classify.boosted import probabilities, raw_scores
 from fwclass.classify.machines import linear_scores, pair_decisions, votes_and_shares
 from fwclass.classify.vote import count, walkable
 from fwclass.errors import InputError
-from fwclass.model import Boosted, Forest, KernelMachine, LinearMachine, Model
+from fwclass.model import Boosted, Contextual, Forest, KernelMachine, LinearMachine, Model, TwoLayer
 
 Answer = tuple[NDArray[np.int64], NDArray[np.float64]]
 """Index of the class (rows,), shares (rows, classes) that add up to 1."""
 
 
 def answer(X: NDArray[np.float32], model: Model) -> Answer:
-    """Class and shares of every row of X, float32 (rows, features) in the order of ``model.features``.
+    """Class and shares of every row of X, float32 (rows, features) in the order of ``model.deciding``.
 
     The class is the one that the model's own rule gives, the first on a tie:
 
@@ -27,6 +27,8 @@ def answer(X: NDArray[np.float32], model: Model) -> Answer:
     - boosting: largest score; shares are probabilities, the softmax of the scores.
     - linear SVM: largest score; shares are the softmax of the scores, which is no calibrated probability.
     - RBF SVM: most votes of the pairs; shares see `votes_and_shares`.
+    - in context: largest share; shares are the means of both layers.
+    - two layers: what the first one says; which echoes the second one answers a row alone does not tell.
 
     `InputError` if the matrix does not fit the model or the model is damaged.
     """
@@ -37,10 +39,10 @@ def answer(X: NDArray[np.float32], model: Model) -> Answer:
 def fitting(X: NDArray[np.float32], model: Model) -> NDArray[np.float32]:
     """X (rows, features), if it has the model's columns; else an `InputError`."""
     X = np.asarray(X)
-    if X.ndim != 2 or X.shape[1] != len(model.features):
+    if X.ndim != 2 or X.shape[1] != len(model.deciding):
         raise InputError(
             f"the samples do not fit the {model.kind}",
-            expected=f"{len(model.features)} columns: {', '.join(model.features)}",
+            expected=f"{len(model.deciding)} columns: {', '.join(model.deciding)}",
             got=f"shape {X.shape}",
             do="compute the features that the model was trained with",
         )
@@ -70,11 +72,23 @@ def _by_pairs(X: NDArray[np.float32], model: KernelMachine) -> Answer:
     return votes.argmax(axis=1), shares
 
 
+def _in_context(X: NDArray[np.float32], model: Contextual) -> Answer:
+    first = answer(np.ascontiguousarray(X[:, : len(model.features)]), model.coarse)[1]
+    shares = (first + answer(X, model.fine)[1]) / 2
+    return shares.argmax(axis=1), shares
+
+
+def _by_first(X: NDArray[np.float32], model: TwoLayer) -> Answer:
+    return answer(X, model.coarse)
+
+
 _ANSWERS: dict[type[Model], Callable[[NDArray[np.float32], Any], Answer]] = {
     Forest: _by_forest,
     Boosted: _by_boosting,
     LinearMachine: _by_planes,
     KernelMachine: _by_pairs,
+    Contextual: _in_context,
+    TwoLayer: _by_first,
 }
 
 

@@ -8,16 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fwclass.classify.context import coarse_share_columns, context_of, halo_of, with_context
 from fwclass.classify.stage import classify
 from fwclass.delivery.echoes import table_columns
 from fwclass.errors import InputError
-from fwclass.model.matrix import sample_matrix
+from fwclass.graph.context import FIRST
+from fwclass.grid import Box
+from fwclass.model import Contextual, Model, sample_matrix
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.schema import IDENTITY, Table
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
 from fwclass.store.tables import open_parquet
+from fwclass.units import QUANTUM
 
 
 @dataclass(frozen=True)
@@ -56,11 +61,10 @@ def explain(
     """See `Delivery.explain`; `delivered` is the file of each of its `tiles`, which
     are asked for where the store has none."""
     strip, pulse, number = (int(row[name]) for name in IDENTITY)
-    forest = load_model(model)
+    forest: Model = load_model(model)
     inputs = PartInputs(store)
     tile, place = _place(store.where, _identities(store, inputs, tiles, delivered), strip, pulse, number)
-    table = tile_features(store, inputs, tile, forest.features, delivered)
-    X = sample_matrix(table, forest.features, tile)
+    X = deciding_values(store, inputs, tile, forest, delivered)
     usual = np.nanmedian(np.where(np.isfinite(X), X, np.nan), axis=0)
     variants = np.repeat(X[[place]], 1 + X.shape[1], axis=0)
     for k in range(X.shape[1]):
@@ -76,7 +80,7 @@ def explain(
         number,
         tile,
         {n: float(s[0]) for n, s in sorted(shares.items(), key=lambda item: -float(item[1][0]))},
-        tuple((forest.features[k], float(X[place, k]), float(effects[k])) for k in order),
+        tuple((forest.deciding[k], float(X[place, k]), float(effects[k])) for k in order),
     )
 
 
@@ -104,6 +108,39 @@ def _place(
         got=f"strip {strip}, pulse {pulse}, echo {number}",
         do="look it up in .echoes()",
     )
+
+
+def deciding_values(
+    store: Store, inputs: PartInputs, tile: str, model: Model, delivered: Callable[[str], Path]
+) -> NDArray[np.float32]:
+    """float32 (rows, features): what `model` is asked with of a tile's echoes, in the order of ``model.deciding``.
+
+    `InputError` where it decides in context, and the run keeps none any more.
+    """
+    X = sample_matrix(tile_features(store, inputs, tile, model.features, delivered), model.features, tile)
+    if not isinstance(model, Contextual):
+        return X
+    columns = coarse_share_columns(model.codes)
+    present = [part for stage, part in store.parts() if stage == FIRST]
+    if tile not in present:
+        raise InputError(
+            "what an echo's neighbours are is not kept any more, and this model decides by it",
+            where=store.where,
+            expected=f"stage {FIRST}",
+            do="run the same again: `fwclass clean` removed it",
+        )
+    read = {**dict.fromkeys(("x", "y", "z"), "tile"), **dict.fromkeys(columns, FIRST)}
+    own = inputs.rows(tile, read).select(read)
+    box = _box(inputs, tile).grown(halo_of(model.cells))
+    others = [p for p in present if p != tile and _box(inputs, p).touches(box)]
+    table = Table.concat([own, *(inputs.rows(p, read, box).select(read) for p in others)])
+    return with_context(X, context_of(table, np.arange(own.rows), columns, model.cells))
+
+
+def _box(inputs: PartInputs, tile: str) -> Box:
+    """Where the echoes of a tile lie."""
+    low_x, low_y, _, high_x, high_y, _ = inputs.meta("tile", tile)["bounds"]
+    return Box(low_x, low_y, high_x + QUANTUM, high_y + QUANTUM)
 
 
 def tile_features(

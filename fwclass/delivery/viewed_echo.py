@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from fwclass.classify.stage import classify
 from fwclass.decompose.params import DecomposeParams
-from fwclass.delivery.explain import tile_features
+from fwclass.delivery.explain import deciding_values
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import FwclassError, InputError
-from fwclass.graph.learn import survey_sample
+from fwclass.graph.context import MERGED as CONTEXT_TRAINING
+from fwclass.graph.learn import load_sample
 from fwclass.graph.sources import chunk_name, pulse_of, waveforms_of
-from fwclass.model.matrix import sample_matrix
+from fwclass.model import Contextual
 from fwclass.run.inputs import PartInputs
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
@@ -127,8 +128,8 @@ class BehindEchoes:
         if not model.is_dir():
             raise InputError("this delivery has no model to ask", where=self._delivery.path)
         forest = self._trained.get("model", lambda: load_model(model), lambda _: 1 << 20)
-        names = forest.features
-        X = self._features.get(tile, lambda: self._matrix(tile, names), lambda matrix: matrix.nbytes)
+        names = forest.deciding
+        X = self._features.get(tile, lambda: self._matrix(tile, forest), lambda matrix: matrix.nbytes)
         mine = X[[row]]
         shares = {c.name: float(s[0]) for c, s in self._answers(mine, forest)}
         order = sorted(shares, key=lambda name: -shares[name])
@@ -161,10 +162,9 @@ class BehindEchoes:
             "features": features,
         }
 
-    def _matrix(self, tile: str, names: tuple[str, ...]) -> NDArray:
-        """The model's features of a tile, (rows, features)."""
-        table = tile_features(self._store, self._inputs, tile, names, self._delivery.table)
-        return np.asarray(sample_matrix(table, names, tile))
+    def _matrix(self, tile: str, model: Any) -> NDArray:
+        """What the model is asked with of a tile, (rows, features)."""
+        return deciding_values(self._store, self._inputs, tile, model, self._delivery.table)
 
     def _answers(self, X: NDArray, forest: Any) -> list[tuple[Any, NDArray]]:
         answers = classify(np.ascontiguousarray(X, np.float32), forest, True)
@@ -183,7 +183,8 @@ class BehindEchoes:
         return _quantiles(X, self._class_numbers(X, forest), forest)
 
     def _of_training(self, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
-        sample = survey_sample(self._inputs, forest.features)
+        stage = CONTEXT_TRAINING if isinstance(forest, Contextual) else "training"
+        sample = load_sample(self._inputs, stage, "all", forest.deciding)
         return _quantiles(sample.X, sample.y, forest)
 
     def _class_numbers(self, X: NDArray, forest: Any) -> NDArray:

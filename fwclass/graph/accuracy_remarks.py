@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.assess.remarks import Extent, remarks
+from fwclass.classify.context import halo_of
 from fwclass.conf import Config
 from fwclass.features.params import Asked, is_feature
 
@@ -32,6 +33,7 @@ def accuracy_remarks(
     """
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
     apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
-    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
+    around = halo_of(config.classify.context.cells)
+    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + around
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
     return sentences if config.survey.model is None or config.areas.train else [*sentences, OF_A_GIVEN_MODEL]

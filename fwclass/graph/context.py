@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classify.context import CONTEXT, classify_in_context, context_of, fractions, whole_shares
+from fwclass.classify.context import CONTEXT, context_of, whole_shares, with_context
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.shares import answer
-from fwclass.classify.stage import CLASSIFY, count_filled
+from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
@@ -147,8 +147,8 @@ def draw_context_tile(here: StageInputs, names: tuple[str, ...], layer: ContextL
     for these, chunk in here.chunks():
         mine = np.flatnonzero(np.isin(chosen, these))
         core = chunk.core[np.searchsorted(these, chosen[mine])]
-        more[mine] = context_of(replace(chunk, core=core), layer.columns(FOLD_SHARE), layer.cells)
-    sample = replace(drawn, features=(*names, *layer.names), X=np.concatenate([drawn.X, fractions(more)], axis=1))
+        more[mine] = context_of(chunk.table, core, layer.columns(FOLD_SHARE), layer.cells)
+    sample = replace(drawn, features=(*names, *layer.names), X=with_context(drawn.X, more))
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows}
 
@@ -254,12 +254,15 @@ def classify_tile_in_context(
 ) -> Result:
     """Answers of both layers for a tile; `kept` echoes have the class of their source."""
     used = _contextual(here, model)
-    pieces = [(these, context_of(chunk, layer.columns(), layer.cells)) for these, chunk in here.chunks()]
-    context = np.concatenate([p for _, p in pieces])[np.argsort(np.concatenate([t for t, _ in pieces]))]
+    rows_of, parts = [], []
+    for these, chunk in here.chunks():
+        rows_of.append(these)
+        parts.append(context_of(chunk.table, chunk.core, layer.columns(), layer.cells))
+    context = np.concatenate(parts)[np.argsort(np.concatenate(rows_of))]
     tables, missing, first = [], 0, 0
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
-        answers = classify_in_context(X, context[first : first + rows.rows], used, probabilities)
+        answers = classify(with_context(X, context[first : first + rows.rows]), used, probabilities)
         tables.append(with_kept(answers, rows["source_class"] if kept else NO_SOURCE, kept))
         missing += count_filled(X, used.coarse)
         first += rows.rows

@@ -57,6 +57,7 @@ def training_facts(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | N
         "method": card.get("method", "forest"),
         "samples": samples,
         "trees": receipt.meta["trees"],
+        "in_context": (card.get("context") or {}).get("cells"),
         "features": list(names),
         "out_of_bag": card.get("out_of_bag", {}).get("accuracy"),
         "notes": card.get("notes", []),

@@ -45,6 +45,11 @@ class Model:
         return tuple(self.card["features"])
 
     @property
+    def deciding(self) -> tuple[str, ...]:
+        """Names of all that it is asked with: the features, and with context the neighbours' shares."""
+        return self.features
+
+    @property
     def codes(self) -> NDArray[np.uint8]:
         """uint8 (classes,): ASPRS class code of every class, in the order of the shares."""
         return np.array([c["code"] for c in self.card["classes"]], np.uint8)

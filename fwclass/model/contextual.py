@@ -30,6 +30,11 @@ class Contextual(Layered):
         """Edges of the cells [m]."""
         return tuple(float(c) for c in self.card["context"]["cells"])
 
+    @property
+    def deciding(self) -> tuple[str, ...]:
+        """The first layer's features, and the context."""
+        return self.fine.features
+
     def _layer_fault(self) -> str:
         try:
             cells = self.cells

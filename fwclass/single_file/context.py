@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.classify.context import classify_in_context, coarse_share_columns, context_of, halo_of
+from fwclass.classify.context import coarse_share_columns, context_of, halo_of, with_context
+from fwclass.classify.stage import classify
 from fwclass.model import Contextual
 from fwclass.schema import Table
 from fwclass.single_file.ground.steps import Tell
@@ -27,8 +28,8 @@ def answer_in_context(
     count = 0
     for block in samples(table, model.coarse, settings, halo_of(model.cells)):
         tell(f"context: {count:,} of {table.rows:,} echoes")
-        context = context_of(block.chunk, columns, model.cells)
-        for name, values in classify_in_context(block.X, context, model, probabilities).items():
+        context = context_of(block.chunk.table, block.chunk.core, columns, model.cells)
+        for name, values in classify(with_context(block.X, context), model, probabilities).items():
             results.setdefault(name, np.empty(table.rows, values.dtype))[block.rows] = values
         count += len(block.rows)
     return results

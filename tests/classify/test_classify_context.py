@@ -4,22 +4,13 @@ import numpy as np
 import pytest
 from modelmaker import contextual, models
 
-from fwclass.classify.context import (
-    REACH,
-    classify_in_context,
-    coarse_share_columns,
-    context_of,
-    fractions,
-    halo_of,
-    whole_shares,
-)
+from fwclass.classify.context import REACH, coarse_share_columns, context_of, halo_of, whole_shares, with_context
 from fwclass.classify.shares import answer
-from fwclass.grid import Tile, millimetres
+from fwclass.classify.stage import classify
+from fwclass.grid import millimetres
 from fwclass.model.contextual import context_names
 from fwclass.schema import Table
-from fwclass.stage import Chunk
 
-TILE = Tile(5000, 54000, 100.0)
 CODES = (2, 5, 6)
 COLUMNS = coarse_share_columns(CODES)
 
@@ -49,7 +40,7 @@ def plain_means(table, core, edge):
 def test_means_are_those_of_plain_loops(edge, seed):
     table = cloud(seed=seed)
     core = np.arange(0, table.rows, 3)
-    context = context_of(Chunk(table, core, TILE), COLUMNS, (edge,))
+    context = context_of(table, core, COLUMNS, (edge,))
     np.testing.assert_array_equal(context[:, 3:], plain_means(table, core, edge))
     np.testing.assert_array_equal(context[:, :3], np.stack([table[n] for n in COLUMNS], axis=1)[core])
     assert context.shape[1] == len(context_names(CODES, (edge,)))
@@ -58,13 +49,13 @@ def test_means_are_those_of_plain_loops(edge, seed):
 def test_neither_order_nor_what_lies_beyond_the_halo_changes_a_mean():
     table, cells = cloud(2000), (0.5, 2.0)
     core = np.flatnonzero((np.abs(table["x"]) < 10) & (np.abs(table["y"]) < 10))
-    whole = context_of(Chunk(table, core, TILE), COLUMNS, cells)
+    whole = context_of(table, core, COLUMNS, cells)
     reach = halo_of(cells)
     near = np.flatnonzero((np.abs(table["x"]) <= 10 + reach) & (np.abs(table["y"]) <= 10 + reach))
     order = np.random.default_rng(3).permutation(near)
     place = np.empty(table.rows, np.int64)
     place[order] = np.arange(len(order))
-    some = context_of(Chunk(table.take(order), place[core], TILE), COLUMNS, cells)
+    some = context_of(table.take(order), place[core], COLUMNS, cells)
     np.testing.assert_array_equal(whole, some)
     assert len(near) < table.rows
 
@@ -72,7 +63,7 @@ def test_neither_order_nor_what_lies_beyond_the_halo_changes_a_mean():
 @pytest.mark.parametrize("rows", [0, 1, 2])
 def test_few_echoes_or_none(rows):
     table = cloud(rows)
-    context = context_of(Chunk(table, np.arange(rows), TILE), COLUMNS, (1.0,))
+    context = context_of(table, np.arange(rows), COLUMNS, (1.0,))
     assert context.shape == (rows, 9)
     if rows == 1:  # it is alone in all its boxes
         np.testing.assert_array_equal(context[0].reshape(3, 3), np.tile(context[0, :3], (3, 1)))
@@ -82,10 +73,10 @@ def test_equal_places_and_far_strays():
     """All in one cell; and two that lie a thousand kilometres apart."""
     rows = 50
     table = cloud(rows).with_columns(Table({n: np.zeros(rows) for n in "xyz"}))
-    context = context_of(Chunk(table, np.arange(rows), TILE), COLUMNS, (1.0,))
+    context = context_of(table, np.arange(rows), COLUMNS, (1.0,))
     assert (context[:, 3:] == context[0, 3:]).all()
     x = np.where(np.arange(rows) == 0, 1.0e6, table["x"])
-    far = context_of(Chunk(table.with_columns(Table({"x": x, "z": x * 9})), np.arange(rows), TILE), COLUMNS, (0.1,))
+    far = context_of(table.with_columns(Table({"x": x, "z": x * 9})), np.arange(rows), COLUMNS, (0.1,))
     np.testing.assert_array_equal(far[0].reshape(3, 3), np.tile(far[0, :3], (3, 1)))
 
 
@@ -93,9 +84,9 @@ def test_the_answer_is_the_mean_of_both_layers():
     model, r = contextual(), np.random.default_rng(5)
     X = r.normal(size=(400, len(model.features))).astype(np.float32)
     context = r.integers(0, 256, (400, len(model.fine.features) - X.shape[1]), np.uint8)
-    table = classify_in_context(X, context, model, probabilities=True)
+    table = classify(with_context(X, context), model, probabilities=True)
     shares = np.stack([table[f"probability_{c}"] for c in model.codes], axis=1)
-    second = answer(np.concatenate([X, fractions(context)], axis=1), model.fine)[1]
+    second = answer(with_context(X, context), model.fine)[1]
     np.testing.assert_allclose(shares, (answer(X, model.coarse)[1] + second) / 2, atol=1e-7)
     np.testing.assert_array_equal(table["classification"], model.codes[shares.argmax(axis=1)])
     np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-6)

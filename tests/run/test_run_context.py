@@ -1,6 +1,8 @@
 """A layer that decides in context in a run: tiles, workers and a restart change nothing; its model travels."""
 
+import contextlib
 import json
+import shutil
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -8,13 +10,19 @@ import pytest
 from commandline import fwclass
 from runmaker import SETTINGS, delivered, looked, walk
 
+import fwclass as fwclass_package
 from fwclass import conf
+from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.context import _folds_at, squares_of
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent
 from fwclass.run.cluster import Cluster
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import execute
+from fwclass.schema import IDENTITY
 from fwclass.store.models import load_model
+from fwclass.store.run_store import Store
 from fwclass.train.sample import Sample
 
 LAYER = (
@@ -63,14 +71,6 @@ def test_workers_give_the_same_bytes_and_a_restart_computes_nothing(survey, in_c
 
 
 @pytest.mark.slow
-def test_short_memory_changes_no_byte(survey, in_context, tmp_path, monkeypatch):
-    """Every tile in nine pieces."""
-    monkeypatch.setattr("fwclass.run.inputs.PartInputs.split", 3)
-    runner, _ = walk(survey, tmp_path, *LAYER)
-    assert not runner.failures and delivered(tmp_path) == delivered(in_context[0])
-
-
-@pytest.mark.slow
 def test_seams_are_none_and_the_stages_are_compared(survey, in_context):
     settings = (*SETTINGS, f"survey.directory={survey}", "seams.width=4", "seams.share=1", *LAYER)
     config = conf.load("demo", settings)
@@ -104,9 +104,54 @@ def test_its_model_classifies_another_run_and_a_file(survey, in_context, tmp_pat
 
 
 @pytest.mark.slow
-def test_another_training_row_changes_what_follows_and_features_stay(survey, in_context, tmp_path):
-    import shutil
+def test_an_explanation_gives_the_shares_that_decided(in_context, tmp_path):
+    """At borders of tiles too, where neighbours in other tiles count."""
+    run = fwclass_package.open(in_context[0])
+    behind, every = BehindEchoes(run), run.echoes().to_arrow().to_pydict()
+    border = [k for k, x in enumerate(every["x"]) if abs(x % 100 - 50) > 49.5][:3]
+    for k in (0, 500, *border):
+        row = {n: every[n][k] for n in IDENTITY}
+        why = run.explain(row)
+        assert max(why.shares.values()) == pytest.approx(every["confidence"][k], abs=1e-3)
+        assert any(name.startswith("share_") for name, _, _ in why.features)
+        who = PartInputs(Store(run.root)).table("tile", why.tile, IDENTITY)
+        at = np.flatnonzero(np.logical_and.reduce([who[n] == row[n] for n in IDENTITY]))[0]
+        assert behind.why(why.tile, int(at))["shares"] == pytest.approx(why.shares)
+    shutil.copytree(in_context[0], tmp_path / "r", symlinks=True)
+    shutil.rmtree(tmp_path / "r" / "store" / "first-shares")
+    with pytest.raises(InputError, match="not kept any more"):
+        fwclass_package.open(tmp_path / "r").explain(row)
 
+
+class Pieces:
+    """Every part as on a worker that runs short of memory."""
+
+    address = ""
+
+    def run(self, root, tasks):
+        for task in tasks:
+            yield execute(root, task, split=3)
+
+
+def digests_of(root, stages):
+    store = Store(root)
+    return {(stage, r.part): r.digest for stage in stages for r in store.receipts(stage)}
+
+
+@pytest.mark.slow
+def test_short_memory_changes_no_byte(survey, in_context, tmp_path):
+    """Parts once more, every tile in nine pieces."""
+    shutil.copytree(in_context[0], tmp_path / "r", symlinks=True)
+    again = ("fold-shares", "context-sample", "first-shares", "classify")
+    before = digests_of(tmp_path / "r", again)
+    for stage in again:
+        shutil.rmtree(tmp_path / "r" / "store" / stage)
+    walk(survey, tmp_path / "r", *LAYER, executor=contextlib.nullcontext(Pieces()))
+    assert digests_of(tmp_path / "r", again) == before and len(before) > 8
+
+
+@pytest.mark.slow
+def test_another_training_row_changes_what_follows_and_features_stay(survey, in_context, tmp_path):
     shutil.copytree(in_context[0], tmp_path / "r", symlinks=True)
     runner, _ = walk(survey, tmp_path / "r", *LAYER, "train.seed=2")
     computed = {n[0] for n, one in runner.outcomes.items() if one.status == "computed"}
