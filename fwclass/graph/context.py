@@ -8,6 +8,7 @@ those of a model that has not learned from the echo's square; where it decides t
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -38,7 +39,7 @@ from fwclass.graph.learn import (
 )
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Tile, millimetres, whole_millimetres
-from fwclass.model import ClassDef, Contextual, Model, sample_matrix
+from fwclass.model import ClassDef, Contextual, sample_matrix
 from fwclass.model.ranges import RangeCounter
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.select.folds import Folds, spatial_folds
@@ -59,22 +60,22 @@ LEAST_SQUARE = 2.0
 
 
 def squares_of(sample: Sample, block: float, gap: float, folds: int) -> tuple[Folds, float]:
-    """Folds of a sample's rows by squares of `block` [m], or of a half, a quarter … where there are too few; and the
-    edge [m] that it was. `InputError` where squares of `LEAST_SQUARE` are too few."""
+    """Folds of a sample's rows by squares of `block` [m], or of a half, a quarter … down to `LEAST_SQUARE` where there
+    are too few, and at last by fewer folds; and the edge [m] that it was. `InputError` for a single square."""
     x, y = sample.place[:, 0].astype(np.float64) * 0.001, sample.place[:, 1].astype(np.float64) * 0.001
-    while True:
-        try:
-            return spatial_folds(x, y, sample.y, block, min(gap, block / 4), folds), block
-        except InputError as fault:
-            if block / 2 < LEAST_SQUARE:
-                raise InputError(
-                    "the training areas are too small to learn the context of an echo",
-                    where="classify.context, areas.train",
-                    expected=f"{folds} squares of {block:g} m with labelled echoes",
-                    got=fault.got,
-                    do="larger training areas, or no such layer: --set classify.context.cells=[]",
-                ) from fault
-            block = round(block / 2, 3)
+    edges = [block]
+    while edges[-1] / 2 >= LEAST_SQUARE:
+        edges.append(round(edges[-1] / 2, 3))
+    for edge, count in (*((e, folds) for e in edges), *((edges[-1], n) for n in range(folds - 1, 1, -1))):
+        with suppress(InputError):
+            return spatial_folds(x, y, sample.y, edge, min(gap, edge / 4), count), edge
+    raise InputError(
+        "the training areas are too small to learn the context of an echo",
+        where="classify.context, areas.train",
+        expected=f"labelled echoes in at least two squares of {edges[-1]:g} m",
+        got="one",
+        do="larger training areas, or no such layer: --set classify.context.cells=[]",
+    )
 
 
 def train_fold(
@@ -90,12 +91,18 @@ def train_fold(
     """A first layer that has not learned from the squares of a fold."""
     sample = survey_sample(here.inputs, names)
     division, _ = squares_of(sample, block, gap, folds)
-    rest = sample.take(division.trains(int(here.part)))
-    model: Model | None = None
-    if (rest.counts > 0).all():
-        model = fit_layer(rest, params, compare, classes, block, gap)
-        save_model(here.directory / MODEL, model)
-    return {"rows": rest.rows, "model": model is not None}
+    rest = _rest(sample, division, int(here.part))
+    if rest is not None:
+        save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap))
+    return {"rows": 0 if rest is None else rest.rows, "model": rest is not None}
+
+
+def _rest(sample: Sample, division: Folds, fold: int) -> Sample | None:
+    """The rows that train for a fold; None where a class has none, or there are fewer folds."""
+    if fold >= len(division.near):
+        return None
+    rest = sample.take(division.trains(fold))
+    return rest if (rest.counts > 0).all() else None
 
 
 def share_folds(
@@ -177,10 +184,10 @@ def try_context(
     """How many rows of a fold's squares the first layer has right, and both, which have not learned from them."""
     sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
     division, _ = squares_of(sample, block, gap, folds)
-    fold = int(here.part)
-    asked, rest = sample.take(division.judged(fold)), sample.take(division.trains(fold))
-    if not (rest.counts > 0).all():
+    rest = _rest(sample, division, fold := int(here.part))
+    if rest is None:
         return {"rows": 0, "first": 0, "both": 0}
+    asked = sample.take(division.judged(fold))
     first = asked.X[:, len(names) : len(names) + len(classes)].astype(np.float64)
     both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap))[1]
     right = [int((shares.argmax(axis=1) == asked.y).sum()) for shares in (first, both)]

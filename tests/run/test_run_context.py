@@ -187,8 +187,17 @@ def test_squares_are_halved_where_training_areas_are_small():
     r = np.random.default_rng(1)
     division, edge = squares_of(rows_at(r.uniform(0, 12e3, 200), r.uniform(0, 12e3, 200)), 25.0, 3.0, 4)
     assert edge == 6.25 and set(division.fold.tolist()) == {0, 1, 2, 3}
+    division, edge = squares_of(rows_at(np.array([0.0, 9e3, 9e3]), np.array([0.0, 0.0, 9e3])), 25.0, 3.0, 5)
+    assert edge == 3.125 and len(division.near) == 3, "fewer folds where there are fewer squares"
     with pytest.raises(InputError, match="too small to learn the context"):
         squares_of(rows_at(np.full(9, 100.0), np.full(9, 100.0)), 25.0, 3.0, 4)
+
+
+@pytest.mark.slow
+def test_training_areas_of_a_few_metres_still_learn(survey, tmp_path):
+    """Classes stand in one fold alone, or there are fewer squares than folds."""
+    runner, _ = walk(survey, tmp_path, *LAYER, "areas.train=[[512000, 5403000, 512012, 5403012]]", "select.block=5")
+    assert not runner.failures, runner.failures
 
 
 def test_the_fold_of_an_echo_is_that_of_its_square():
