@@ -283,7 +283,7 @@ def _area_lines(classes: Sequence[Meaning], split: Split | None) -> list[str]:
         f"  gap: {split.gap:g}    # m, twice the features' reach: tested echoes share no neighbour with trained ones",
         "",
         "# classify:",
-        "#   context: {cells: [0.5, 1, 2.5, 5]}    # m: learns longer, decides by the answers around too; docs/context.md",
+        "#   context: {cells: [0.5, 1, 2.5, 5]}    # m: decides by the answers around too: docs/context.md",
     ]
 
 
