@@ -8,7 +8,7 @@ TESTS ?= not bench and not (faults and slow)
 # Every command that a test starts would compile the program's modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check unit uncompiled faults format bench docs fuzz clean
+.PHONY: demo models test check unit uncompiled faults format bench docs fuzz clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
@@ -20,6 +20,15 @@ $(READY): requirements.lock pyproject.toml
 
 demo: $(READY)
 	$(VENV)/bin/fwclass demo
+
+# Trains the models that have a name, from public data in DATA, and writes the package fwclass-models to MODELS.
+DATA ?= ../shared/data
+MODELS ?= build/fwclass-models
+models: $(READY)
+	mkdir -p $(MODELS)/fwclass_models
+	cp conf/models/pyproject.toml conf/models/README.md $(MODELS)/
+	cp conf/models/package.py $(MODELS)/fwclass_models/__init__.py
+	FWCLASS_DATA=$(DATA) $(VENV)/bin/fwclass train ign-hd --model $(MODELS)/fwclass_models/ign-hd --leave-out --overwrite
 
 check: $(READY)
 	$(VENV)/bin/ruff format --check .

@@ -20,6 +20,7 @@ from fwclass.errors import ConfigError, nearest
 @click.option("--method", metavar="NAME", help="forest, linear-svm, rbf-svm, sklearn-forest or boosting.")
 @click.option("--compare", metavar="all|NAME,NAME,…", help="Several classifiers side by side; no --model.")
 @click.option("--assess/--no-assess", default=True, help="Judge the model on the test areas (default: yes).")
+@click.option("--leave-out", is_flag=True, help="Judge it on each of survey.sources, left out in turn.")
 @click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
 @SET
 @SCHEDULER
@@ -42,6 +43,8 @@ def train(
     """
     if (compare is None) == (target is None):
         raise click.UsageError("give --model DIR, or --compare NAME,NAME,…")
+    if compare is not None and options["leave_out"]:
+        raise click.UsageError("--leave-out judges one model; --compare has a table of its own")
     if compare is not None and method is not None:
         raise click.UsageError("--compare names its classifiers itself")
     if method is not None:
@@ -78,13 +81,16 @@ def _count(config: Any, options: dict[str, Any]) -> int:
 
 def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> None:
     from fwclass.single_file.model_directory import check_target, deliver
+    from fwclass.study.left_out import leave_out
     from fwclass.study.training import training
     from fwclass.study.training_text import describe
 
     check_target(target, options["overwrite"])
     with open_runner(root, _count(config, options), options["scheduler"], config.run) as runner:
-        result = training(config, runner, options["assess"])
-        deliver(runner.store.path("train", "model", "model"), target, options["overwrite"])
+        left_out = leave_out(config, runner) if options["leave_out"] else None
+        result = training(config, runner, options["assess"] and left_out is None) | {"left_out": left_out}
+        measured = {"left_out": left_out, "in_folds": result["cross_validation"]} if left_out else None
+        deliver(runner.store.path("train", "model", "model"), target, options["overwrite"], measured)
     click.echo(f"{describe(result)}\nmodel       {target}", err=True)
     if options["as_json"]:
         click.echo(json.dumps({**result, "model": str(target)}, indent=1))
@@ -125,7 +131,7 @@ def _code_list(context: click.Context, parameter: click.Parameter, text: str | N
 @cli.command()
 @click.argument("source", metavar="IN", type=PATH)
 @click.argument("output", metavar="OUT", type=PATH)
-@click.option("--model", type=PATH, required=True, help="Directory of the model.")
+@click.option("--model", type=PATH, required=True, help="Directory of the model, or a name of `fwclass models`.")
 @click.option("--method", metavar="NAME", help="Ground filter for heights above ground (default: ground.method).")
 @click.option("--preset", metavar="NAME", help="Its preset; see docs/ground.md.")
 @click.option("--param", "assignments", multiple=True, metavar="NAME=VALUE", help="A parameter of the filter.")
@@ -192,6 +198,16 @@ def classify(
         click.echo(json.dumps(summary, indent=1))
     if not accept_drift:
         judge_drift(summary["drift"], conf.section("classify", job.settings), job.model)
+
+
+@cli.command()
+@JSON
+def models(as_json: bool) -> None:
+    """List the models that have a name: classes, features, and how good they are on data that they have not seen."""
+    from fwclass.study.installed import describe, facts_of_models
+
+    facts = facts_of_models()
+    click.echo(json.dumps(facts, indent=1) if as_json else describe(facts))
 
 
 @cli.command()

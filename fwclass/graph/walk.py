@@ -32,6 +32,7 @@ from fwclass.label.stage import LABEL
 from fwclass.model import Layered, TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
+from fwclass.store.installed_models import model_place
 from fwclass.store.models import load_model, model_digest
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
@@ -46,7 +47,7 @@ MANY, FEW = 1000, 1000
 def _place_of_model(config: Config, name: str) -> Location:
     if is_url(name):
         return directory_outside(url_of(name, f"{config.path}: survey.model"), config.store)
-    return (config.path.parent / name).resolve()
+    return model_place(name, config.path.parent).resolve()
 
 
 def with_classes(config: Config) -> Config:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.refine import refine
 from fwclass.single_file.samples import samples
+from fwclass.store.installed_models import model_place
 from fwclass.store.models import load_model
 
 SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "classify", "publish", "tile")
@@ -62,7 +63,7 @@ class ClassifyJob:
     Attributes
     ----------
     source, output : the files, LAS or LAZ.
-    model : directory of the model.
+    model : directory of the model, or a name that `installed_models` gives.
     method, preset, assignments : ground filter; without any that of the settings.
     own_ground : heights count from class 2 of the file instead.
     legacy : class code to write in place of another; point formats 0 to 5 take what the model's classes say besides.
@@ -98,6 +99,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         A file or model that cannot be used, or lacks what the model decides by.
     """
     began = time.perf_counter()
+    job = replace(job, model=model_place(job.model))
     conf.check_settings(job.settings, SECTIONS, "leave it out; what decides is the model's")
     source = _checked_source(job)
     model = load_model(job.model)

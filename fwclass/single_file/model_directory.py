@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import uuid
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from fwclass.errors import ConfigError
 from fwclass.store.atomic import files_below, sync
@@ -33,14 +36,18 @@ def check_target(target: Path, overwrite: bool) -> None:
         raise ConfigError("the model exists", where=target, do="choose another name, or add --overwrite")
 
 
-def deliver(source: Path, target: Path, overwrite: bool) -> None:
-    """Copy the model in `source` to `target`: written beside, flushed, checked, renamed."""
+def deliver(source: Path, target: Path, overwrite: bool, measured: Mapping[str, Any] | None = None) -> None:
+    """Copy the model in `source` to `target`: written beside, flushed, checked, renamed. How good it was `measured`
+    elsewhere is added to its card."""
     check_target(target, overwrite)
     target.parent.mkdir(parents=True, exist_ok=True)
     beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     old = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
         shutil.copytree(source, beside, copy_function=shutil.copyfile)  # a run's own is read-only
+        if measured is not None:
+            card = {**json.loads((beside / CARD).read_text(encoding="utf-8")), "measured": measured}
+            (beside / CARD).write_text(json.dumps(card, sort_keys=True, indent=1) + "\n", encoding="utf-8")
         for path in files_below(beside):
             sync(path)
         load_model(beside)

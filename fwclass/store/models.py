@@ -49,7 +49,7 @@ def load_model(directory: Path) -> Model:
         raise InputError(
             "there is a file where a model's directory is wanted" if directory.exists() else "no such model directory",
             where=directory,
-            expected="a directory that `fwclass train --model` wrote",
+            expected="a directory that `fwclass train --model` wrote, or a name that `fwclass models` lists",
             do="check the path",
         )
     try:

@@ -21,6 +21,7 @@ def describe(result: dict[str, Any]) -> str:
         lines.append(f"sample      {one['name']:<14} {n:>10,} of {of:,} labelled echoes")
     lines += _out_of_bag(card.get("out_of_bag"), card["classes"], sum(card["samples"]))
     lines += _in_folds(result.get("cross_validation"))
+    lines += [f"left out    {line}" for line in left_out_lines(result.get("left_out") or ())]
     lines += _importance(card.get("importance"))
     lines += [f"note        {note}" for note in card.get("notes", ())]
     if result.get("ambiguous"):
@@ -29,6 +30,15 @@ def describe(result: dict[str, Any]) -> str:
         lines += ["", confusion_table(result["accuracy"]), ""]
     lines += [f"remark      {text}" for text in result.get("remarks", ())]
     return "\n".join(lines)
+
+
+def left_out_lines(judged: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Accuracy on every source that a model of the others has not seen, in words."""
+    return [
+        f"{one['source']}: {100 * one['overall_accuracy']:.1f} % right, kappa {one['kappa'] or 0:.3f}, "
+        f"mean IoU {100 * one['mean_iou']:.1f} % of {one['echoes']:,} echoes, by all others"
+        for one in judged
+    ]
 
 
 def _out_of_bag(card: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]], rows: int) -> list[str]:

@@ -1,0 +1,53 @@
+"""What the models are that have a name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from fwclass.errors import FwclassError, visible
+from fwclass.store.installed_models import PACKAGE, VARIABLE, installed_models
+from fwclass.store.models import load_model
+from fwclass.study.training_text import left_out_lines
+
+
+def facts_of_models() -> list[dict[str, Any]]:
+    """Of every model that has a name: ``name``, ``where``, ``kind``, ``classes``, ``features``, ``samples``, and
+    ``measured`` (`left_out`, what `leave_out` gave) or ``fault``; plain data."""
+    facts = []
+    for name, place in sorted(installed_models().items()):
+        one: dict[str, Any] = {"name": name, "where": str(place)}
+        try:
+            card = load_model(place).card
+        except FwclassError as fault:
+            facts.append({**one, "fault": fault.what})
+            continue
+        classes = [{"name": c["name"], "code": c["code"]} for c in card["classes"]]
+        known = {"kind": card["kind"], "classes": classes, "features": list(card["features"])}
+        facts.append({**one, **known, "samples": card.get("samples"), "measured": card.get("measured")})
+    return facts
+
+
+def describe(facts: Sequence[dict[str, Any]]) -> str:
+    """The same for a terminal."""
+    if not facts:
+        return (
+            f"no model has a name here: install the package {PACKAGE.replace('_', '-')}, or let {VARIABLE} name a "
+            "directory of models (docs/models.md)"
+        )
+    lines = []
+    for one in facts:
+        lines.append(f"{visible(one['name'])}")
+        if "fault" in one:
+            lines += [f"  damaged: {visible(one['fault'])}", f"  {one['where']}"]
+            continue
+        classes = ", ".join(f"{visible(c['name'])} {c['code']}" for c in one["classes"])
+        lines.append(f"  {one['kind']} of {len(one['features'])} features: {classes}")
+        measured = one["measured"] if isinstance(one["measured"], dict) else {}
+        try:
+            judged = left_out_lines(measured.get("left_out") or ())
+        except (KeyError, TypeError, ValueError, AttributeError):
+            judged = []
+        lines += [f"  {visible(line)}" for line in judged] or ["  its card does not say how good it is elsewhere"]
+        lines.append(f"  {one['where']}")
+    return "\n".join(lines)

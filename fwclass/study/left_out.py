@@ -1,0 +1,52 @@
+"""How good a model is on data that it has not seen: each of a survey's sources left out in turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.conf.model import AreaFilesSection
+from fwclass.errors import ConfigError, InputError
+from fwclass.graph.area_files import with_areas
+from fwclass.run.runner import Runner
+from fwclass.study.training import training
+
+FIGURES = ("overall_accuracy", "kappa", "mean_iou")
+
+
+def leave_out(config: Config, runner: Runner) -> list[dict[str, Any]]:
+    """For each of ``survey.sources`` what a model of all others has right there; plain data.
+
+    `source` is the file or pattern, ``overall_accuracy``, ``kappa`` and ``mean_iou`` as in `figures`, ``echoes`` how
+    many were judged, ``confusion`` the matrix. Features are computed once: only what trains and tests differs.
+
+    Raises
+    ------
+    ConfigError : there is one source, or they are still to be simulated.
+    """
+    sources = config.survey.sources
+    if len(sources) < 2 or config.simulated:
+        raise ConfigError(
+            "one source cannot be left out",
+            where=f"{config.path}: survey.sources",
+            expected="two or more files or patterns, each a survey or a part that lies apart",
+            got="a survey to be simulated" if config.simulated else ", ".join(sources),
+            do="name them one by one, or leave out --leave-out",
+        )
+    results = []
+    for source in sources:
+        others = tuple(s for s in sources if s != source)
+        by = {"train_by": AreaFilesSection(files=others), "test_by": AreaFilesSection(files=(source,))}
+        areas = config.areas.model_copy(update={"train": (), "test": (), "gap": 0.0, **by})
+        runner.display.say(f"without {source}")
+        try:
+            accuracy = training(with_areas(replace(config, areas=areas)), runner, assess=True)["accuracy"]
+        except InputError as fault:
+            runner.display.say(f"note: {fault.what}: {source} tells nothing")
+            accuracy = None
+        if accuracy:
+            judged = sum(map(sum, accuracy["confusion"]))
+            figures = {n: accuracy[n] for n in FIGURES}
+            results.append({"source": source, **figures, "echoes": judged, "confusion": accuracy["confusion"]})
+    return results

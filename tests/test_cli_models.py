@@ -1,0 +1,103 @@
+"""Models that have a name, and how good they are on sources that were left out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import laspy
+import pytest
+from commandline import fwclass
+from modelmaker import models
+from smallsurvey import small_survey
+
+from fwclass.store.installed_models import installed_models, model_place
+from fwclass.store.models import load_model, save_model
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small survey as three files side by side, and a model that each of them has judged."""
+    place = tmp_path_factory.mktemp("named")
+    small_survey(place)
+    whole = laspy.read(place / "a.las")
+    for k in range(3):
+        part = laspy.LasData(whole.header)
+        part.points = whole.points[(whole.x >= 500_000 + 20 * k) & (whole.x < 500_020 + 20 * k)]
+        part.write(place / f"p{k}.las")
+    (place / "a.las").unlink()
+    text = (place / "s.yaml").read_text().replace("[a.las]", "[p0.las, p1.las, p2.las]")
+    (place / "s.yaml").write_text(text)
+    line = ("train", place / "s.yaml", "--model", place / "shelf" / "town", "--out", place / "run", "--workers", "0")
+    told = fwclass(*line, "--leave-out", "--json", "--set", "areas.train=all")
+    assert told.returncode == 0, told.stderr
+    (place / "told.json").write_text(told.stdout)
+    return place
+
+
+def test_every_source_is_judged_by_a_model_of_the_others(place: Path) -> None:
+    told = json.loads((place / "told.json").read_text())
+    assert [one["source"] for one in told["left_out"]] == ["p0.las", "p1.las", "p2.las"]
+    judged = sum(one["echoes"] for one in told["left_out"])
+    assert judged == sum(laspy.read(place / f"p{k}.las").header.point_count for k in range(3))
+    card = load_model(place / "shelf" / "town").card
+    assert card["measured"]["left_out"] == told["left_out"]
+    assert sum(card["eligible"]) == judged, "the model itself is trained on all"
+    alone = ("run", place / "s.yaml", "--out", place / "alone", "--workers", "0", "--set", "areas.gap=0")
+    ended = fwclass(*alone, "--set", "areas.train={files: [p1.las, p2.las]}", "--set", "areas.test={files: [p0.las]}")
+    assert ended.returncode in (0, 4), ended.stderr
+    same = json.loads((place / "alone" / "report.json").read_text())["accuracy"]
+    assert same["confusion"] == told["left_out"][0]["confusion"], "as a run that trains on the others says"
+
+
+def test_a_model_is_used_by_its_name(place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("FWCLASS_MODELS", str(place / "shelf"))
+    shutil.copytree(place / "shelf", tmp_path / "more")
+    (tmp_path / "more" / "town" / "card.json").write_text("{}")
+    listed = fwclass("models")
+    assert listed.returncode == 0 and "p1.las" in listed.stdout and "% right" in listed.stdout
+    by_name = fwclass("classify", place / "p0.las", tmp_path / "a.laz", "--model", "town", "--accept-drift")
+    by_path = fwclass(
+        "classify", place / "p0.las", tmp_path / "b.laz", "--model", place / "shelf" / "town", "--accept-drift"
+    )
+    assert by_name.returncode == by_path.returncode == 0, by_name.stderr
+    assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
+    planned = fwclass("plan", place / "s.yaml", "--out", tmp_path / "plan", "--set", "survey.model=town")
+    assert planned.returncode == 0, planned.stderr
+    unknown = fwclass("classify", place / "p0.las", tmp_path / "c.laz", "--model", "village")
+    assert unknown.returncode != 0 and "`fwclass models`" in unknown.stderr
+    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "more"))
+    damaged = fwclass("models")
+    assert damaged.returncode == 0 and "damaged" in damaged.stdout
+    assert json.loads(fwclass("models", "--json").stdout)[0]["fault"]
+
+
+def test_a_path_goes_before_a_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    save_model(tmp_path / "shelf" / "town", models()["forest"])
+    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "shelf"))
+    assert installed_models()["town"] == tmp_path / "shelf" / "town"
+    assert model_place("town", tmp_path) == tmp_path / "shelf" / "town"
+    assert model_place("./town", tmp_path) == tmp_path / "town"
+    assert model_place("x/town", tmp_path) == tmp_path / "x" / "town"
+    (tmp_path / "town").mkdir()
+    assert model_place("town", tmp_path) == tmp_path / "town"
+
+
+def test_no_model_has_a_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "none"))
+    assert "no model has a name" in fwclass("models").stdout
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (("--leave-out", "--set", "survey.sources=[p0.las]"), "one source cannot be left out"),
+        (("--leave-out", "--compare", "all"), "--leave-out"),
+    ],
+)
+def test_what_cannot_be_left_out_is_refused(place: Path, tmp_path: Path, more: tuple[str, ...], told: str) -> None:
+    model = () if "--compare" in more else ("--model", tmp_path / "m")
+    ended = fwclass("train", place / "s.yaml", "--out", tmp_path / "r", "--workers", "0", *model, *more)
+    assert ended.returncode == 2 and told in ended.stderr, ended.stderr
+    assert not (tmp_path / "m").exists()
