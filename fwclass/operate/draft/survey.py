@@ -256,7 +256,9 @@ def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[s
         names = json.dumps([str(p) for p in holdings.polygons])
         lines += [f"  # reference: {{kind: polygons, files: {names}, field: class}}    # docs/labels.md"]
     if len(classes) < 2:
-        lines += ["  # TO DO: labels (docs/labels.md) or a trained model (`model: path/to/model`, or a name of `fwclass models`)"]
+        lines += [
+            "  # TO DO: labels (docs/labels.md), or `model: PATH`, or `model: NAME` (`fwclass models` lists them)"
+        ]
     lines += [
         f"  reference: {{kind: {'source' if len(classes) > 1 else 'none'}}}    # the files' own classes, if `source`"
     ]
