@@ -52,7 +52,7 @@ def test_duckdb_reads_box_and_wkb(echoes: Callable[..., Table], params: PublishP
     table = echoes()
     path = tmp_path / "t.parquet"
     write_geoparquet(table, path, None, params)
-    query = f"select x, bbox.xmin, bbox.ymax, geometry::blob from read_parquet('{path}')"  # noqa: S608
+    query = f"select x, bbox.xmin, bbox.ymax, ST_AsWKB(geometry) from read_parquet('{path}')"  # noqa: S608
     rows = duckdb.connect(config={"autoinstall_known_extensions": False}).execute(query).fetchall()
     assert len(rows) == table.rows
     for i in (0, 77, table.rows - 1):

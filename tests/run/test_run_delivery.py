@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
+import duckdb
 import laspy
 import numpy as np
 import pyarrow.parquet as pq
@@ -130,13 +132,22 @@ def blocks(kind: str, page: str = "docs/delivery.md") -> list[str]:
 
 @pytest.mark.parametrize("query", [*blocks("sql"), *blocks("sql", "README.md")])
 def test_documented_queries_run_in_duckdb(query: str, root: Path) -> None:
-    duckdb = pytest.importorskip("duckdb")
-    assert (
-        duckdb.connect(config={"autoinstall_known_extensions": False})
-        .execute(re.sub("demo-run|RUN", str(root), query))
-        .fetchall()
-        is not None
-    )
+    assert query_of(root, query) is not None
+
+
+def query_of(root: Path, query: str) -> list[tuple]:
+    """Rows of a query of the docs; the extension that it loads lies in a package, so that nothing is fetched."""
+    found = importlib.util.find_spec("duckdb_extension_spatial")
+    extension = next(Path(found.submodule_search_locations[0]).rglob("*.duckdb_extension"))
+    query = re.sub("demo-run|RUN", str(root), query).replace("LOAD spatial", f"LOAD '{extension}'")
+    return duckdb.connect(config={"autoinstall_known_extensions": False}).execute(query).fetchall()
+
+
+def test_duckdb_finds_the_same_echoes_by_geometry_and_by_coordinates(root: Path) -> None:
+    told = "SELECT count(*) FROM 'RUN/parquet/*.parquet' WHERE "
+    by_geometry = query_of(root, f"LOAD spatial; {told} ST_DWithin(geometry, ST_Point(512050, 5403050), 20)")
+    by_numbers = query_of(root, f"{told} (x - 512050) ** 2 + (y - 5403050) ** 2 <= 400")
+    assert by_geometry == by_numbers and by_numbers[0][0] > 100
 
 
 def notebook() -> str:
