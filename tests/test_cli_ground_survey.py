@@ -128,3 +128,23 @@ def test_the_classification_says_all_that_the_file_lacks(bare: Path) -> None:
     assert told.returncode == 2 and not (bare.parent / "other").exists()
     for words in ("two classes", "nothing to train on", "no training area", "fwclass init", "--workflow ground"):
         assert words in told.stderr
+
+
+@pytest.mark.slow
+def test_stray_points_over_a_wide_land_are_no_survey_for_the_check_of_seams(bare: Path, tmp_path: Path) -> None:
+    """An echo in each of 20 x 20 blocks that touch: the rasters of their box would hold 4 000 cells for each."""
+    points = laspy.read(bare.parent / "a.las")
+    places = np.arange(400)
+    points.points = points.points[:400]
+    points.x, points.y = 500_010 + 64 * (places % 20), 5_400_010 + 64 * (places // 20)
+    points.z = np.full(400, 100.0)
+    points.write(tmp_path / "a.las")
+    (tmp_path / "s.yaml").write_text(LEAST)
+    settings = ("tile.size=512", "ground.block=64", "terrain.block=64")
+    words = [word for text in settings for word in ("--set", text)]
+    ended = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "run", *WORDS, *words)
+    assert ended.returncode in (0, 4), ended.stderr
+    seams = json.loads((tmp_path / "run" / "report.json").read_text())["ground"]["seams"]
+    assert seams["left_out"] > 300 and seams["echoes"] == 0
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "hold hardly an echo" in page

@@ -177,6 +177,13 @@ def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], blo
     return Table(out), {"rows": places.rows}
 
 
+SPARSE = 100
+"""Cells of the terrain for an echo, above which a place holds stray points and no survey: memory goes with its box."""
+
+FEW_CELLS = 1_000_000
+"""Cells that any place may have: some 20 MiB."""
+
+
 def measure_seams(
     here: StageInputs,
     ground: GroundParams,
@@ -188,9 +195,9 @@ def measure_seams(
     """The survey filtered once more as a single block, against what its blocks say.
 
     Where it lies in several places, each of them is one: blocks that do not touch know nothing of each other. A place
-    whose box has more than `most_cells` cells of the terrain is left out, and so is a single block among several. With
-    parameters chosen for every `square` [m] each of these is a block, and what the parameters of neighbours would
-    change at its border is told.
+    whose box has more than `most_cells` cells of the terrain, or more than `SPARSE` for an echo, is left out, and so is
+    a single block among several. With parameters chosen for every `square` [m] each of these is a block, and what the
+    parameters of neighbours would change at its border is told.
     """
     box = Box(*bounds)
     table, owned = _every_echo(here, ground.block)
@@ -204,7 +211,8 @@ def measure_seams(
         inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
         window = Window.covering(inside or box, terrain.cell)
         echoes = table if len(parts) == 1 else table.take(_in_tiles(table, part))
-        if math.prod(window.shape) > most_cells or (len(part) == 1 < len(parts)):
+        most = min(most_cells, max(FEW_CELLS, SPARSE * echoes.rows))
+        if math.prod(window.shape) > most or (len(part) == 1 < len(parts)):
             left_out += echoes.rows
             continue
         points = differences.add_flags(echoes, regions)
@@ -406,7 +414,7 @@ MAKE_TERRAIN = Stage(
 GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
 CHECK_SEAMS = Stage(
     "seams",
-    3,
+    4,
     "survey",
     "echo",
     measure_seams,

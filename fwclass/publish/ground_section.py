@@ -91,8 +91,8 @@ def _seams(facts: Mapping[str, Any]) -> list[str]:
     left_out = seams.get("left_out", 0)
     if left_out and not seams["echoes"]:
         return [
-            "The seams between blocks were not measured: the survey's places are single blocks, or have more cells "
-            "than run.seam_check_cells."
+            "The seams between blocks were not measured: the survey's places are single blocks, have more cells than "
+            "run.seam_check_cells, or hold hardly an echo."
         ]
     share = seams["flags_differ"] / max(seams["echoes"], 1)
     across = seams.get("across")
@@ -112,8 +112,8 @@ def _seams(facts: Mapping[str, Any]) -> list[str]:
         )
     if left_out:
         notes.append(
-            f"{number(left_out)} echoes took no part: they lie in places of a single block, or in places with more "
-            "cells than run.seam_check_cells."
+            f"{number(left_out)} echoes took no part: they lie in places of a single block, in places with more cells "
+            "than run.seam_check_cells, or in places that hold hardly an echo."
         )
     if share > FLAGS_LIMIT.get(facts["method"], RASTER_LIMIT) or off > CELLS_LIMIT:
         notes.append("That is more than it should be: choose larger blocks or a wider halo (ground.block, block_halo).")
