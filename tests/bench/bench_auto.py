@@ -14,13 +14,14 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.assess.confusion import figures
+from fwclass.graph.ground_trial import NAMES, Trial, halves, matrix_of, ranges_of, start_of
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.filters import ground_points
 from fwclass.ground.measure import measure
 from fwclass.ground.search import search
 from fwclass.read.cloud import read_point_cloud
-from fwclass.single_file.ground.labels import NAMES, labels_of, matrix_of
-from fwclass.single_file.ground.search import Trial, ranges_of, start_of
+from fwclass.single_file.ground.file import filter_cloud, shown_points
+from fwclass.single_file.ground.labels import labels_of
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
 SETS = ("isprs/samp*.txt", "ign_hd/urban_*.laz", "other/delft_ahn3_*.laz")
@@ -45,7 +46,10 @@ def one(path, optimum):
     row = [told(truth, ground_points(*points, last, p).ground) for p in (base, params)]
     if optimum:
         ranges = ranges_of(base, limits)
-        trial = Trial(cloud, truth, base, ranges)
+        shown = shown_points(cloud)
+        seen = shown & ~filter_cloud(cloud, shown, base).noise
+        half = halves(cloud.x, cloud.y, cloud.usable)
+        trial = Trial((cloud.x, cloud.y, cloud.z), cloud.last, seen, half, truth, base, ranges)
 
         def right(setting):
             pair = trial.matrices(setting)

@@ -10,12 +10,13 @@ import yaml
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.ground_trial import halves, matrix_of, with_values
 from fwclass.ground.search import curves, most_runs, pick_evenly, search
 from fwclass.ground.tuning_params import GroundSearchParams
 from fwclass.read.cloud import read_point_cloud
-from fwclass.single_file.ground.labels import halves, labels_of, matrix_of
+from fwclass.single_file.ground.labels import labels_of
 from fwclass.single_file.ground.params import ground_params
-from fwclass.single_file.ground.search import NO_BETTER, announcement, describe, fragment, optimize, with_values
+from fwclass.single_file.ground.search import NO_BETTER, announcement, describe, fragment, optimize
 
 LIMITS = GroundSearchParams(leading=2, coarse=3, rounds=3, ranges={})
 RANGES = {"a": (0.0, 1.0, 2.0, 3.0, 4.0), "b": (0.0, 1.0, 2.0, 3.0), "c": (0.0, 0.5, 1.0)}
@@ -72,7 +73,7 @@ def test_ranges_must_rise():
 
 def test_halves_are_opposite_quarters(town):
     cloud = read_point_cloud(town)
-    half = halves(cloud)
+    half = halves(cloud.x, cloud.y, cloud.usable)
     east, north = cloud.x >= np.median(cloud.x), cloud.y >= np.median(cloud.y)
     assert (half == (east ^ north)).mean() > 0.97
     assert half.mean() == pytest.approx(0.5, abs=0.03)
@@ -135,7 +136,7 @@ def test_a_search_announces_the_slowest_run_as_its_most():
 def test_parameters_that_are_no_better_elsewhere_are_not_recommended(town, monkeypatch):
     """Where every setting gives the same flags nothing is better than the start, which is kept."""
     small = ("ground_search.rounds=1", "ground_search.coarse=2")
-    monkeypatch.setattr("fwclass.single_file.ground.search.with_values", lambda params, values: params)
+    monkeypatch.setattr("fwclass.graph.ground_trial.with_values", lambda params, values: params)
     made, heard = optimize(town, "pmf", settings=small, tell=(steps := []).append), steps
     assert made["held_out"]["kappa"] == made["start"]["kappa"] and made["recommended"] == "start"
     told = describe(made)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fwclass import __version__, conf
 from fwclass.assess.confusion import figures
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.ground_trial import NAMES, matrix_of
 from fwclass.graph.survey import given_crs
 from fwclass.ground.filters import FILTERS, Flags
 from fwclass.ground.measure import measure
@@ -23,7 +24,7 @@ from fwclass.publish.figures import relief, tint_range
 from fwclass.publish.ground_page import disagreement_map, render_comparison
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
-from fwclass.single_file.ground.labels import NAMES, labels_of, matrix_of
+from fwclass.single_file.ground.labels import labels_of
 from fwclass.single_file.ground.params import closest, ground_params, used_params
 from fwclass.single_file.ground.rasters import check_extent
 from fwclass.single_file.ground.search import check_directory

@@ -9,26 +9,9 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.errors import InputError
+from fwclass.graph.ground_trial import truth_of
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.single_file.pairing import Places, pairs
-
-NAMES = ("ground", "other")
-"""Classes of the confusion matrices."""
-
-GROUND = 2
-UNSCORED = (0, 7, 18, 65, 66)
-"""Class codes that are no reference: never classified, noise, artefacts, synthetic points."""
-
-Matrix = NDArray[np.int64]
-
-
-def halves(cloud: PointCloud) -> NDArray[np.int8]:
-    """0 for points of the south-western and north-eastern quarter of the cloud's box, 1 for the others."""
-    sides = []
-    for values in (cloud.x, cloud.y):
-        used = values[cloud.usable]
-        sides.append(values >= 0.5 * (float(used.min()) + float(used.max())))
-    return (sides[0] ^ sides[1]).astype(np.int8)
 
 
 def labels_of(cloud: PointCloud, reference: Path | None = None) -> NDArray[np.int8]:
@@ -40,10 +23,7 @@ def labels_of(cloud: PointCloud, reference: Path | None = None) -> NDArray[np.in
         There are not both ground and other points among the classes.
     """
     classes = cloud.classes if reference is None else _from_file(cloud, reference)
-    truth = np.full(cloud.points, -1, np.int8)
-    if classes is not None:
-        known = ~np.isin(classes, UNSCORED) & cloud.usable & ~cloud.flagged
-        truth[known] = classes[known] == GROUND
+    truth = truth_of(classes, cloud.usable & ~cloud.flagged)
     if not ((truth == 1).any() and (truth == 0).any()):
         raise InputError(
             "the points have no reference",
@@ -68,10 +48,3 @@ def _places(cloud: PointCloud) -> Places:
     """Coordinates, NaN for points that cannot be used."""
     x, y, z = (np.where(cloud.usable, a, np.nan) for a in (cloud.x, cloud.y, cloud.z))
     return x, y, z
-
-
-def matrix_of(truth: NDArray[np.int8], ground: NDArray[np.bool_], rows: NDArray[np.bool_] | None = None) -> Matrix:
-    """Confusion matrix, rows reference, columns filter, ground first, of the rows with a reference."""
-    known = truth >= 0 if rows is None else rows & (truth >= 0)
-    index = 2 * (1 - truth[known]) + ~ground[known]
-    return np.bincount(index, minlength=4).reshape(2, 2)

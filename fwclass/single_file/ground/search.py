@@ -4,31 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from fwclass import __version__, conf
-from fwclass.assess.confusion import figures
 from fwclass.errors import ConfigError
+from fwclass.graph.ground_trial import Trial, halves, ranges_of, search_halves, start_of
 from fwclass.graph.survey import given_crs
-from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.params import GroundParams, section_of
-from fwclass.ground.search import Setting, curves, most_runs, search
+from fwclass.ground.search import Setting, most_runs
 from fwclass.ground.tuning_params import GroundSearchParams, Values
 from fwclass.publish.files import whole
 from fwclass.publish.parameter_curves import draw_curves
-from fwclass.read.cloud import PointCloud, read_point_cloud
+from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
-from fwclass.single_file.ground.labels import NAMES, Matrix, halves, labels_of, matrix_of
+from fwclass.single_file.ground.labels import labels_of
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.steps import Tell, quiet
-from fwclass.single_file.pairing import Places
 from fwclass.store.atomic import write_json
 
 
@@ -78,13 +73,16 @@ def optimize(
         check_directory(out, ("search.json", "ground.yaml", "kappa.png"), overwrite)
     cloud = read_point_cloud(source, given_crs(crs, "--crs"))
     tell("reading")
-    trial = Trial(cloud, labels_of(cloud, reference), params, ranges)
+    truth, shown = labels_of(cloud, reference), shown_points(cloud)
+    seen = shown & ~filter_cloud(cloud, shown, params).noise
+    half = halves(cloud.x, cloud.y, cloud.usable)
+    trial = Trial((cloud.x, cloud.y, cloud.z), cloud.last, seen, half, truth, params, ranges)
     start = start_of(params, ranges)
     runs = 3 * most_runs(ranges, limits)
     tell(f"{params.method}: how long a run takes")
     say(announcement(params.method, runs, [_time_run(trial, s) for s in (start, *_ends(ranges))]))
     trial.tell = lambda: tell(f"{params.method}: run {len(trial.known) + 1} of at most {runs}")
-    plain = _search(trial, start, ranges, limits)
+    plain = _search(trial, start, limits)
     plain = {
         "input": str(source),
         "reference": str(reference or source),
@@ -99,106 +97,17 @@ def optimize(
     return plain
 
 
-class Trial:
-    """Confusion matrices of a filter's settings on a labelled cloud, each computed once."""
-
-    def __init__(
-        self, cloud: PointCloud, truth: NDArray[np.int8], params: GroundParams, ranges: dict[str, Values]
-    ) -> None:
-        """`truth` is 1 for ground, 0 for other points, -1 where it is not known."""
-        shown = shown_points(cloud)
-        noise = filter_cloud(cloud, shown, params).noise
-        rows = np.flatnonzero(shown & ~noise)
-        self.points: Places = cloud.x[rows], cloud.y[rows], cloud.z[rows]
-        self.last = cloud.last[rows]
-        self.rows, self.truth, self.shown = rows, truth, shown
-        self.half = halves(cloud)
-        quiet = params.noise.model_copy(update={"low": False, "high": False, "sigma_rule": False})
-        self.params, self.quiet = params, params.model_copy(update={"noise": quiet})
-        self.ranges = ranges
-        self.known: dict[Setting, tuple[Matrix, Matrix]] = {}
-        self.tell: Callable[[], None] = lambda: None
-
-    def matrices(self, setting: Setting) -> tuple[Matrix, Matrix]:
-        """Confusion matrices (rows reference, columns filter; ground first) of the two halves."""
-        if setting not in self.known:
-            self.tell()
-            params = with_values(self.quiet, dict(zip(self.ranges, setting, strict=True)))
-            ground = np.zeros(len(self.truth), bool)
-            ground[self.rows] = ground_by_blocks(*self.points, self.last, params).ground
-            self.known[setting] = (
-                matrix_of(self.truth, ground, self.half == 0),
-                matrix_of(self.truth, ground, self.half == 1),
-            )
-        return self.known[setting]
-
-    def kappa(self, setting: Setting, half: int | None = None) -> float:
-        """Of one half, or of all points; -1 where there is none."""
-        pair = self.matrices(setting)
-        value = figures(pair[0] + pair[1] if half is None else pair[half], NAMES)["kappa"]
-        return -1.0 if value is None else float(value)
-
-
-def _search(trial: Trial, start: Setting, ranges: dict[str, Values], limits: GroundSearchParams) -> dict[str, Any]:
-    """The searches on all points and on either half, and what they found."""
-    best = search(ranges, start, trial.kappa, limits)
-    chosen = [search(ranges, start, partial(trial.kappa, half=half), limits).setting for half in (0, 1)]
-    held_out = trial.matrices(chosen[0])[1] + trial.matrices(chosen[1])[0]
-    before, after = (sum(trial.matrices(s)) for s in (start, best.setting))
-    better = figure(held_out, "kappa") > figure(before, "kappa")
-    values = by_name(ranges, best.setting if better else start)
+def _search(trial: Trial, start: Setting, limits: GroundSearchParams) -> dict[str, Any]:
+    """What `search_halves` finds, and the words for whichever parameters are recommended."""
+    found = search_halves(trial, start, limits)
+    better = (found["held_out"]["kappa"] or -1.0) > (found["start"]["kappa"] or -1.0)
+    values = found["best" if better else "start"]["parameters"]
     return {
-        "start": {"parameters": by_name(ranges, start), **_figures(before)},
-        "best": {"parameters": by_name(ranges, best.setting), **_figures(after)},
-        "held_out": {"parameters": [by_name(ranges, s) for s in chosen], **_figures(held_out)},
-        "curves": {n: [list(p) for p in line] for n, line in curves(ranges, best.setting, trial.kappa).items()},
+        **found,
         "recommended": "best" if better else "start",
         "param": " ".join(f"--param {name}={value:g}" for name, value in values.items()),
         "yaml": fragment(trial.params, values),
     }
-
-
-def ranges_of(params: GroundParams, limits: GroundSearchParams) -> dict[str, Values]:
-    """The ranges of the method of `params`, or `ConfigError`."""
-    own = limits.ranges.get(params.method)
-    if not own:
-        raise ConfigError(
-            "no ranges to search are declared for this filter",
-            where=f"ground_search.ranges.{params.method}",
-            expected=", ".join(limits.ranges),
-            got=params.method,
-            do="choose another --method",
-        )
-    return own
-
-
-def start_of(params: GroundParams, ranges: dict[str, Values]) -> Setting:
-    """The values that the parameters of `ranges` have now, lengths that follow from others filled in."""
-    start = []
-    for name in ranges:
-        own: Any = params.of(params.method)
-        for key in name.split("."):
-            own = getattr(own, key)
-        start.append(float(own))
-    return tuple(start)
-
-
-def with_values(params: GroundParams, values: dict[str, float]) -> GroundParams:
-    """`params` with other values for parameters of its method; a name may have a section before a dot."""
-    whole_section = params.of(params.method).model_dump()
-    for name, value in values.items():
-        *path, last = name.split(".")
-        own = whole_section
-        for key in path:
-            own = own[key]
-        own[last] = value
-    section = section_of(params.method)
-    return params.model_copy(update={section: type(getattr(params, section)).model_validate(whole_section)})
-
-
-def by_name(ranges: dict[str, Values], setting: Setting) -> dict[str, float]:
-    """A setting by the names of its parameters."""
-    return dict(zip(ranges, setting, strict=True))
 
 
 def fragment(params: GroundParams, values: dict[str, float]) -> str:
@@ -212,17 +121,6 @@ def fragment(params: GroundParams, values: dict[str, float]) -> str:
         inner[last] = int(value) if float(value).is_integer() and last in ("rigidness", "iterations") else float(value)
     tree = {"ground": {"method": params.method, section_of(params.method): own}}
     return str(yaml.safe_dump(tree, sort_keys=False))
-
-
-def figure(matrix: Any, name: str) -> float:
-    """One figure of a confusion matrix; -1 where there is none."""
-    accuracy = figures(matrix, NAMES)[name]
-    return -1.0 if accuracy is None else float(accuracy)
-
-
-def _figures(matrix: Any) -> dict[str, Any]:
-    accuracy = figures(matrix, NAMES)
-    return {name: accuracy[name] for name in ("confusion", "type_i", "type_ii", "total_error", "kappa")}
 
 
 def check_directory(out: Path, names: tuple[str, ...], overwrite: bool) -> None:
