@@ -25,7 +25,8 @@ __path__ = [str(_INSTALLED if _INSTALLED.is_dir() else _HERE.parent / "workflows
 class _Named(Mapping[str, "Workflow"]):
     """Workflows by name; each stands in the file of its name, which is imported when it is taken."""
 
-    names = ("classification", "fan2013", "li2018", "shi2019", "xiong2018", "backscatter", "ground", "quality")
+    papers = ("fan2013", "he2023", "li2018", "shi2019", "xiong2018")
+    names = ("classification", *papers, "backscatter", "ground", "quality")
 
     def __getitem__(self, name: str) -> Workflow:
         if name not in self.names:

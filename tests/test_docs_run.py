@@ -34,6 +34,7 @@ ELSEWHERE = {
     r"^view (?!.*--(export|worklist))": ("tests/view/test_view_page.py", "Server("),
     r"--workflow (fan2013|xiong2018|shi2019)": ("tests/run/test_run_papers.py", "workflow"),
     r"--workflow li2018": ("tests/street/test_li_workflow.py", "li2018"),
+    r"--workflow he2023": ("tests/run/test_run_he.py", "he2023"),
     r"^select .* --method thinning": ("tests/run/test_run_select.py", "thinning"),
     r"^compile$": ("tests/test_compiling.py", "ahead"),
 }

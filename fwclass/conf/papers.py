@@ -141,7 +141,13 @@ class _Li(_Paper):
     single: _Single
 
 
-_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "shi2019": _Shi, "xiong2018": _Xiong, "li2018": _Li}
+class _He(_Paper):
+    families: list[str]
+    optima: dict[str, list[float]]
+    gains: dict[str, float]
+
+
+_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "shi2019": _Shi, "xiong2018": _Xiong, "li2018": _Li, "he2023": _He}
 
 
 def paper(name: str) -> dict[str, Any]:

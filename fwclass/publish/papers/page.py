@@ -8,6 +8,7 @@ from typing import Any
 
 from fwclass.publish.files import whole
 from fwclass.publish.papers.fan import fan_view
+from fwclass.publish.papers.he import he_view
 from fwclass.publish.papers.li import li_view
 from fwclass.publish.papers.shi import shi_view
 from fwclass.publish.papers.tables import VERDICTS
@@ -16,6 +17,7 @@ from fwclass.publish.report import data_uri, environment, report_style
 
 VIEWS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
     "fan2013": fan_view,
+    "he2023": he_view,
     "li2018": li_view,
     "shi2019": shi_view,
     "xiong2018": xiong_view,

@@ -1,0 +1,132 @@
+"""He 2023: filters on samples as parts, our figures as plain data, and their page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, InputError
+from fwclass.graph.files import find_files
+from fwclass.graph.survey import directory_of
+from fwclass.publish.papers.page import render_paper
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Task
+from fwclass.run.runner import Runner
+from fwclass.store.atomic import write_json
+from fwclass.store.external_file import ExternalFile, digest_file
+from fwclass.store.remote_file import local
+from fwclass.study.papers.claims import judge_claims
+from fwclass.study.papers.facts import Receipts, heading
+from fwclass.study.papers.he_claims import CLAIMS, COMBINED
+from fwclass.study.papers.he_work import describe_sample, judge_filter, terrain_of
+
+FILTER, SAMPLE = "filter-search", "filter-sample"
+VERSION = 1
+FIGURES = ("type_i", "type_ii", "total_error", "kappa")
+SHOWN = ("smrf", "csf", COMBINED)
+"""Filters whose terrain is drawn beside the reference's, as in figures 6 to 8."""
+
+
+def samples_of(config: Config) -> dict[str, Path]:
+    """The labelled files by name; `InputError` for two of one name, or none."""
+    if config.simulated:
+        raise ConfigError(
+            "ground filters are judged on labelled files",
+            where=f"{config.path}: survey.simulated",
+            do="name labelled files in survey.sources, as conf/surveys/he2023-isprs.yaml does",
+        )
+    directory = directory_of(config, Path())
+    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    samples: dict[str, Path] = {}
+    for place in places:
+        path = local(place)
+        if path.stem in samples:
+            raise InputError("two samples have one name", where=path, got=samples[path.stem], do="rename one of them")
+        samples[path.stem] = path
+    return samples
+
+
+def methods_of(printed: Mapping[str, Any]) -> tuple[str, ...]:
+    """The families and their combination."""
+    return (*printed["families"], COMBINED)
+
+
+def filter_tasks(config: Config, printed: Mapping[str, Any], samples: Mapping[str, Path]) -> list[Task]:
+    """A part for every sample, and for every filter on it."""
+    limits, terrain = config.ground_search, config.terrain
+    tasks = []
+    for name, path in samples.items():
+        file = (ExternalFile(path.name, digest_file(path)),)
+        about = [terrain.model_dump(mode="json"), config.ground.model_dump(mode="json")]
+        work = partial(describe_sample, path, config.ground, terrain)
+        tasks.append(Task(SAMPLE, name, VERSION, about, work, external=file))
+        for method in methods_of(printed):
+            params = config.ground.model_copy(update={"method": method})
+            searched = [params.model_dump(mode="json"), limits.model_dump(mode="json"), about[0]]
+            search = partial(judge_filter, path, params, limits, terrain)
+            tasks.append(Task(FILTER, f"{name}-{method}", VERSION, searched, search, external=file))
+    return tasks
+
+
+def facts(
+    config: Config, printed: Mapping[str, Any], samples: Mapping[str, Path], receipts: Receipts
+) -> dict[str, Any]:
+    """Everything that the page tells, as plain data."""
+    methods = methods_of(printed)
+    about = {name: dict(receipts[SAMPLE, name].meta) for name in samples}
+    by_sample = {s: {m: dict(receipts[FILTER, f"{s}-{m}"].meta) for m in methods} for s in samples}
+    middle = float(np.median([a["slope"] for a in about.values()]))
+    gathered: dict[str, Any] = {
+        **heading("he2023", config, printed, ("families", "optima", "gains")),
+        "methods": list(methods),
+        "samples": about,
+        "steep": [name for name, a in about.items() if a["slope"] >= middle],
+        "by_sample": by_sample,
+        "means": {m: _means([by_sample[s][m] for s in samples]) for m in methods},
+    }
+    return {**gathered, "claims": judge_claims(printed["claims"], CLAIMS, gathered)}
+
+
+def _means(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Means of the figures over samples, and points a second."""
+    means: dict[str, Any] = {
+        kind: {f: float(np.mean([r[kind][f] for r in results])) for f in FIGURES}
+        for kind in ("start", "best", "held_out")
+    }
+    seconds = sum(r["seconds"] for r in results)
+    return {**means, "speed": sum(r["points"] for r in results) / max(seconds, 1e-9)}
+
+
+def deliver(config: Config, runner: Runner, samples: Mapping[str, Path], facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Write ``he2023.json``, ``he2023.html`` and ``report.json``; the report."""
+    inputs = PartInputs(runner.store)
+    write_json(runner.pending / "he2023.json", dict(facts))
+    reliefs = {name: _reliefs(config, inputs, name) for name in samples}
+    render_paper({**facts, "reliefs": reliefs}, None, runner.pending / "he2023.html")
+    held = {m: facts["means"][m]["held_out"] for m in facts["methods"]}
+    words = [f"samples     {len(samples)}, {len(held)} filters each", "held out    total error, Type II, kappa"]
+    words += [
+        f"  {m:<15} {100 * h['total_error']:6.2f} % {100 * h['type_ii']:6.2f} % {100 * h['kappa']:6.2f} %"
+        for m, h in held.items()
+    ]
+    report = {"survey": facts["survey"], "words": words, "accuracy": None, "failed": []}
+    report["outputs"] = {"he2023.html": ["he2023.html"]}
+    write_json(runner.pending / "report.json", report)
+    return report
+
+
+def _reliefs(config: Config, inputs: PartInputs, sample: str) -> list[tuple[str, bytes]]:
+    """PNG of the reference's terrain and of filters', in one tint."""
+    from fwclass.publish.figures import relief, tint_range  # matplotlib is slow to load
+
+    terrains: list[tuple[str, tuple[NDArray[np.float32], Any]]] = [("reference", terrain_of(inputs, SAMPLE, sample))]
+    terrains += [(method, terrain_of(inputs, FILTER, f"{sample}-{method}")) for method in SHOWN]
+    tints = tint_range(terrains[0][1][0])
+    params = config.publish.model_copy(update={"figure_pixels": 420})
+    return [(name, relief(dtm, window, params, tints, aside=False)) for name, (dtm, window) in terrains]
