@@ -29,11 +29,11 @@ def he_view(facts: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "facts": [
             ("samples", str(len(facts["samples"]))),
-            ("least total error, held out", f"{100 * means[best]['held_out']['total_error']:.2f} %"),
-            ("of", TITLES.get(best, best)),
+            (f"least total error, held out ({best})", f"{100 * means[best]['held_out']['total_error']:.2f} %"),
             ("CSF, then SMRF, held out", f"{100 * ours['total_error']:.2f} %"),
             ("its Type II", f"{100 * ours['type_ii']:.2f} %"),
             ("its kappa", f"{100 * ours['kappa']:.1f} %"),
+            ("filters", str(len(methods))),
         ],
         "samples": [
             {
