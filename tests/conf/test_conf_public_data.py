@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ PUBLIC = sorted(p.stem for p in SURVEYS.glob("*.yaml") if "directory: data:" in 
 
 
 def test_no_survey_leads_out_of_the_program() -> None:
-    assert len(PUBLIC) == 6
+    assert len(PUBLIC) == 8
     for path in SURVEYS.glob("*.yaml"):
         directory = yaml.safe_load(path.read_text())["survey"].get("directory")
         assert directory is None or directory.startswith("data:"), path
@@ -22,10 +24,11 @@ def test_no_survey_leads_out_of_the_program() -> None:
 @pytest.mark.parametrize("name", PUBLIC)
 def test_without_files_it_says_where_they_are_to_be_had(name, tmp_path, monkeypatch) -> None:
     monkeypatch.delenv("FWCLASS_DATA", raising=False)
-    ended = fwclass("run", name, "--out", tmp_path / "r")
+    workflow = re.findall(r"`fwclass run \S+ (--workflow) (\S+)`", (SURVEYS / f"{name}.yaml").read_text())
+    ended = fwclass("run", name, *chain(*workflow), "--out", tmp_path / "r")
     assert ended.returncode == 2 and not (tmp_path / "r").exists()
     assert "do not come with fwclass" in ended.stderr and "site-packages" not in ended.stderr
-    assert any(place in ended.stderr for place in ("geoservices.ign.fr", "github.com/PulseWaves"))
+    assert any(place in ended.stderr for place in ("geoservices.ign.fr", "github.com/PulseWaves", "itc.nl"))
     assert "--set survey.directory=DIR" in ended.stderr and "FWCLASS_DATA=DIR" in ended.stderr
 
 
