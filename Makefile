@@ -28,7 +28,7 @@ models: $(READY)
 	mkdir -p $(MODELS)/fwclass_models
 	cp conf/models/pyproject.toml conf/models/README.md $(MODELS)/
 	cp conf/models/package.py $(MODELS)/fwclass_models/__init__.py
-	FWCLASS_DATA=$(DATA) $(VENV)/bin/fwclass train ign-hd --model $(MODELS)/fwclass_models/ign-hd --leave-out --overwrite
+	FWCLASS_DATA=$(DATA) $(VENV)/bin/fwclass train ign-hd --model $(MODELS)/fwclass_models/ign-hd --leave-out --keep-rows 6000 --overwrite
 
 check: $(READY)
 	$(VENV)/bin/ruff format --check .

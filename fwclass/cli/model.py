@@ -21,6 +21,12 @@ from fwclass.errors import ConfigError, nearest
 @click.option("--compare", metavar="all|NAME,NAME,…", help="Several classifiers side by side; no --model.")
 @click.option("--assess/--no-assess", default=True, help="Judge the model on the test areas (default: yes).")
 @click.option("--leave-out", is_flag=True, help="Judge it on each of survey.sources, left out in turn.")
+@click.option(
+    "--keep-rows",
+    type=click.IntRange(1, 1_000_000),
+    metavar="N",
+    help="Keep N rows of every class beside the model, to be learned from further (survey.base_model).",
+)
 @click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
 @SET
 @SCHEDULER
@@ -45,6 +51,8 @@ def train(
         raise click.UsageError("give --model DIR, or --compare NAME,NAME,…")
     if compare is not None and options["leave_out"]:
         raise click.UsageError("--leave-out judges one model; --compare has a table of its own")
+    if compare is not None and options["keep_rows"]:
+        raise click.UsageError("--keep-rows belongs to --model")
     if compare is not None and method is not None:
         raise click.UsageError("--compare names its classifiers itself")
     if method is not None:
@@ -82,7 +90,7 @@ def _count(config: Any, options: dict[str, Any]) -> int:
 def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> None:
     from fwclass.single_file.model_directory import check_target, deliver
     from fwclass.study.left_out import leave_out
-    from fwclass.study.training import training
+    from fwclass.study.training import kept_rows, training
     from fwclass.study.training_text import describe
 
     check_target(target, options["overwrite"])
@@ -90,7 +98,8 @@ def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> No
         left_out = leave_out(config, runner) if options["leave_out"] else None
         result = training(config, runner, options["assess"] and left_out is None) | {"left_out": left_out}
         measured = {"left_out": left_out, "in_folds": result["cross_validation"]} if left_out else None
-        deliver(runner.store.path("train", "model", "model"), target, options["overwrite"], measured)
+        rows = kept_rows(config, runner.store, options["keep_rows"]) if options["keep_rows"] else None
+        deliver(runner.store.path("train", "model", "model"), target, options["overwrite"], measured, rows)
     click.echo(f"{describe(result)}\nmodel       {target}", err=True)
     if options["as_json"]:
         click.echo(json.dumps({**result, "model": str(target)}, indent=1))

@@ -50,7 +50,7 @@ def plan(
     from fwclass.graph.outputs import DELIVER_STRIP, check_class_codes
     from fwclass.graph.stages import STAGES
     from fwclass.graph.survey import check_areas
-    from fwclass.graph.walk import with_classes
+    from fwclass.graph.walk import with_model
     from fwclass.operate.configured import configured
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
@@ -76,7 +76,7 @@ def plan(
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
     if DELIVER_STRIP in chosen.stages:
-        check_class_codes({s.path.name: s.point_format for s in facts.sources}, with_classes(config))
+        check_class_codes({s.path.name: s.point_format for s in facts.sources}, with_model(config))
     settled, stages = (config, STAGES) if chosen.settle is None else (chosen.settle(config), chosen.stages)
     estimate = make_plan(settled, facts, number, room_at(root), stages=stages)
     if count is not None:

@@ -278,13 +278,19 @@ def _check(config: Config) -> None:
 
 def _check_learning(config: Config) -> None:
     """By which classes echoes are classified, and by what they are learned: all that is missing at once."""
-    names, lacking = [c.name for c in config.survey.classes], []
-    if len(names) < 2 and not (config.survey.model is not None and not names):  # a model knows its own
+    survey, lacking = config.survey, []
+    names = [c.name for c in survey.classes]
+    if len(names) < 2 and (names or not (survey.model or survey.base_model)):  # a model knows its own
         lacking.append(f"at least two classes are needed (survey.classes has {', '.join(names) or 'none'})")
-    if config.survey.model is None:
-        if config.survey.reference.kind == "none":
-            lacking.append("nothing to train on (survey.reference: source, cloud, polygons or echoes; or survey.model)")
-        if not config.areas.train and config.areas.train_by is None:
+    if survey.model is not None and survey.base_model is not None:
+        lacking.append("survey.model classifies as it is, and survey.base_model is learned from: one of them")
+    if survey.base_model is not None and config.train.method != "forest":
+        lacking.append(f"a forest learns from a base model's rows, and train.method is {config.train.method}")
+    if survey.model is None:
+        if survey.reference.kind == "none":
+            kinds = "source, cloud, polygons, echoes or corrections"
+            lacking.append(f"nothing to train on (survey.reference: {kinds}; or survey.model)")
+        if not config.areas.train and config.areas.train_by is None and survey.reference.kind != "corrections":
             lacking.append("no training area (areas.train: at least one box [xmin, ymin, xmax, ymax])")
     if lacking:
         raise ConfigError(

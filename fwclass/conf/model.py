@@ -77,15 +77,16 @@ class ClassSection(Section):
 class ReferenceSection(Section):
     """Where reference classes come from.
 
-    `source`: the files' own classes; `cloud`: the nearest point of other `files`; `polygons`: files of polygons with a
-    class `field`; `echoes`: Parquet files of codes by strip, pulse and echo number (in the column `field`; `class`
-    unless given); `none`. Only of polygons: `values` says what the field's values mean (a reference code, the name of a
-    class, or null for what labels nothing), `layer` which one where a file has several, `crs` what system they are in
-    where the file names none or a wrong one. `corrections`: a Parquet file of delivered codes by echo that count more
-    than any of these; null: ``labels/corrections.parquet`` of the run directory, where there is one; false: none.
+    `source`: the files' own classes; `cloud`: the nearest point of other `files`; `polygons`: files of polygons
+    with a class `field`; `echoes`: Parquet files of codes by strip, pulse and echo number (in the column `field`;
+    `class` unless given); `corrections`: nothing but these; `none`. Only of polygons: `values` says what the
+    field's values mean (a reference code, the name of a class, or null for what labels nothing), `layer` which one
+    where a file has several, `crs` what system they are in where the file names none or a wrong one. `corrections`:
+    a Parquet file of delivered codes by echo that count more than any of these; null:
+    ``labels/corrections.parquet`` of the run directory, where there is one; false: none.
     """
 
-    kind: Literal["source", "cloud", "polygons", "echoes", "none"]
+    kind: Literal["source", "cloud", "polygons", "echoes", "corrections", "none"]
     files: tuple[str, ...] = ()
     field: str | None = None
     values: dict[str | int, str | int | None] = {}
@@ -97,6 +98,8 @@ class ReferenceSection(Section):
     def _fit(self) -> ReferenceSection:
         if self.kind == "none" and self.corrections:
             raise ValueError("`corrections` mend labels, and kind none has none: give them as `files` of kind echoes")
+        if self.kind == "corrections" and (self.files or self.corrections is False):
+            raise ValueError("kind corrections is the file `corrections` alone: no `files`, and not false")
         if self.kind in ("cloud", "polygons", "echoes") and not self.files:
             raise ValueError(f"kind {self.kind} needs `files`, relative to survey.directory")
         if self.kind == "polygons" and self.field is None:
@@ -116,6 +119,8 @@ class SurveySection(Section):
     and `origin` says where its files can be had. `crs`, if given, is used for
     all files, whatever they name; `none` goes without. `features`: what the classifier decides by, a list of columns or
     the name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
+    `base_model`: of one that keeps rows that it has learned from; they are learned from beside the survey's labels, by
+    its features and, unless named, its classes.
     """
 
     name: str = Field(pattern=r"^\w[\w .-]*$", max_length=100)
@@ -128,6 +133,7 @@ class SurveySection(Section):
     trajectory: TrajectorySection
     features: str | tuple[str, ...] = Field(min_length=1)
     model: str | None
+    base_model: str | None
     classes: tuple[ClassSection, ...]
 
 

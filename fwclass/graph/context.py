@@ -25,16 +25,19 @@ from fwclass.graph.classify import classes_written, codes_of, given_model, model
 from fwclass.graph.context_layer import ContextLayer, context_layer
 from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument
 from fwclass.graph.learn import (
+    BASE_ROWS,
     MODEL,
     NOT_OF_THE_SAMPLE,
     SAMPLE,
     TRAIN_COARSE,
+    base_rows_part,
     fit_layer,
     learning_arguments,
     load_sample,
     parameters_of,
     survey_sample,
     trains,
+    with_base_rows,
     with_feature_parameters,
 )
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -93,6 +96,7 @@ def train_fold(
     division, _ = squares_of(sample, block, gap, folds)
     rest = _rest(sample, division, int(here.part))
     if rest is not None:
+        rest = with_base_rows(here, rest)
         save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap))
     return {"rows": 0 if rest is None else rest.rows, "model": rest is not None}
 
@@ -339,9 +343,9 @@ TRAIN_FOLDS = Stage(
     when=_learns,
     parts=_folds,
     arguments=_fitting,
-    silent=frozenset({"importance_repeats"}),
-    after=("training",),
-    needs=lambda plan, part: (("training", "all"),),
+    silent=frozenset({"importance_repeats", "base_rows"}),
+    after=("training", BASE_ROWS),
+    needs=lambda plan, part: (("training", "all"), *base_rows_part(plan)),
 )
 SHARE_FOLDS = Stage(
     FOLD_SHARES,

@@ -157,8 +157,8 @@ def _field(plan: Plan) -> Mapping[str, Any]:
     }
 
 
-def _of_kind(kind: str) -> Any:
-    return lambda plan: plan.config.survey.reference.kind == kind
+def _of_kind(*kinds: str) -> Any:
+    return lambda plan: plan.config.survey.reference.kind in kinds
 
 
 def _params(plan: Plan) -> Mapping[str, Any]:
@@ -225,7 +225,7 @@ LABEL_BY_CLOUD = replace(
 LABEL_BY_ECHOES = replace(
     LABEL_BY_SOURCE,
     function=label_by_echoes,
-    when=_of_kind("echoes"),
+    when=_of_kind("echoes", "corrections"),
     silent=frozenset({"max_distance"}),
     own=("x", "y", "z"),
     halo=lambda plan: plan.config.label.max_move,

@@ -22,6 +22,7 @@ from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
 from fwclass.model import ClassDef, Model, Tree
 from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Name
 from fwclass.schema import Table, canonical_key
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import save_model
@@ -30,7 +31,7 @@ from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
 from fwclass.train.baselines.stage import machine_weights, train_other
 from fwclass.train.importance import drops
-from fwclass.train.sample import Sample, review
+from fwclass.train.sample import Sample, join, review
 from fwclass.train.stage import (
     TRAIN,
     TRAIN_IMPORTANCE,
@@ -44,7 +45,7 @@ from fwclass.train.stage import (
 )
 
 SAMPLE, TREES, DROPS, MODEL = "sample", "trees", "drops", "model"
-TRAIN_COARSE = "train-coarse"
+TRAIN_COARSE, BASE_ROWS = "train-coarse", "base-rows"
 
 TREES_PER_PART = 5
 """Trees that one task grows; a forest does not depend on it."""
@@ -89,16 +90,17 @@ def places(table: Table) -> NDArray[np.int64]:
 
 
 def merge_samples(
-    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...], based: bool = False
 ) -> Result:
-    """The survey's sample; refused where a forest cannot be trained on it."""
+    """The survey's sample; refused where a forest cannot be trained on it, unless it is `based` on another model."""
     tiles = here.parts(TRAIN_SAMPLE.name)
     if not tiles:
         raise InputError(
             "no echo lies in any training area", where="areas.train", do="give boxes on the survey, in its coordinates"
         )
     sample = merge((load_sample(here.inputs, TRAIN_SAMPLE.name, t, names) for t in tiles), params)
-    review(sample, classes)
+    if not based:  # the base model's rows may be all that there are of a class
+        review(sample, classes)
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows, "counts": sample.counts.tolist()}
 
@@ -113,11 +115,29 @@ def survey_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
     return load_sample(inputs, "training", "all", names)
 
 
+def learned_sample(here: StageInputs, names: tuple[str, ...]) -> Sample:
+    """All rows that the model learns from: the survey's sample, and rows of the base model where there is one."""
+    return with_base_rows(here, survey_sample(here.inputs, names))
+
+
+def with_base_rows(here: StageInputs, sample: Sample) -> Sample:
+    """`sample`, rows of the survey, and after it those of the base model where there is one."""
+    if not here.parts(BASE_ROWS):
+        return sample
+    base = load_sample(here.inputs, BASE_ROWS, "all", sample.features)
+    return join((sample, base), sample.rows + base.rows)
+
+
+def base_rows_part(plan: Plan) -> tuple[Name, ...]:
+    """The rows of the base model, where there is one."""
+    return ((BASE_ROWS, "all"),) if plan.base is not None else ()
+
+
 def grow_part(
     here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...], count: int
 ) -> Result:
     """Some of the forest's trees, from that on which the part is named after."""
-    trees = grow_trees(survey_sample(here.inputs, names), classes, int(here.part), count, params)
+    trees = grow_trees(learned_sample(here, names), classes, int(here.part), count, params)
     arrays: dict[str, NDArray] = {}
     for number, (feature, threshold, child) in enumerate(trees, int(here.part)):
         arrays |= {f"{number:05d}-feature": feature, f"{number:05d}-threshold": threshold, f"{number:05d}-child": child}
@@ -135,7 +155,7 @@ def permute_features(
     here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int
 ) -> Result:
     """What some of the forest's trees lose when a feature is permuted."""
-    sample, trees = survey_sample(here.inputs, names), _load_trees(here.inputs, here.part)
+    sample, trees = learned_sample(here, names), _load_trees(here.inputs, here.part)
     lost, judged = drops(sample, trees, int(here.part), params, repeats)
     write_arrays(here.directory / DROPS, {"drops": lost, "judged": judged})
     return {"rows": int(judged.sum())}
@@ -154,7 +174,7 @@ def deliver_forest(
     if params.importance_repeats:
         parts = [here.inputs.arrays("importance", b, DROPS)[0] for b in here.parts("importance")]
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
-    forest = with_feature_parameters(train(survey_sample(here.inputs, names), trees, params, classes, lost), computed)
+    forest = with_feature_parameters(train(learned_sample(here, names), trees, params, classes, lost), computed)
     save_model(here.directory / MODEL, forest)
     return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
 
@@ -269,7 +289,7 @@ def _squares(plan: Plan) -> Mapping[str, Any]:
     return {"block": plan.config.select.block, "gap": plan.config.select.gap}
 
 
-_NOT_OF_A_TREE = frozenset({"trees", "importance_repeats"})
+_NOT_OF_A_TREE = frozenset({"trees", "importance_repeats", "base_rows"})
 NOT_OF_THE_SAMPLE = frozenset(TrainParams.model_fields) - {"seed", "samples_per_class"}
 
 DRAW_SAMPLE = Stage(
@@ -295,7 +315,7 @@ MERGE_SAMPLE = Stage(
     "row",
     merge_samples,
     when=trains,
-    arguments=learning_arguments,
+    arguments=lambda plan: {**learning_arguments(plan), **({"based": True} if plan.base is not None else {})},
     silent=NOT_OF_THE_SAMPLE,
     after=("sample",),
     needs=lambda plan, part: [(TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)],
@@ -311,8 +331,8 @@ GROW_TREES = Stage(
     arguments=learning_arguments,
     silent=_NOT_OF_A_TREE,
     each=lambda plan, batch: {"count": batch.count},
-    after=("training",),
-    needs=lambda plan, batch: (("training", "all"),),
+    after=("training", BASE_ROWS),
+    needs=lambda plan, batch: (("training", "all"), *base_rows_part(plan)),
 )
 WEIGH_FEATURES = Stage(
     TRAIN_IMPORTANCE.name,
@@ -329,8 +349,8 @@ WEIGH_FEATURES = Stage(
     },
     silent=_NOT_OF_A_TREE,
     each=lambda plan, batch: {"count": batch.count},
-    after=("training", "trees"),
-    needs=lambda plan, batch: (("training", "all"), ("trees", batch.key)),
+    after=("training", "trees", BASE_ROWS),
+    needs=lambda plan, batch: (("training", "all"), ("trees", batch.key), *base_rows_part(plan)),
 )
 TRAIN_FOREST = Stage(
     TRAIN.name,
@@ -341,9 +361,10 @@ TRAIN_FOREST = Stage(
     when=lambda plan: _one_layer(plan) and forest_learns(plan),
     parts=lambda plan: ("model",),
     arguments=_card_arguments,
-    after=("training", "trees", "importance"),
+    after=("training", "trees", "importance", BASE_ROWS),
     needs=lambda plan, part: [
         ("training", "all"),
+        *base_rows_part(plan),
         *(("trees", b.key) for b in _batches(plan)),
         *(("importance", b.key) for b in _batches(plan) if plan.config.train.importance_repeats),
     ],

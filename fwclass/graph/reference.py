@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from fwclass.conf import Config
-from fwclass.errors import InputError
+from fwclass.errors import ConfigError, InputError
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
 from fwclass.graph.area_of_interest import edges, shares_area
 from fwclass.graph.file_digests import Digests
@@ -179,6 +179,14 @@ def reference_corrections(
             expected="one file",
             got=", ".join(p.name for p in places[:3]),
             do="name one",
+        )
+    if not places and reference.kind == "corrections":
+        raise ConfigError(
+            "there are no corrections to learn from",
+            where=f"{config.path}: survey.reference.kind",
+            expected=f"{CORRECTIONS} in the run directory, or a file that survey.reference.corrections names",
+            got=f"none in {run}",
+            do="correct or confirm echoes (docs/corrections.md), and run in the same directory",
         )
     if not places:
         return None

@@ -48,6 +48,7 @@ class Plan:
     ----------
     names, computed : the features that the classifier decides by; all that are computed.
     model : place and digest of the model that is given, None where one is trained.
+    base : place and digest of the model whose rows are learned from too, None without one.
     files : the survey's files, once they are found and checked.
     indexed : receipts of the strips' index.
     splits : receipts of the chunks that are cut into tiles.
@@ -62,6 +63,7 @@ class Plan:
     names: Names = ()
     computed: Names = ()
     model: tuple[Location, str] | None = None
+    base: tuple[Location, str] | None = None
     files: Survey | None = None
     indexed: Mapping[Name, Receipt] = field(default_factory=dict)
     splits: Mapping[Name, Receipt] = field(default_factory=dict)

@@ -18,6 +18,7 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.base_rows import CHOOSE_BASE_ROWS
 from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
 from fwclass.graph.check_points import MEASURE_CHECK_POINTS
@@ -127,6 +128,7 @@ OF_QUALITY = (MEASURE_QUALITY, MEASURE_CHECK_POINTS)
 LEARNING = (
     DRAW_SAMPLE,
     MERGE_SAMPLE,
+    CHOOSE_BASE_ROWS,
     GROW_TREES,
     WEIGH_FEATURES,
     TRAIN_FOREST,

@@ -33,6 +33,7 @@ from fwclass.model import Layered, TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
 from fwclass.store.installed_models import model_place
+from fwclass.store.model_rows import rows_digest
 from fwclass.store.models import load_model, model_digest
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
@@ -50,15 +51,22 @@ def _place_of_model(config: Config, name: str) -> Location:
     return model_place(name, config.path.parent).resolve()
 
 
-def with_classes(config: Config) -> Config:
-    """`config` with the classes of the model that it names, where it names none itself."""
-    if config.survey.classes or config.survey.model is None:
+def with_model(config: Config) -> Config:
+    """`config` with the classes of the model that it names, where it names none itself, and the features of the base
+    model that it names."""
+    survey = config.survey
+    named = survey.model or survey.base_model
+    if named is None or (survey.classes and survey.base_model is None):
         return config
-    model = load_model(local(_place_of_model(config, config.survey.model)))
-    classes = tuple(
-        ClassSection(name=c.name, code=c.code, codes=c.codes, legacy_code=c.legacy_code) for c in model.classes
-    )
-    return replace(config, survey=config.survey.model_copy(update={"classes": classes}))
+    model = load_model(local(_place_of_model(config, named)))
+    update: dict[str, Any] = {}
+    if not survey.classes:
+        update["classes"] = tuple(
+            ClassSection(name=c.name, code=c.code, codes=c.codes, legacy_code=c.legacy_code) for c in model.classes
+        )
+    if survey.base_model is not None:
+        update["features"] = model.features
+    return replace(config, survey=survey.model_copy(update=update))
 
 
 def given_model(config: Config) -> tuple[Location, str] | None:
@@ -82,16 +90,36 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     return place, model_digest(path)
 
 
+def base_model(config: Config) -> tuple[Location, str] | None:
+    """Place and digest of the model whose rows are learned from too, None without one."""
+    if config.survey.base_model is None:
+        return None
+    place = _place_of_model(config, config.survey.base_model)
+    path = local(place)
+    digest, model = rows_digest(path), load_model(path)
+    check_computed(model, config.features, path)
+    own = {c.code for c in config.classes}
+    if not any(c.code in own for c in model.classes):
+        raise ConfigError(
+            "the base model knows none of the survey's classes",
+            where=f"{config.path}: survey.classes",
+            expected="codes of " + ", ".join(f"{c.name} ({c.code})" for c in model.classes),
+            got=", ".join(f"{c.name} ({c.code})" for c in config.classes),
+            do="give the classes its codes, or leave survey.classes out",
+        )
+    return place, digest
+
+
 def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
     """A plan that knows the features that decide, and the model that is given; `ConfigError` for what is no feature."""
-    config = with_classes(config)
-    model = given_model(config)
+    config = with_model(config)
+    model, base = given_model(config), base_model(config)
     names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features", stages)
     check_features(config, config.features.also, f"{config.path}: features.also", stages)
     if model is None and config.classify.refine.between:
         check_features(config, config.classify.refine.shares, f"{config.path}: classify.refine.scales", stages)
-    plan = Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))), model)
+    plan = Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))), model, base)
     if model and (layer := fine_layer(plan)):
         check_features(config, layer.names, model[0], stages)
     return replace(plan, providers=providers(plan, stages))

@@ -16,6 +16,7 @@ KINDS = {
     "cloud": "the nearest point of another cloud",
     "polygons": "the polygon that an echo lies in",
     "echoes": "strip, pulse and number of the echo",
+    "corrections": "corrections of an earlier delivery",
 }
 
 

@@ -10,8 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fwclass.errors import ConfigError
 from fwclass.store.atomic import files_below, sync
+from fwclass.store.model_rows import ROWS, rows_fact, save_rows
 from fwclass.store.models import CARD, load_model
 
 
@@ -36,17 +40,26 @@ def check_target(target: Path, overwrite: bool) -> None:
         raise ConfigError("the model exists", where=target, do="choose another name, or add --overwrite")
 
 
-def deliver(source: Path, target: Path, overwrite: bool, measured: Mapping[str, Any] | None = None) -> None:
+Rows = tuple[NDArray[np.float32], NDArray[np.uint8]]
+
+
+def deliver(
+    source: Path, target: Path, overwrite: bool, measured: Mapping[str, Any] | None = None, rows: Rows | None = None
+) -> None:
     """Copy the model in `source` to `target`: written beside, flushed, checked, renamed. How good it was `measured`
-    elsewhere is added to its card."""
+    elsewhere is added to its card, and so are `rows` that it has learned from, values and class codes."""
     check_target(target, overwrite)
     target.parent.mkdir(parents=True, exist_ok=True)
     beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     old = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
         shutil.copytree(source, beside, copy_function=shutil.copyfile)  # a run's own is read-only
-        if measured is not None:
-            card = {**json.loads((beside / CARD).read_text(encoding="utf-8")), "measured": measured}
+        facts = {"measured": measured} if measured is not None else {}
+        if rows is not None:
+            save_rows(beside, *rows)
+            facts |= {ROWS: rows_fact(rows[1])}
+        if facts:
+            card = {**json.loads((beside / CARD).read_text(encoding="utf-8")), **facts}
             (beside / CARD).write_text(json.dumps(card, sort_keys=True, indent=1) + "\n", encoding="utf-8")
         for path in files_below(beside):
             sync(path)

@@ -57,7 +57,7 @@ def load_model(directory: Path) -> Model:
         cls = KINDS[card["kind"]]
         if issubclass(cls, Layered):
             return _two_layers(directory, cls, card)
-        arrays = {name: _array(directory / f"{name}.npy", *of) for name, of in cls.layout.items()}
+        arrays = {name: load_array(directory / f"{name}.npy", *of) for name, of in cls.layout.items()}
         model: Model = cls(**arrays, card=card)  # type: ignore[call-arg]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
         raise InputError(
@@ -140,8 +140,9 @@ def _no_number(text: str) -> NoReturn:
     raise ValueError(f"{text} is no number of JSON")
 
 
-def _array(path: Path, kind: str, dimensions: int) -> NDArray:
-    """One array; memory-mapped first, so that a header cannot make us allocate more than the file holds."""
+def load_array(path: Path, kind: str, dimensions: int) -> NDArray:
+    """One array of a dtype; memory-mapped first, so that a header cannot make us allocate more than the file holds.
+    `ValueError` or `OSError` for any other."""
     _check_size(path)
     with open_regular(path) as stream:
         head = stream.read(len(_NPY))

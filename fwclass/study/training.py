@@ -5,22 +5,33 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.layout import Layout
-from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE
+from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.graph.stage import Plan
-from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING, check_features
-from fwclass.graph.walk import tasks_of, tasks_until_labels, until_tiles
+from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
+from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
+from fwclass.store.arrays import read_arrays
+from fwclass.store.run_store import Store
 from fwclass.study.compare import compare_methods
 from fwclass.study.select.trials import cross_validate
+from fwclass.train.sample import Sample, thin
 
 NOTHING_TESTED = (
     "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "
     "area: the accuracy is unknown: give smaller training areas."
+)
+
+OF_A_BASE = (
+    "Nothing tells how good it is elsewhere: the base model's rows have no place, and the survey's are few: name areas "
+    "of labels that do not train (areas.test)."
 )
 
 
@@ -35,6 +46,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     """
     _check_labelled(config)
     plan, before = _begin(config, runner)
+    config = plan.config
     tasks = before + tasks_of(plan, LEARNING)
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
@@ -48,7 +60,9 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
         accuracy = judged.meta["accuracy"] if judged else None
         sentences = accuracy_remarks(accuracy, config, names, plan.layout.echoes) if accuracy else [NOTHING_TESTED]
         plain |= {"accuracy": accuracy, "remarks": sentences}
-    if (
+    if plain["accuracy"] is None and plan.base is not None:
+        plain["remarks"] += [OF_A_BASE]
+    elif (
         plain["accuracy"] is None
         and config.train.method == "forest"
         and not (config.classify.refine.between or config.classify.context.cells)
@@ -65,11 +79,20 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     return plain
 
 
+def kept_rows(config: Config, store: Store, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Of every class at most so many of the survey's training rows, those with the smallest hashes: values (rows,
+    features) and class codes (rows,)."""
+    arrays = read_arrays(store.arrays_path("training", "all", SAMPLE))[0]
+    sample = thin(Sample.from_arrays(config.features_asked, arrays), most)
+    return sample.X, np.array([c.code for c in config.classes], np.uint8)[sample.y]
+
+
 def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict[str, Any]:
     """Several kinds of classifier on one sample and the same test echoes; see `compare_methods`. Nothing is thinned."""
     _check_labelled(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
     plan, tasks = _begin(config, runner)
+    config = plan.config
     layout, names = tested_layout(plan.layout), config.features_asked
     sample = tasks_of(plan, (DRAW_SAMPLE, MERGE_SAMPLE))
     columns = {*layout.columns(names).values(), "label", "tile"}
@@ -79,10 +102,7 @@ def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict
 
 
 def _begin(config: Config, runner: Runner) -> tuple[Plan, Tasks]:
-    names = config.features_asked
-    check_features(config, names, f"{config.path}: survey.features")
-    check_features(config, config.features.also, f"{config.path}: features.also")
-    plan = until_tiles(Plan(config, names, (*names, *config.features.also)), runner)
+    plan = until_tiles(plan_with_features(config), runner)
     return plan, tasks_until_labels(plan)
 
 
@@ -98,7 +118,7 @@ def _check_labelled(config: Config) -> None:
         raise ConfigError(
             "a model learns from labels, and the survey has none",
             where=f"{config.path}: survey.reference",
-            expected="kind: source, cloud, polygons or echoes",
+            expected="kind: source, cloud, polygons, echoes or corrections",
             got="none",
             do="name labelled files in survey.reference",
         )

@@ -122,11 +122,11 @@ def join(samples: Iterable[Sample], per_class: int) -> Sample:
         parts.append(part)
         rows += part.rows
         if rows > 3 * per_class * len(part.eligible):  # memory stays that of a few samples, however many tiles
-            parts = [_thin(_union(parts), per_class)]
+            parts = [thin(_union(parts), per_class)]
             rows = parts[0].rows
     if not parts:
         raise ValueError("nothing to merge")
-    return _sort(_thin(_union(parts), per_class))
+    return _sort(thin(_union(parts), per_class))
 
 
 def _union(parts: Sequence[Sample]) -> Sample:
@@ -153,7 +153,8 @@ def _smallest(y: NDArray[np.uint8], drawn: NDArray[np.uint64], n_classes: int, p
     return np.concatenate(keep)
 
 
-def _thin(sample: Sample, per_class: int) -> Sample:
+def thin(sample: Sample, per_class: int) -> Sample:
+    """Of every class the `per_class` rows with the smallest hashes."""
     return sample.take(_smallest(sample.y, sample.hash, len(sample.eligible), per_class))
 
 

@@ -22,7 +22,7 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import CLOUD_ROWS
-from fwclass.graph.walk import given_model
+from fwclass.graph.walk import base_model, given_model, with_model
 from fwclass.grid import Box, TileGrid, groups, joint_box
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of
@@ -92,18 +92,19 @@ class Counts:
 
 def plan_of(config: Config) -> Plan:
     """What the stages are planned by before any file is read."""
-    names = config.features_asked if config.survey.model is None else _features_of_model(config)
+    named = config.survey.model or config.survey.base_model
+    names = _features_of_model(config, named) if named else config.features_asked
     return Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))))
 
 
-_known: dict[tuple[Path, str | None], tuple[str, ...]] = {}
+_known: dict[tuple[Path, str], tuple[str, ...]] = {}
 
 
-def _features_of_model(config: Config) -> tuple[str, ...]:
+def _features_of_model(config: Config, named: str) -> tuple[str, ...]:
     """Of the model that is given, wherever it lies; it is opened once."""
-    key = (config.path, config.survey.model)
+    key = (config.path, named)
     if key not in _known:
-        model = given_model(config)
+        model = given_model(config) or base_model(with_model(config))
         _known.clear()
         _known[key] = load_model(local(model[0])).features if model else ()
     return _known[key]

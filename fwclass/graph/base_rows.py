@@ -1,0 +1,66 @@
+"""The stage that chooses rows of a base model, to be learned from beside the survey's own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fwclass.graph.learn import BASE_ROWS, SAMPLE, forest_learns, learning_arguments, survey_sample
+from fwclass.graph.stage import Result, Stage, StageInputs
+from fwclass.hashing import hash_keys
+from fwclass.model import ClassDef
+from fwclass.store.arrays import write_arrays
+from fwclass.store.external_file import ExternalFile
+from fwclass.store.model_rows import load_rows
+from fwclass.train.params import TrainParams
+from fwclass.train.sample import Sample
+from fwclass.train.stage import TRAIN_SAMPLE
+
+FIRST_KEY = 1 << 63
+"""Keys of a survey's echoes are smaller (`schema.canonical_key`)."""
+
+
+def choose_base_rows(
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]
+) -> Result:
+    """Of every class as many of the base model's rows as the survey has, `base_rows` at least, by the smallest hash."""
+    model, X, codes = load_rows(here.file())
+    own = survey_sample(here.inputs, names).counts
+    key = np.arange(len(codes), dtype=np.uint64) + np.uint64(FIRST_KEY)
+    drawn = hash_keys(params.seed, key)
+    rows, y = [], []
+    for k, one in enumerate(classes):
+        mine = np.flatnonzero(codes == one.code)
+        most = min(params.samples_per_class, max(int(own[k]), params.base_rows))
+        rows.append(np.sort(mine[np.argsort(drawn[mine], kind="stable")[:most]]))
+        y.append(np.full(len(rows[-1]), k, np.uint8))
+    at = np.concatenate(rows)
+    order = np.argsort(at)
+    at = at[order]
+    columns = [model.features.index(name) for name in names]
+    sample = Sample(
+        names,
+        np.ascontiguousarray(X[at][:, columns]),
+        np.concatenate(y)[order],
+        key[at],
+        drawn[at],
+        np.zeros(len(classes), np.int64),
+        np.zeros(len(classes), np.int64),
+        np.zeros((len(at), 2), np.int64),
+    )
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+CHOOSE_BASE_ROWS = Stage(
+    BASE_ROWS,
+    TRAIN_SAMPLE.version,
+    "survey",
+    "row",
+    choose_base_rows,
+    when=lambda plan: plan.base is not None and forest_learns(plan),
+    arguments=learning_arguments,
+    silent=frozenset(TrainParams.model_fields) - {"seed", "samples_per_class", "base_rows"},
+    after=("training",),
+    needs=lambda plan, part: (("training", "all"),),
+    source=lambda plan, part: (plan.base[0], (ExternalFile("model", plan.base[1]),)) if plan.base else None,
+)
