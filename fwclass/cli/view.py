@@ -17,6 +17,7 @@ from fwclass.cli.base import OVERWRITE, PATH, RUN, SET, cli
 @click.option("--against", type=RUN, metavar="OTHER", help="Another run of the same survey, side by side.")
 @click.option("--allow-run", is_flag=True, help="Let the page start the run's last command once more.")
 @click.option("--worklist", type=PATH, metavar="FILE", help="Write the unsure places as a GeoPackage, and end.")
+@click.option("--places", type=PATH, metavar="FILE", help="Go through these places, e.g. of `fwclass suggest`.")
 @click.option("--export", type=PATH, metavar="DIR", help="Write the page to a new folder for any web server, and end.")
 @SET
 @OVERWRITE
@@ -27,6 +28,7 @@ def view(
     against: Any,
     allow_run: bool,
     worklist: Path | None,
+    places: Path | None,
     export: Path | None,
     settings: tuple[str, ...],
     overwrite: bool,
@@ -43,6 +45,8 @@ def view(
     params = conf.section("view", settings)
     if worklist is not None and export is not None:
         raise click.UsageError("--worklist and --export are two commands")
+    if places is not None and (worklist is not None or export is not None):
+        raise click.UsageError("--places is for the page that is served: it goes without --worklist and --export")
     if worklist is not None:
         if against is not None or port is not None or no_browser or allow_run:
             raise click.UsageError(
@@ -63,4 +67,4 @@ def view(
         raise click.UsageError("--overwrite belongs to --worklist")
     from fwclass.delivery.viewing import serve_view
 
-    serve_view(run, params, port or 0, against, not no_browser, click.echo, allow_run)
+    serve_view(run, params, port or 0, against, not no_browser, click.echo, allow_run, places)

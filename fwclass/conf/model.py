@@ -23,7 +23,7 @@ from fwclass.grid import Box
 from fwclass.ground.params import GroundParams
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.tuning_params import GroundAutoParams, GroundSearchParams
-from fwclass.label.params import LabelParams
+from fwclass.label.params import LabelParams, SuggestParams
 from fwclass.publish.params import PublishParams
 from fwclass.quality.params import QualityParams
 from fwclass.radiometry.params import RadiometryParams
@@ -316,6 +316,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "assess": AssessParams,
     "publish": PublishParams,
     "vectors": VectorParams,
+    "suggest": SuggestParams,
     "view": ViewParams,
 }
 
@@ -368,6 +369,7 @@ class Config:
     assess: AssessParams
     publish: PublishParams
     vectors: VectorParams
+    suggest: SuggestParams
     view: ViewParams
 
     @property

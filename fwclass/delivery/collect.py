@@ -86,9 +86,8 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     """
     note = read_note(directory)
     delivery = _run_of(note, run, directory)
-    classes = delivery.report["config"]["survey"]["classes"]
     tiles = [_changes(directory, key, digest) for key, digest in sorted(note.tiles.items())]
-    _check_codes(tiles, list(note.tiles), {int(c["code"]): str(c["name"]) for c in classes if c["codes"]})
+    _check_codes(tiles, list(note.tiles), {int(c["code"]): str(c["name"]) for c in delivery.classes if c["codes"]})
     changed = EchoLabels.joined([t.labels for t in tiles])
     before = np.concatenate([t.before for t in tiles]) if tiles else np.empty(0, np.int16)
     stays = _at_their_place(changed, note, delivery)
@@ -121,7 +120,7 @@ def new_rows(earlier: EchoLabels, changed: EchoLabels, collected: Sequence[int],
     collected : times of earlier rows that come from this directory.
     """
     ours, last = earlier.take(np.isin(earlier.time, np.array(collected, np.int64))).standing(), earlier.standing()
-    said, stands = _code_of(changed, ours), _code_of(changed, last)
+    said, stands = codes_that_stand(changed, ours), codes_that_stand(changed, last)
     add = changed.take((changed.code != said) & (changed.code != stands))
     undone = ours.take((ours.code != TAKEN_BACK) & ~np.isin(ours.key, changed.key))
     undone = undone.take(last.time[np.searchsorted(last.key, undone.key)] == undone.time)
@@ -130,7 +129,7 @@ def new_rows(earlier: EchoLabels, changed: EchoLabels, collected: Sequence[int],
     return EchoLabels.of({n: getattr(both, n) for n in (*IDENTITY, *PLACE)}, codes, time, who)
 
 
-def _code_of(echoes: EchoLabels, standing: EchoLabels) -> NDArray[np.int16]:
+def codes_that_stand(echoes: EchoLabels, standing: EchoLabels) -> NDArray[np.int16]:
     """What `standing` labels, by echo, say of echoes at their place; `TAKEN_BACK` where nothing."""
     if not standing.rows:
         return np.full(echoes.rows, TAKEN_BACK, np.int16)
@@ -259,7 +258,7 @@ def _at_their_place(changed: EchoLabels, note: Note, delivery: Delivery) -> NDAr
     table = delivery.echoes(box, (*IDENTITY, *PLACE)).to_arrow()
     columns = {n: table.column(n).to_numpy() for n in (*IDENTITY, *PLACE)}
     there = EchoLabels.of(columns, np.zeros(table.num_rows), 0, "").standing()
-    return _code_of(changed, there) != TAKEN_BACK
+    return codes_that_stand(changed, there) != TAKEN_BACK
 
 
 def _lost_error(lost: EchoLabels, note: Note, delivery: Delivery) -> InputError:

@@ -119,6 +119,12 @@ class Delivery:
         return dict(read_json(self.file("report.json")))
 
     @cached_property
+    def classes(self) -> list[dict[str, Any]]:
+        """The classes that the model gives: ``name, code``, and ``codes``, those of the reference that count as it."""
+        model = self.report["model"]
+        return list(model.get("classes", self.report["config"]["survey"]["classes"]))
+
+    @cached_property
     def tiles(self) -> list[dict[str, Any]]:
         """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax), ``height`` (mean z [m])."""
         listed = self.file("laz/survey.vpc")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import Delivery, open_at
+from fwclass.delivery.places import listed_places
 from fwclass.delivery.viewed_colours import (
     CORRECTED,
     DIFFERS,
@@ -80,6 +81,7 @@ class ViewedRun:
         self.relabel = Relabelling(delivery, params, self._in_blocks)
         self._other = other
         self._asked: dict[tuple[int, ...], tuple[str, int]] = {}
+        self._listed: Path | None = None
 
     @property
     def name(self) -> str:
@@ -89,7 +91,11 @@ class ViewedRun:
         from fwclass.delivery.viewed_large import view_run  # which is made of this
 
         current = open_at(self.delivery.root)
-        return self if current.path == self.delivery.path else view_run(current, self.params)
+        if current.path == self.delivery.path:
+            return self
+        scene = view_run(current, self.params)
+        scene._listed = self._listed
+        return scene
 
     def prepare(self) -> None:
         """Make ahead what the page asks for first; what fails will be said when it is asked for."""
@@ -173,13 +179,26 @@ class ViewedRun:
 
     def work(self) -> dict[str, Any]:
         places = [asdict(p) for p in self.work_list().places]
-        return {"unsure": self.params.unsure, "places": places}
+        return {"unsure": self.params.unsure, "file": self._listed.name if self._listed else None, "places": places}
+
+    def list_places(self, path: Path) -> None:
+        """Take the places of a file for the work list, in its order, for as long as this scene is shown.
+
+        Raises
+        ------
+        InputError
+            It is no file of polygons, or no echo lies in any of them.
+        """
+        self._listed = path
+        self.work_list()
 
     def work_list(self) -> WorkList:
         """The places of unsure echoes, as `work` tells them."""
         return self._open.get("work", self._places, lambda work: 1 << 20)
 
     def _places(self) -> WorkList:
+        if self._listed is not None:
+            return listed_places(self.delivery, self._listed)
         unsure = UnsureEchoes(self.params.cluster, self.params.place)
         for key in self.tiles:
             columns = self._columns(key, UNSURE)
@@ -392,7 +411,7 @@ class ViewedRun:
             reference = self._behind.reference(key)
         except (FwclassError, OSError):
             return np.zeros(len(classes), np.uint8)
-        return verdicts(classes, reference, self.delivery.report["config"]["survey"]["classes"])
+        return verdicts(classes, reference, self.delivery.classes)
 
     def _skimmed_column(self, name: str) -> NDArray[np.uint8]:
         return self._open.get(("skimmed", name), lambda: self._skim_column(name), lambda v: v.nbytes)

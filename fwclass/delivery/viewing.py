@@ -6,6 +6,7 @@ import threading
 import webbrowser
 from collections.abc import Callable
 from contextlib import closing, suppress
+from pathlib import Path
 
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
@@ -33,9 +34,10 @@ def serve_view(
     browser: bool,
     tell: Callable[[str], object],
     allow_run: bool = False,
+    places: Path | None = None,
 ) -> None:
     """Serve a run until the command is interrupted; `tell` is told the address. With `allow_run` the page may start the
-    run's last command.
+    run's last command. The places of the file `places` are the work list, not those of unsure echoes.
 
     Raises
     ------
@@ -45,6 +47,9 @@ def serve_view(
         The port is taken.
     """
     scenes = scenes_of(run, against, params)
+    if places is not None:
+        for scene in scenes:
+            scene.list_places(places)
     again = LastCommand(scenes[0].delivery.root, allow_run)
     with Server(scenes, params, port, again) as server, closing(again):
         for scene in scenes:

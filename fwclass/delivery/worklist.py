@@ -23,7 +23,9 @@ LAYER = "places"
 def check_free(path: Path, overwrite: bool) -> None:
     """`ConfigError` where there is something that may not be replaced, or the name is none of a GeoPackage."""
     if path.suffix.lower() != ".gpkg":
-        raise ConfigError("the work list is a GeoPackage", where=path, do=f"call it {path.with_suffix('.gpkg').name}")
+        raise ConfigError(
+            "places are written as a GeoPackage", where=path, do=f"call it {path.with_suffix('.gpkg').name}"
+        )
     if path.is_dir() or (path.exists() and not overwrite):
         raise ConfigError(
             "there is a directory of that name" if path.is_dir() else "there is such a file already",

@@ -85,7 +85,12 @@ def write_report(
         "graph": list(graph),
         "classes": classes,
         "accuracy": accuracy,
-        "model": {"path": config.survey.model, "features": list(names)},
+        "model": {
+            "path": config.survey.model,
+            "base": config.survey.base_model,
+            "features": list(names),
+            "classes": [{"name": c.name, "code": c.code, "codes": list(c.codes)} for c in config.classes],
+        },
         "training": training_facts(runner, names),
         "selection": selected.model_dump() if (selected := config.selection) else None,
         "place": place_of(

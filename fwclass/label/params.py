@@ -14,3 +14,20 @@ class LabelParams(Params):
 
     max_distance: float = Field(gt=0, le=100)
     max_move: float = Field(gt=0, le=10)
+
+
+class SuggestParams(Params):
+    """Which places `suggest` names.
+
+    Attributes
+    ----------
+    size : edge of a place, a square of the global grid [m].
+    echoes : the edge is doubled until half of all places have so many; 0 leaves it.
+    places : how many, at most.
+    least : a place has at least this share of the echoes that half of all places have.
+    """
+
+    size: float = Field(ge=1, le=1000)
+    echoes: int = Field(ge=0, le=1_000_000)
+    places: int = Field(ge=1, le=100_000)
+    least: float = Field(ge=0, le=1)

@@ -229,7 +229,7 @@ function click(x, y) {
 
 // ------------------------------------------------------------------ work list
 async function go(step) {
-  works ??= (await json('0/work.json')).places;
+  if (!works) { const listed = await json('0/work.json'); works = listed.places; if (listed.file) $('work').title = `Places of ${listed.file}`; }
   if (!works.length) { $('place').textContent = 'no unsure place'; return; }
   at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;

@@ -1,0 +1,157 @@
+"""Places of a delivery whose labels teach most, as a file; and what was looked at there, as labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.delivery.collect import codes_that_stand
+from fwclass.delivery.echoes import table_columns
+from fwclass.delivery.opened import Delivery, open_run
+from fwclass.delivery.places import PLACE, echoes_in, no_echo, read_places
+from fwclass.delivery.worklist import check_free
+from fwclass.errors import InputError, several
+from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
+from fwclass.grid import Box, millimetres, whole_millimetres
+from fwclass.label.params import SuggestParams
+from fwclass.label.places import Place, PlaceCounts
+from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.store.corrections import add_corrections, place_of, read_corrections
+from fwclass.store.run_location import RunLocation
+
+LAYER = "places"
+
+
+def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool) -> str:
+    """Write the places of a run whose labels teach most as a GeoPackage, layer `LAYER`; a sentence of what was written.
+
+    Raises
+    ------
+    InputError
+        `run` is no run that has delivered, or its echoes have no entropy.
+    ConfigError
+        There is such a file already.
+    """
+    check_free(path, overwrite)
+    delivery = open_run(run)
+    counts = PlaceCounts(params.size)
+    for tile in delivery.tiles:
+        columns = table_columns(delivery.table(str(tile["tile"])), (*PLACE, "classification", "entropy"))
+        if "entropy" not in columns:
+            raise InputError(
+                "this delivery does not tell how sure its classes are",
+                where=delivery.path,
+                expected="a run that classifies by a model",
+                got="no column entropy",
+                do="suggest places of another run",
+            )
+        x, y, z = (millimetres(columns[n]) for n in PLACE)
+        counts.add(x, y, z, columns["classification"], columns["entropy"])
+    counts = counts.widened(params.echoes)
+    every, places = counts.places(), counts.suggest(params, _settled(delivery, counts.size))
+    names = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
+    fields: dict[str, NDArray[Any] | Sequence[str]] = {
+        "rank": np.arange(1, len(places) + 1, dtype=np.int32),
+        "echoes": np.array([p.echoes for p in places], np.int64),
+        "entropy": np.array([p.entropy for p in places], np.float64),
+        "mixture": np.array([p.mixture for p in places], np.float64),
+        "classes": [", ".join(f"{names.get(code, f'code {code}')} {n}" for code, n in p.classes) for p in places],
+    }
+    write_gpkg([Layer(LAYER, box_wkb([p.box for p in places]), fields)], path, delivery.crs)
+    return _summary(every, places, counts.size, path)
+
+
+def _settled(delivery: Delivery, size: float) -> Callable[[Place], bool]:
+    """Whether labels of a place would teach nothing: it meets an area that is tested or trains already, or half of its
+    echoes are corrected."""
+    config = delivery.report["config"]
+    areas, survey = config["areas"], config["survey"]
+    boxes = [Box(*b).grown(float(areas["gap"])) for b in areas["test"]]
+    if survey["model"] is None:
+        boxes += [Box(*b) for b in areas["train"]]
+    stands = read_corrections(delivery.root).standing()
+    stands = stands.take(stands.code != TAKEN_BACK)
+    edge = whole_millimetres(size, "suggest.size")
+    squares = np.stack([millimetres(stands.x) // edge, millimetres(stands.y) // edge], axis=1)
+    keys, counts = np.unique(squares, axis=0, return_counts=True)
+    corrected = dict(zip(map(tuple, keys.tolist()), counts.tolist(), strict=True))
+
+    def settled(place: Place) -> bool:
+        square = round(place.box.xmin / size), round(place.box.ymin / size)
+        return 2 * corrected.get(square, 0) >= place.echoes or any(b.touches(place.box) for b in boxes)
+
+    return settled
+
+
+def _summary(every: Sequence[Place], places: Sequence[Place], size: float, path: Path) -> str:
+    if not places:
+        none = f"no place of {size:g} m teaches more: the model is sure of it, or it is labelled or tested already"
+        return f"{none}; {path} is empty"
+    echoes = sum(p.echoes for p in places)
+    return (
+        f"{several(len(places), 'place')} of {size:g} m, out of {len(every):,}, with {echoes:,} echoes: "
+        f"layer {LAYER} of {path}"
+    )
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """What was confirmed: `echoes` by class code, `corrected` echoes that had been corrected before, all in `places`
+    places; `where` it was written."""
+
+    echoes: Mapping[int, int]
+    corrected: int
+    places: int
+    names: Mapping[int, str]
+    where: str
+
+    def __str__(self) -> str:
+        total = sum(self.echoes.values())
+        listed = ", ".join(f"{self.names.get(c, f'code {c}')} {n:,}" for c, n in sorted(self.echoes.items()))
+        return (
+            f"{several(self.places, 'place')}: {total:,} echoes keep their class ({listed or 'none'}), "
+            f"{self.corrected:,} had been corrected; {self.where}"
+        )
+
+
+def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
+    """Add the classes of all echoes in the places of a file to the corrections of a run; what was corrected stays.
+
+    Parameters
+    ----------
+    time : of these rows, microseconds since 1970 (UTC).
+
+    Raises
+    ------
+    InputError
+        `run` is no run that has delivered, or no classified echo lies in any place.
+    StoreError
+        The run cannot be written to.
+    """
+    delivery = open_run(run)
+    places = read_places(path, delivery)
+    classes = {int(c["code"]) for c in delivery.classes}
+    rows = echoes_in(delivery, places)
+    classified = np.isin(rows["classification"], list(classes)) & np.isfinite(rows["confidence"])
+    if not classified.any():
+        raise no_echo(path, places)
+    echoes = {n: v[classified] for n, v in rows.items()}
+    labels = EchoLabels.of(echoes, echoes["classification"], time, who)
+    corrected = 0
+
+    def change(earlier: EchoLabels) -> EchoLabels:
+        nonlocal corrected
+        stands = codes_that_stand(labels, earlier.standing()) != TAKEN_BACK
+        corrected = int(stands.sum())
+        return labels.take(~stands)
+
+    added = add_corrections(delivery.root, change)
+    codes, counts = np.unique(added.code, return_counts=True)
+    names = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
+    by_code = dict(zip(codes.tolist(), counts.tolist(), strict=True))
+    return Confirmed(by_code, corrected, places.parts, names, str(place_of(delivery.root)))
