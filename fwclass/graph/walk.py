@@ -33,7 +33,7 @@ from fwclass.model import Layered, TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
 from fwclass.store.installed_models import model_place
-from fwclass.store.model_rows import rows_digest
+from fwclass.store.model_rows import load_rows, rows_digest
 from fwclass.store.models import load_model, model_digest
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
@@ -96,7 +96,7 @@ def base_model(config: Config) -> tuple[Location, str] | None:
         return None
     place = _place_of_model(config, config.survey.base_model)
     path = local(place)
-    digest, model = rows_digest(path), load_model(path)
+    model, _, _ = load_rows(path)
     check_computed(model, config.features, path)
     own = {c.code for c in config.classes}
     if not any(c.code in own for c in model.classes):
@@ -107,7 +107,7 @@ def base_model(config: Config) -> tuple[Location, str] | None:
             got=", ".join(f"{c.name} ({c.code})" for c in config.classes),
             do="give the classes its codes, or leave survey.classes out",
         )
-    return place, digest
+    return place, rows_digest(path)
 
 
 def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:

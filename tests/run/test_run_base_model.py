@@ -1,0 +1,170 @@
+"""A run that learns from a base model's rows beside its own labels; corrections alone as a reference."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from commandline import fwclass
+from smallsurvey import small_survey
+
+import fwclass as package
+from fwclass.run.inputs import PartInputs
+from fwclass.store.corrections import read_corrections
+from fwclass.store.model_rows import load_rows
+from fwclass.store.models import load_model
+from fwclass.store.run_store import Store
+
+ALONE = ("--set", "survey.reference.kind=corrections", "--set", "areas.train=[]", "--set", "train.base_rows=50")
+
+
+def sample(root, part):
+    return PartInputs(Store(root, read_only=True)).arrays(*part, "sample")[0]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A survey, a model of it that keeps rows, and a run by that model with its best places confirmed."""
+    place = tmp_path_factory.mktemp("base")
+    survey = small_survey(place)
+    ended = fwclass(
+        "train", survey, "--model", place / "model", "--keep-rows", 300, "--out", place / "t", "--workers", 0
+    )
+    assert ended.returncode == 0, ended.stderr
+    given = ("--set", f"survey.model={place / 'model'}", "--set", "survey.classes=[]", "--set", "areas.train=[]")
+    ended = fwclass("run", survey, "--out", place / "run", "--workers", 0, *given)
+    assert ended.returncode == 0, ended.stderr
+    words = (place / "run", place / "places.gpkg")
+    assert fwclass("suggest", *words, "--size", 5, "--places", 3).returncode == 0
+    assert fwclass("label", "confirm", *words).returncode == 0
+    return survey, place / "run", place / "model"
+
+
+def learn(made, root, *settings, workers=0):
+    words = ("--set", f"survey.base_model={made[2]}", "--set", "survey.classes=[]", *ALONE)
+    more = [w for s in settings for w in ("--set", s)]
+    return fwclass("run", made[0], "--out", root, "--workers", workers, *words, *more)
+
+
+@pytest.fixture(scope="module")
+def learned(made, tmp_path_factory):
+    root = tmp_path_factory.mktemp("learned") / "run"
+    shutil.copytree(made[1], root, symlinks=True)
+    ended = learn(made, root)
+    assert ended.returncode == 0, ended.stderr
+    return root, ended
+
+
+def test_a_model_keeps_rows_of_every_class(made):
+    model, X, codes = load_rows(made[2])
+    assert dict(zip(*np.unique(codes, return_counts=True), strict=True)) == {2: 300, 5: 300}
+    assert X.shape == (600, len(model.features)) and model.card["rows"] == {"2": 300, "5": 300}
+
+
+def test_the_model_learns_from_the_confirmed_echoes_and_base_rows(made, learned):
+    root = learned[0]
+    own, base = sample(root, ("training", "all")), sample(root, ("base-rows", "all"))
+    stands = read_corrections(root).standing()
+    assert len(own["y"]) == stands.rows
+    counts = np.bincount(own["y"], minlength=2)
+    assert np.bincount(base["y"], minlength=2).tolist() == [min(300, max(int(n), 50)) for n in counts]
+    _, X, codes = load_rows(made[2])
+    there = {(*row.tolist(), int(code)) for row, code in zip(X, codes, strict=True)}
+    assert {(*row.tolist(), (2, 5)[y]) for row, y in zip(base["X"], base["y"], strict=True)} <= there
+    card = load_model(root / "current" / "model").card if (root / "current").exists() else {}
+    assert card["samples"] == (counts + np.bincount(base["y"], minlength=2)).tolist()
+    report = package.open(root).report
+    assert report["model"]["base"] == str(made[2]) and [c["code"] for c in report["model"]["classes"]] == [2, 5]
+
+
+def test_only_what_learns_is_made_anew(made, learned, tmp_path):
+    made_anew = {s["name"] for s in package.open(learned[0]).report["stages"] if s["computed"]}
+    assert not made_anew & {"read", "split", "tile", "ground-filter", "terrain", "height", "features"}
+    again = learn(made, learned[0])
+    assert again.returncode == 0 and "base-rows" not in again.stderr.replace("base-rows        1 skipped", "")
+
+
+def test_tiles_and_workers_change_nothing(made, learned, tmp_path):
+    shutil.copytree(made[1] / "labels", tmp_path / "run" / "labels")
+    ended = learn(made, tmp_path / "run", "tile.size=40", workers=2)
+    assert ended.returncode == 0, ended.stderr
+    tables = [
+        package.open(r).echoes(columns=["strip", "pulse", "echo_number", "classification", "confidence"]).to_pandas()
+        for r in (learned[0], tmp_path / "run")
+    ]
+    a, b = (t.sort_values(["strip", "pulse", "echo_number"]).reset_index(drop=True) for t in tables)
+    assert a.equals(b)
+
+
+def test_classes_of_a_ready_model_can_be_corrected(made, tmp_path):
+    tile = package.open(made[1]).tiles[0]["tile"]
+    assert fwclass("label", "checkout", made[1], tmp_path / "out", "--tiles", tile).returncode == 0
+    ended = fwclass("label", "collect", tmp_path / "out")
+    assert ended.returncode == 0 and "nothing new" in ended.stdout + ended.stderr, ended.stderr
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+def refused(made, root, *settings, code=2):
+    ended = learn(made, root, *settings)
+    assert ended.returncode == code and "Traceback" not in ended.stderr, ended.stderr
+    return ended.stderr
+
+
+def test_without_corrections_it_says_where_they_come_from(made, tmp_path):
+    said = refused(made, tmp_path / "none")
+    assert "no corrections to learn from" in said and "docs/corrections.md" in said
+
+
+def test_model_and_base_model_are_one_too_many(made, tmp_path):
+    assert "one of them" in refused(made, tmp_path / "r", f"survey.model={made[2]}")
+
+
+def test_only_a_forest_learns_from_them(made, tmp_path):
+    assert "train.method" in refused(made, tmp_path / "r", "train.method=rbf-svm")
+
+
+def test_other_classes_are_told(made, tmp_path):
+    classes = "survey.classes=[{name: wall, code: 20, codes: [20]}, {name: roof, code: 21, codes: [21]}]"
+    assert "ground (2)" in refused(made, tmp_path / "r", classes)
+
+
+@pytest.fixture
+def model(made, tmp_path):
+    shutil.copytree(made[2], tmp_path / "model")
+    return tmp_path / "model"
+
+
+def damage(model, how):
+    rows = model / "rows"
+    if how == "none":
+        shutil.rmtree(rows)
+        card = json.loads((model / "card.json").read_text())
+        del card["rows"]
+        (model / "card.json").write_text(json.dumps(card))
+    elif how == "gone":
+        (rows / "X.npy").unlink()
+    elif how == "cut":
+        (rows / "X.npy").write_bytes((rows / "X.npy").read_bytes()[:500])
+    elif how == "others":
+        np.save(rows / "codes.npy", np.full(600, 2, np.uint8))
+    elif how == "infinite":
+        X = np.load(rows / "X.npy")
+        X[3] = np.inf
+        np.save(rows / "X.npy", X)
+    elif how == "objects":
+        np.save(rows / "codes.npy", np.array([{}] * 600, object), allow_pickle=True)
+
+
+@pytest.mark.parametrize("how", ["none", "gone", "cut", "others", "infinite", "objects"])
+def test_rows_that_are_not_whole_are_refused(how, made, model, tmp_path):
+    damage(model, how)
+    shutil.copytree(made[1] / "labels", tmp_path / "run" / "labels")
+    ended = fwclass(
+        "run", made[0], "--out", tmp_path / "run", "--workers", 0, "--set", f"survey.base_model={model}", *ALONE
+    )
+    assert ended.returncode == 1 and "Traceback" not in ended.stderr, ended.stderr
+    assert str(model) in ended.stderr and "rows" in ended.stderr
