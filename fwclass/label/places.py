@@ -39,7 +39,7 @@ class Place:
 
     @property
     def score(self) -> float:
-        """What the places are ranked by."""
+        """What the places are ranked by, 0 to 1."""
         return self.entropy * self.mixture
 
 
@@ -85,7 +85,7 @@ class PlaceCounts:
 
     @property
     def middling(self) -> float:
-        """Echoes that half of the squares have; 0 where there is none."""
+        """Median of the echoes of the squares [echoes]; 0.0 where there is none."""
         squares: dict[tuple[int, int], int] = {}
         for (i, j, _), sums in self._counts.items():
             squares[i, j] = squares.get((i, j), 0) + int(sums[0])

@@ -10,7 +10,10 @@ import pytest
 from commandline import fwclass
 from scipy.ndimage import label
 
+from fwclass import conf
+from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.errors import InputError
 from fwclass.view.worklist import UnsureEchoes, WorkList
 
 
@@ -111,3 +114,23 @@ def test_a_work_list_may_be_empty_and_serves_nothing(run: Path, tmp_path: Path) 
     for name in (".", "places.txt"):
         other = fwclass("view", run, "--worklist", tmp_path / name, "--overwrite")
         assert other.returncode == 2 and "GeoPackage" in other.stderr
+
+
+def test_the_page_goes_through_the_places_of_a_file(run: Path, tmp_path: Path) -> None:
+    path = tmp_path / "places.gpkg"
+    ended = fwclass("suggest", run, path, "--places", 7)
+    assert ended.returncode == 0, ended.stderr
+    scene = ViewedRun(open_run(run), conf.section("view"))
+    scene.list_places(path)
+    work, table = scene.work(), pyogrio.read_dataframe(path)
+    assert work["file"] == "places.gpkg" and len(work["places"]) == len(table) == 7
+    for place, (_, row) in zip(work["places"], table.iterrows(), strict=True):
+        assert place["echoes"] == row["echoes"] and tuple(place["box"]) == row.geometry.bounds
+        assert place["x"] == pytest.approx((row.geometry.bounds[0] + row.geometry.bounds[2]) / 2)
+    assert scene.reopened().work() == work
+    far = table.set_geometry(table.geometry.translate(1e5, 0))
+    far.to_file(tmp_path / "far.gpkg", layer="places")
+    with pytest.raises(InputError, match="any of these places"):
+        ViewedRun(open_run(run), conf.section("view")).list_places(tmp_path / "far.gpkg")
+    both = fwclass("view", run, "--places", path, "--worklist", tmp_path / "w.gpkg")
+    assert both.returncode == 2
