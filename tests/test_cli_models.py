@@ -85,8 +85,51 @@ def test_a_path_goes_before_a_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 
 
 def test_no_model_has_a_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "none"))
+    monkeypatch.delenv("FWCLASS_MODELS", raising=False)
     assert "no model has a name" in fwclass("models").stdout
+    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "none"))
+    told = fwclass("models").stdout
+    assert "no model has a name" in told and "does not exist" in told and str(tmp_path / "none") in told
+
+
+def test_the_variable_may_name_a_model_itself(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    save_model(tmp_path / "town", models()["forest"])
+    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "town"))
+    assert installed_models()["town"] == tmp_path / "town" and "fine" not in installed_models()
+
+
+def test_what_a_model_had_right_on_its_test_areas_is_listed(
+    place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    words = ("--workers", "0", "--set", "areas.train={files: [p0.las, p1.las]}", "--set", "areas.gap=0")
+    told = fwclass(
+        "train", place / "s.yaml", "--model", tmp_path / "m" / "t", "--out", tmp_path / "r", "--json", *words
+    )
+    assert told.returncode == 0, told.stderr
+    accuracy = json.loads(told.stdout)["accuracy"]
+    tested = load_model(tmp_path / "m" / "t").card["measured"]["tested"]
+    assert tested["overall_accuracy"] == accuracy["overall_accuracy"]
+    assert tested["echoes"] == sum(map(sum, accuracy["confusion"])) > 0
+    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "m"))
+    assert f"{100 * accuracy['overall_accuracy']:.1f} % right" in fwclass("models").stdout
+
+
+@pytest.mark.parametrize("ranges", ["text", {}, {"zc": "a"}, {"zc": [1]}, {"zc": [2.0, 1.0]}, {"zc": [True, 2]}])
+def test_usual_values_that_are_none_are_refused(ranges: object, place: Path, tmp_path: Path) -> None:
+    """Without them nobody would be told that data are unlike the model's own."""
+    shutil.copytree(place / "shelf" / "town", tmp_path / "m")
+    card = json.loads((tmp_path / "m" / "card.json").read_text())
+    card["ranges"] = ranges if not isinstance(ranges, dict) or not ranges else {**card["ranges"], **ranges}
+    (tmp_path / "m" / "card.json").write_text(json.dumps(card))
+    ended = fwclass("classify", place / "p0.las", tmp_path / "c.laz", "--model", tmp_path / "m")
+    assert ended.returncode == 1 and "ranges" in ended.stderr and not (tmp_path / "c.laz").exists()
+
+
+@pytest.mark.parametrize("setting", ["classify.context.cells=[2]", "classify.refine.between=[ground, bush]"])
+def test_what_only_training_obeys_is_refused(setting: str, place: Path, tmp_path: Path) -> None:
+    words = ("--model", place / "shelf" / "town", "--set", setting)
+    ended = fwclass("classify", place / "p0.las", tmp_path / "c.laz", *words)
+    assert ended.returncode == 2 and "no effect" in ended.stderr, ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -91,13 +91,13 @@ def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> No
     from fwclass.single_file.model_directory import check_target, deliver
     from fwclass.study.left_out import leave_out
     from fwclass.study.training import kept_rows, training
-    from fwclass.study.training_text import describe
+    from fwclass.study.training_text import describe, measured_facts
 
     check_target(target, options["overwrite"])
     with open_runner(root, _count(config, options), options["scheduler"], config.run) as runner:
         left_out = leave_out(config, runner) if options["leave_out"] else None
         result = training(config, runner, options["assess"] and left_out is None) | {"left_out": left_out}
-        measured = {"left_out": left_out, "in_folds": result["cross_validation"]} if left_out else None
+        measured = measured_facts(result)
         rows = kept_rows(config, runner.store, options["keep_rows"]) if options["keep_rows"] else None
         deliver(runner.store.path("train", "model", "model"), target, options["overwrite"], measured, rows)
     click.echo(f"{describe(result)}\nmodel       {target}", err=True)

@@ -35,6 +35,23 @@ def ranges_of(X: NDArray[np.float32], names: Sequence[str]) -> dict[str, list[fl
     return ranges
 
 
+def check_ranges(card: Mapping[str, Any]) -> None:
+    """`ValueError` where a card has usual values that are none; one without any says nothing of them."""
+    ranges = card.get(RANGES)
+    if ranges is None:
+        return
+    if not isinstance(ranges, Mapping):
+        raise ValueError(f"its {RANGES} are no values by feature")
+    for name in card["features"]:
+        pair = ranges.get(name)
+        if pair is None and name in ranges:
+            continue
+        if not (isinstance(pair, list) and len(pair) == 2 and all(type(v) in (int, float) for v in pair)):
+            raise ValueError(f"its {RANGES} of {str(name)[:80]!r} are no pair of numbers")
+        if not pair[0] <= pair[1]:
+            raise ValueError(f"its {RANGES} of {str(name)[:80]!r} do not rise")
+
+
 @dataclass
 class RangeCounter:
     """How many values of every feature lie outside of what the model has seen: `outside` and `seen`, int64 (features,),

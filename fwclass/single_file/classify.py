@@ -52,6 +52,10 @@ from fwclass.store.models import load_model
 SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "classify", "publish", "tile")
 """Sections of the configuration that the command obeys."""
 
+MODELS_OWN = "leave it out; what decides is the model's"
+OF_TRAINING = ("classify.context", "classify.refine")
+"""Settings of its sections that only training obeys."""
+
 NAMED = 4
 """Features without a value that are named."""
 
@@ -100,7 +104,10 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     """
     began = time.perf_counter()
     job = replace(job, model=model_place(job.model))
-    conf.check_settings(job.settings, SECTIONS, "leave it out; what decides is the model's")
+    conf.check_settings(job.settings, SECTIONS, MODELS_OWN)
+    for text in job.settings:
+        if text.startswith(OF_TRAINING):
+            raise ConfigError("this setting has no effect here", where=f"--set {text}", do=MODELS_OWN)
     source = _checked_source(job)
     model = load_model(job.model)
     check_output(job.source, job.output, job.overwrite)

@@ -20,7 +20,9 @@ def installed_models() -> dict[str, Path]:
         places.append(Path(named).absolute())
     models: dict[str, Path] = {}
     for place in places:
-        if place.is_dir():
+        if (place / CARD).is_file():  # a model itself
+            models[place.name] = place
+        elif place.is_dir():
             models |= {d.name: d for d in sorted(place.iterdir()) if (d / CARD).is_file()}
     return models
 

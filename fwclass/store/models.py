@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, KINDS, LAYERS, Forest, Layered, Model
+from fwclass.model.ranges import check_ranges
 from fwclass.paths import open_regular
 from fwclass.store.atomic import digest_of, file_digest
 
@@ -50,7 +51,7 @@ def load_model(directory: Path) -> Model:
             "there is a file where a model's directory is wanted" if directory.exists() else "no such model directory",
             where=directory,
             expected="a directory that `fwclass train --model` wrote, or a name that `fwclass models` lists",
-            do="check the path",
+            do="check the path; `fwclass models` lists the names that there are",
         )
     try:
         card = _card(directory / CARD)
@@ -58,6 +59,7 @@ def load_model(directory: Path) -> Model:
         if issubclass(cls, Layered):
             return _two_layers(directory, cls, card)
         arrays = {name: load_array(directory / f"{name}.npy", *of) for name, of in cls.layout.items()}
+        check_ranges(card)
         model: Model = cls(**arrays, card=card)  # type: ignore[call-arg]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
         raise InputError(

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from fwclass.errors import FwclassError, visible
 from fwclass.store.installed_models import PACKAGE, VARIABLE, installed_models
 from fwclass.store.models import load_model
-from fwclass.study.training_text import left_out_lines
+from fwclass.study.training_text import measured_lines
 
 
 def facts_of_models() -> list[dict[str, Any]]:
     """Of every model that has a name: ``name``, ``where``, ``kind``, ``classes``, ``features``, ``samples``, and
-    ``measured`` (`left_out`, what `leave_out` gave) or ``fault``; plain data."""
+    ``measured`` (`measured_facts`) or ``fault``; plain data."""
     facts = []
     for name, place in sorted(installed_models().items()):
         one: dict[str, Any] = {"name": name, "where": str(place)}
@@ -31,9 +33,11 @@ def facts_of_models() -> list[dict[str, Any]]:
 def describe(facts: Sequence[dict[str, Any]]) -> str:
     """The same for a terminal."""
     if not facts:
-        return (
-            f"no model has a name here: install the package {PACKAGE.replace('_', '-')}, or let {VARIABLE} name a "
-            "directory of models (docs/models.md)"
+        named = os.environ.get(VARIABLE)
+        return f"no model has a name here: install the package {PACKAGE.replace('_', '-')}, or " + (
+            f"put models into {named}, which {VARIABLE} names" + ("" if Path(named).is_dir() else ": it does not exist")
+            if named
+            else f"let {VARIABLE} name a directory of models (docs/models.md)"
         )
     lines = []
     for one in facts:
@@ -45,7 +49,7 @@ def describe(facts: Sequence[dict[str, Any]]) -> str:
         lines.append(f"  {one['kind']} of {len(one['features'])} features: {classes}")
         measured = one["measured"] if isinstance(one["measured"], dict) else {}
         try:
-            judged = left_out_lines(measured.get("left_out") or ())
+            judged = measured_lines(measured)
         except (KeyError, TypeError, ValueError, AttributeError):
             judged = []
         lines += [f"  {visible(line)}" for line in judged] or ["  its card does not say how good it is elsewhere"]

@@ -32,6 +32,35 @@ def describe(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def measured_facts(result: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What is known of how good a model is where it did not learn, for its card: ``left_out``, ``tested`` (``source``,
+    ``overall_accuracy``, ``kappa``, ``mean_iou``, ``echoes``) and ``in_folds``, each where it was judged."""
+    accuracy, facts = result["accuracy"], {}
+    if result["left_out"]:
+        facts["left_out"] = result["left_out"]
+    if accuracy:
+        figures = {n: accuracy[n] for n in ("overall_accuracy", "kappa", "mean_iou")}
+        facts["tested"] = {**figures, "echoes": sum(map(sum, accuracy["confusion"]))}
+    if result["cross_validation"]:
+        facts["in_folds"] = result["cross_validation"]
+    return facts or None
+
+
+def measured_lines(measured: Mapping[str, Any]) -> list[str]:
+    """The same in words; none where nothing is known, or it is no such fact."""
+    lines = left_out_lines(measured.get("left_out") or ())
+    if tested := measured.get("tested"):
+        lines.append(
+            f"test areas of its own survey: {100 * tested['overall_accuracy']:.1f} % right, kappa "
+            f"{tested['kappa'] or 0:.3f}, mean IoU {100 * tested['mean_iou']:.1f} % of {tested['echoes']:,} echoes"
+        )
+    if (folds := measured.get("in_folds")) and not lines:
+        lines.append(
+            f"in folds of its training areas: {100 * folds['accuracy']:.1f} % right, kappa {folds['kappa'] or 0:.3f}"
+        )
+    return lines
+
+
 def left_out_lines(judged: Sequence[Mapping[str, Any]]) -> list[str]:
     """Accuracy on every source that a model of the others has not seen, in words."""
     return [
