@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.isolation import guard
 
 __version__ = "0.1.0"
-_LATER = {"open": "open_run", "process": "process"}
+_LATER = {"open": "open_delivery", "process": "process"}
 """What Python users call, of `fwclass.delivery`; loaded with the first use: ``import fwclass`` takes no time."""
 
 guard()

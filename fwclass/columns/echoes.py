@@ -11,7 +11,7 @@ ECHOES = (
         "pulse",
         "u4",
         "",
-        "index of the pulse in its strip, in order of first appearance in the file",
+        "index of the pulse in its strip, in order of first appearance in the file; without waveforms, of the return",
         las="pulse",
         las_about="its place in the source file",
     ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fwclass.delivery.opened import Delivery, open_run
+from fwclass.delivery.opened import Delivery, open_delivery
 from fwclass.delivery.process import process
 
-__all__ = ["Delivery", "open_run", "process"]
+__all__ = ["Delivery", "open_delivery", "process"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -17,10 +18,13 @@ from fwclass.formats.geoparquet import header as geoparquet_header
 from fwclass.schema import IDENTITY
 from fwclass.store.atomic import read_json
 from fwclass.store.bucket import Remote
-from fwclass.store.directory import CURRENT
+from fwclass.store.directory import CURRENT, MANIFEST
 from fwclass.store.generations import Generation, Generations, Manifest
+from fwclass.store.history import is_run
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
+
+REPAIR = "run the survey again with --verify: what is damaged is made anew"
 
 
 class Delivery:
@@ -188,12 +192,58 @@ def open_run(run: str | os.PathLike[str] | Remote) -> Delivery:
             expected="a directory",
             got="an address",
             do="look at it with `fwclass view`, copy the delivery first, for example `rclone copy "
-            "REMOTE:bucket/run/generations/0001 run`, or read its Parquet with DuckDB",
+            "REMOTE:bucket/run/generations/0001 copy`, and open the copy, or read its Parquet with DuckDB",
         )
     root = Path(text).resolve()
     if not root.is_dir():
-        raise InputError("there is no such run", where=root, expected="a directory", got="none", do="check the path")
+        got = "a file" if root.exists() else "none"
+        raise InputError("there is no such run", where=root, expected="a directory", got=got, do="check the path")
     return open_at(root)
+
+
+def open_delivery(run: str | os.PathLike[str]) -> Delivery:
+    """The current delivery of a run directory, or a delivery that was copied out of one (``cp -rL RUN/current COPY``).
+
+    A copy has echoes, tiles, rasters and the report; waveforms and votes stay with the run.
+
+    Parameters
+    ----------
+    run : the directory that ``fwclass run`` wrote to, or a copy of its delivery.
+
+    Raises
+    ------
+    InputError
+        It is neither, has delivered nothing yet, is on object storage, or files of the delivery are gone.
+    """
+    text = os.fspath(run)
+    copy = Path(text)
+    if "://" in text or is_run(copy) or not (copy / MANIFEST).is_file():
+        return open_run(run)
+    copy = copy.resolve()
+    try:
+        facts = json.loads((copy / MANIFEST).read_bytes())["files"]
+        listed = {str(n): int(f["bytes"]) for n, f in facts.items()}
+    except (OSError, RecursionError, ValueError, KeyError, TypeError, AttributeError) as fault:
+        raise InputError(
+            "the manifest of a copied delivery cannot be read",
+            where=copy / MANIFEST,
+            got=f"{type(fault).__name__}: {fault}"[:200],
+            do="copy the delivery again",
+        ) from fault
+    gone = [n for n, size in listed.items() if not (copy / n).is_file() or (copy / n).stat().st_size != size]
+    if gone:
+        raise _damaged(copy, gone, "copy it again")
+    return Delivery(copy, copy)
+
+
+def _damaged(where: object, gone: Sequence[str], do: str) -> InputError:
+    return InputError(
+        "the delivery is damaged",
+        where=where,
+        expected="every file of its manifest, with its size",
+        got=", ".join(gone[:3]) or "no manifest",
+        do=do,
+    )
 
 
 def open_at(root: RunLocation) -> Delivery:
@@ -210,6 +260,8 @@ def open_at(root: RunLocation) -> Delivery:
     store = Store(root, read_only=True)
     generations = store.generations
     current = generations.current()
+    if current is None and isinstance(root, Path) and (root / CURRENT).is_symlink():
+        raise _damaged(root / CURRENT, ["nothing where the link leads to"], REPAIR)
     if current is None:
         under_way = (root / "store").is_dir() if isinstance(root, Path) else bool(store.parts())
         raise InputError(
@@ -224,13 +276,7 @@ def open_at(root: RunLocation) -> Delivery:
     listed = generations.manifest(current)
     gone = generations.lacking(current, listed or {})
     if listed is None or gone:
-        raise InputError(
-            "the delivery is damaged",
-            where=current.where,
-            expected="every file of its manifest, with its size",
-            got=", ".join(gone[:3]) or "no manifest",
-            do="run the survey again with --verify: what is damaged is made anew",
-        )
+        raise _damaged(current.where, gone, REPAIR)
     return Delivery(root, current.path, Far(generations, current, listed) if isinstance(root, Remote) else None)
 
 

@@ -29,7 +29,7 @@ from fwclass.graph.survey import SIMULATE, check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
 from fwclass.graph.vectors import lacking
 from fwclass.label.stage import LABEL
-from fwclass.model import Layered, TwoLayer
+from fwclass.model import Contextual, Layered, TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
 from fwclass.store.installed_models import model_place
@@ -52,8 +52,8 @@ def _place_of_model(config: Config, name: str) -> Location:
 
 
 def with_model(config: Config) -> Config:
-    """`config` with the classes of the model that it names, where it names none itself, and the features of the base
-    model that it names."""
+    """`config` with the classes of the model that it names, where it names none itself; and with the features of the
+    base model that it names, and its layer that decides in context, unless it has one."""
     survey = config.survey
     named = survey.model or survey.base_model
     if named is None or (survey.classes and survey.base_model is None):
@@ -66,7 +66,11 @@ def with_model(config: Config) -> Config:
         )
     if survey.base_model is not None:
         update["features"] = model.features
-    return replace(config, survey=survey.model_copy(update=update))
+    config = replace(config, survey=survey.model_copy(update=update))
+    if survey.base_model is None or not isinstance(model, Contextual) or config.classify.context.cells:
+        return config
+    context = config.classify.context.model_copy(update={"cells": model.cells})
+    return replace(config, classify=config.classify.model_copy(update={"context": context}))
 
 
 def given_model(config: Config) -> tuple[Location, str] | None:

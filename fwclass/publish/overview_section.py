@@ -18,7 +18,7 @@ LAYERS = {
     "relief": ("Terrain", "shaded relief of the terrain model, tinted by height"),
 }
 FRAMED = ("map", "confidence", "errors")
-"""Layers that the training areas are drawn on."""
+"""Layers that the training and test areas are drawn on."""
 WIDTH, HEIGHT = 420.0, 190.0
 FOUR_LN2 = 2.772588722239781
 STEPS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
@@ -82,7 +82,9 @@ def verdict(report: Mapping[str, Any]) -> list[str]:
     unsure = [c for c in sure if c.get("confidence") is not None]
     if unsure:
         least = min(unsure, key=lambda c: c["confidence"])
-        sentences.append(f"The model is least sure of {least['name']}: {percent(least['confidence'])} % on average.")
+        learned = "" if (report.get("model") or {}).get("path") else ", those that it learned from among them"
+        share = percent(least["confidence"])
+        sentences.append(f"The model is least sure of {least['name']}: {share} % on average of all echoes{learned}.")
     return sentences
 
 

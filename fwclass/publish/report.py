@@ -143,7 +143,11 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "verdict": verdict(report),
         "surveyed": survey_rows(report),
         "layers": layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes),
-        "framed": FRAMED if (report.get("areas") or {}).get("train") else (),
+        "framed": {
+            f"{how} frames: {kind}ing areas" if kind == "train" else f"{how} frames: {kind} areas": FRAMED
+            for kind, how in (("train", "dashed"), ("test", "solid"))
+            if (report.get("areas") or {}).get(kind)
+        },
         "key": class_key(classes),
         "next_steps": [{**step, "href": _link(step["path"]) if step["path"] else ""} for step in next_steps(report)],
         "sure": sure_rows(report),

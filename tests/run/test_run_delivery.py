@@ -240,6 +240,39 @@ def test_what_cannot_be_opened_is_said(root: Path, tmp_path: Path) -> None:
             fwclass.open(root).explain(echo)  # type: ignore[arg-type]
 
 
+def test_a_copy_of_the_delivery_opens_without_its_run(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root / "current", tmp_path / "copy")
+    run, copy = fwclass.open(root), fwclass.open(tmp_path / "copy")
+    assert copy.echoes().to_pandas().equals(run.echoes().to_pandas())
+    assert copy.report == run.report and [t["tile"] for t in copy.tiles] == [t["tile"] for t in run.tiles]
+    assert (copy.raster("dtm").values == run.raster("dtm").values).sum() > 0
+    with pytest.raises(InputError):
+        copy.waveform(1, 1)
+    tile = next((tmp_path / "copy" / "laz" / "tiles").iterdir())
+    tile.chmod(0o644)
+    tile.write_bytes(tile.read_bytes()[:-1])
+    with pytest.raises(InputError, match="damaged") as fault:
+        fwclass.open(tmp_path / "copy")
+    assert tile.name in str(fault.value) and "copy it again" in str(fault.value)
+    for text in ("{", "[]", '{"files": {"a": 1}}'):
+        manifest = tmp_path / "copy" / "manifest.json"
+        manifest.chmod(0o644)
+        manifest.write_text(text)
+        with pytest.raises(InputError, match="copied delivery cannot be read"):
+            fwclass.open(tmp_path / "copy")
+
+
+def test_a_link_that_leads_nowhere_is_a_damaged_delivery(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root, tmp_path / "run", symlinks=True)
+    shutil.rmtree(tmp_path / "run" / "generations")
+    with pytest.raises(InputError, match="damaged") as fault:
+        fwclass.open(tmp_path / "run")
+    assert "--verify" in str(fault.value)
+    with pytest.raises(InputError, match="no such run") as fault:
+        fwclass.open(Path(__file__))
+    assert "a file" in str(fault.value)
+
+
 def test_coordinates_in_parquet_are_the_numbers_next_to_millimetres(root: Path) -> None:
     echoes = fwclass.open(root).echoes(columns=["x", "y", "z"])
     assert repr(echoes).startswith(f"Echoes({len(echoes):,} echoes of ")
