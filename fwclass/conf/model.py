@@ -71,6 +71,8 @@ class ClassSection(Section):
     def _shows(cls, name: str) -> str:
         if visible(name) != name:
             raise ValueError("a class name has no characters that cannot be seen")
+        if not name.strip():
+            raise ValueError("a class name has letters")
         return name
 
 

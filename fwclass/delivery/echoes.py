@@ -52,6 +52,8 @@ class Echoes:
                 "expression",
                 got=str(fault).splitlines()[0],
             ) from fault
+        if isinstance(where, (list, tuple)):
+            self._check_names(where)
         if box is None:
             return condition
         if len(box) != 4:
@@ -62,6 +64,16 @@ class Echoes:
         x, y = pc.field("x"), pc.field("y")
         inside = (x >= xmin) & (x < xmax) & (y >= ymin) & (y < ymax)
         return inside if condition is None else inside & condition
+
+    def _check_names(self, where: Any) -> None:
+        """`InputError` for a column of triples, or of lists of triples, that there is not."""
+        names = self._data.schema.names
+        for one in where:
+            if len(one) == 3 and isinstance(one[0], str):
+                if one[0] not in names:
+                    raise InputError("there is no such column", where="where", got=one[0], do=nearest(one[0], names))
+            else:
+                self._check_names(one)
 
     def __len__(self) -> int:
         return int(self._read(lambda: self._data.count_rows(filter=self._filter)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -32,11 +32,12 @@ class Delivery:
 
     Nothing is read before it is asked for, and nothing is written. Coordinates are those of the survey's CRS [m];
     a missing value is NaN. `root` is the run, `path` the delivery on this host: of one on object storage what was asked
-    for.
+    for. What is removed after it was opened, by hand or because newer deliveries took its place, raises an
+    `InputError` when it is asked for.
     """
 
-    def __init__(self, root: RunLocation, generation: Path, far: Far | None = None) -> None:
-        self.root, self.path, self._far = root, generation, far
+    def __init__(self, root: RunLocation, generation: Path, names: Iterable[str], far: Far | None = None) -> None:
+        self.root, self.path, self._names, self._far = root, generation, frozenset(names), far
 
     def __repr__(self) -> str:
         return f"Delivery({str(self.root)!r}, {self.path.name})"
@@ -55,7 +56,9 @@ class Delivery:
         InputError
             There is no such column, or the box is none.
         """
-        return Echoes(sorted(self._part("parquet").glob("*.parquet")), box, columns, where)
+        self._part("parquet")
+        tables = sorted(n for n in self._names if n.startswith("parquet/") and n.endswith(".parquet"))
+        return Echoes([self._there(name) for name in tables], box, columns, where)
 
     def table(self, tile: str) -> Path:
         """The Parquet file of a tile, on this host."""
@@ -65,7 +68,22 @@ class Delivery:
         """A file of the delivery on this host, whether or not there is one."""
         if self._far is not None:
             self._far([name])
-        return self.path / name
+        return self._there(name)
+
+    def _there(self, name: str) -> Path:
+        """A file, which is there if the delivery has it."""
+        path = self.path / name
+        if name in self._names and not path.is_file():
+            raise self._gone(name)
+        return path
+
+    def _gone(self, name: str) -> InputError:
+        removed = not self.path.is_dir()
+        return InputError(
+            "this delivery is there no more" if removed else "a file of this delivery is gone",
+            where=self.path if removed else self.path / name,
+            do="open the run again: of its deliveries the last `run.keep_generations` stay" if removed else REPAIR,
+        )
 
     def raster(self, name: str) -> Raster:
         """``classes, confidence, density, dtm, dsm, ndsm, hillshade, slope, roughness, dtm_mask`` or
@@ -76,7 +94,9 @@ class Delivery:
         InputError
             There is no such raster.
         """
-        return read_raster(self._part("rasters"), name)
+        directory = self._part("rasters")
+        self._there(f"rasters/{name}.tif")
+        return read_raster(directory, name)
 
     def waveform(self, strip: int, pulse: int) -> Waveform:
         """The recorded waveform of a pulse, and the echoes that were found in it.
@@ -158,6 +178,8 @@ class Delivery:
         if self._far is not None:
             self._far([f"{name}/"])
         path = self.path / name
+        if not self.path.is_dir():
+            raise self._gone(name)
         if not path.exists():
             there = sorted(p.name for p in self.path.iterdir())
             raise InputError(
@@ -233,7 +255,7 @@ def open_delivery(run: str | os.PathLike[str]) -> Delivery:
     gone = [n for n, size in listed.items() if not (copy / n).is_file() or (copy / n).stat().st_size != size]
     if gone:
         raise _damaged(copy, gone, "copy it again")
-    return Delivery(copy, copy)
+    return Delivery(copy, copy, listed)
 
 
 def _damaged(where: object, gone: Sequence[str], do: str) -> InputError:
@@ -277,7 +299,8 @@ def open_at(root: RunLocation) -> Delivery:
     gone = generations.lacking(current, listed or {})
     if listed is None or gone:
         raise _damaged(current.where, gone, REPAIR)
-    return Delivery(root, current.path, Far(generations, current, listed) if isinstance(root, Remote) else None)
+    far = Far(generations, current, listed) if isinstance(root, Remote) else None
+    return Delivery(root, current.path, listed, far)
 
 
 class Far:

@@ -55,5 +55,7 @@ def waveform_of(store: Store, echoes: Echoes, strip: int, pulse: int) -> Wavefor
         where=store.where,
         expected="a pulse of a strip with waveforms, as the echoes' columns strip and pulse name it",
         got=f"strip {strip}, pulse {pulse}",
-        do="look it up in .echoes(); strips of discrete returns have no waveforms",
+        do="look it up in .echoes(); strips of discrete returns have no waveforms"
+        if next(store.receipts("read"), None) is not None
+        else "the run keeps no waveforms any more (`fwclass clean`, or a copy of its delivery alone): run it again",
     )

@@ -23,7 +23,11 @@ def class_accuracy(runner: Runner, config: Config) -> dict[str, Any] | None:
     if config.survey.model is not None and not config.areas.train:
         area += ", by a model that was given"
     else:
-        area += f" further than {config.areas.gap:g} m from every training area"
+        area += (
+            " outside of every training area"
+            if not config.areas.gap
+            else f" further than {config.areas.gap:g} m from every training area"
+        )
     accuracy = dict(receipt.meta["accuracy"])
     if accuracy.get("intervals"):
         accuracy["intervals"] = {**accuracy["intervals"], "caution": caution(accuracy["intervals"]["blocks"])}

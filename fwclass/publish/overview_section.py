@@ -19,6 +19,8 @@ LAYERS = {
 }
 FRAMED = ("map", "confidence", "errors")
 """Layers that the training and test areas are drawn on."""
+WORTH_A_LOOK = 0.95
+"""Mean confidence from which on a tile is no work."""
 WIDTH, HEIGHT = 420.0, 190.0
 FOUR_LN2 = 2.772588722239781
 STEPS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
@@ -112,7 +114,8 @@ def next_steps(report: Mapping[str, Any]) -> list[dict[str, str]]:
         steps.append(("List the least sure places", "", "fwclass view RUN --worklist unsure.gpkg"))
         text = "Correct classes in the least sure tiles; the next run learns from it"
         steps.append((text, "", "fwclass label checkout RUN mend --least-sure 3"))
-    for tile in tiles:
+        steps.append(("Find the places whose labels teach most", "", "fwclass suggest RUN places.gpkg"))
+    for tile in (t for t in tiles if t["confidence"] < WORTH_A_LOOK):
         text = f"Tile {tile['tile']}: {number(tile['echoes'])} echoes, {percent(tile['confidence'])} % sure"
         steps.append((text, tile["file"], ""))
     return [{"text": text, "path": path, "command": command} for text, path, command in steps]

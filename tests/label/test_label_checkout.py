@@ -302,5 +302,5 @@ def test_the_least_sure_tiles_are_those_of_the_report(run, tmp_path):
     assert set(note["tiles"]) == {one["tile"] for one in listed[:2]}
     for words in ((), ("--least-sure", 1, "--tiles", TILES)):
         ended = fwclass("label", "checkout", run, tmp_path / "other", *words)
-        assert ended.returncode == 2 and "either --tiles or --least-sure" in ended.stderr
+        assert ended.returncode == 2 and "one of --tiles, --least-sure and --places" in ended.stderr
     assert not (tmp_path / "other").exists()

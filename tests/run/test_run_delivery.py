@@ -229,6 +229,9 @@ def test_what_cannot_be_opened_is_said(root: Path, tmp_path: Path) -> None:
         fwclass.open(root).raster("dtn")
     with pytest.raises(InputError, match="no such column"):
         fwclass.open(root).echoes(columns=["clasification"])
+    for where in ([("clasification", "==", 2)], [[("confidence", "<", 1)], [("nope", "<", 1)]]):
+        with pytest.raises(InputError, match="no such column"):
+            fwclass.open(root).echoes(where=where)
     with pytest.raises(InputError, match="this is no condition"):
         fwclass.open(root).echoes(where=[("confidence", "~", 1)])
     with pytest.raises(InputError, match="cannot be compared"):
@@ -260,6 +263,33 @@ def test_a_copy_of_the_delivery_opens_without_its_run(root: Path, tmp_path: Path
         manifest.write_text(text)
         with pytest.raises(InputError, match="copied delivery cannot be read"):
             fwclass.open(tmp_path / "copy")
+
+
+def test_what_is_removed_after_it_was_opened_is_said(root: Path, tmp_path: Path) -> None:
+    """Fewer echoes than there are would be wrong in silence."""
+    shutil.copytree(root, tmp_path / "run", symlinks=True)
+    run = fwclass.open(tmp_path / "run")
+    whole = len(run.echoes(columns=["x"]))
+    table = next((run.path / "parquet").iterdir())
+    table.rename(tmp_path / table.name)
+    with pytest.raises(InputError, match="is gone") as fault:
+        run.echoes(columns=["x"])
+    assert table.name in str(fault.value)
+    (tmp_path / table.name).rename(table)
+    assert len(run.echoes(columns=["x"])) == whole
+    raster = run.path / "rasters" / "dtm.tif"
+    data = raster.read_bytes()
+    raster.unlink()
+    with pytest.raises(InputError, match="is gone"):
+        run.raster("dtm")
+    raster.write_bytes(data[: len(data) // 3])
+    with pytest.raises(InputError, match="cannot be read any more"):
+        run.raster("dtm")
+    shutil.rmtree(run.path)
+    for asked in (lambda: run.report, lambda: run.tiles, run.echoes, lambda: run.raster("dsm")):
+        with pytest.raises(InputError, match="there no more") as fault:
+            asked()
+        assert "open the run again" in str(fault.value)
 
 
 def test_a_link_that_leads_nowhere_is_a_damaged_delivery(root: Path, tmp_path: Path) -> None:
