@@ -224,6 +224,7 @@ def test_what_to_do_next_has_commands(tmp_path: Path) -> None:
         "fwclass view RUN",
         "fwclass view RUN --worklist unsure.gpkg",
         "fwclass label checkout RUN mend --least-sure 3",
+        "fwclass suggest RUN places.gpkg",
     ]
     assert "RUN is the directory that this page lies in" in page.text and "1 part failed" in page.text
 
