@@ -119,6 +119,7 @@ class ViewedRun:
             "rows": self.relabel.corrections.rows().all.rows,
             "echoes": self.echoes,
             "against": self._other is not None,
+            "goes_through": self._listed.name if self._listed is not None else None,
             "run": _known_by(self.delivery, self._other or self.delivery),
             "relabels": self._other is None,
             "origin": self.origin,
@@ -179,7 +180,7 @@ class ViewedRun:
 
     def work(self) -> dict[str, Any]:
         places = [asdict(p) for p in self.work_list().places]
-        return {"unsure": self.params.unsure, "file": self._listed.name if self._listed else None, "places": places}
+        return {"unsure": self.params.unsure, "places": places}
 
     def list_places(self, path: Path) -> None:
         """Take the places of a file for the work list, in its order, for as long as this scene is shown.

@@ -123,7 +123,7 @@ def test_the_page_goes_through_the_places_of_a_file(run: Path, tmp_path: Path) -
     scene = ViewedRun(open_run(run), conf.section("view"))
     scene.list_places(path)
     work, table = scene.work(), pyogrio.read_dataframe(path)
-    assert work["file"] == "places.gpkg" and len(work["places"]) == len(table) == 7
+    assert scene.index()["goes_through"] == "places.gpkg" and len(work["places"]) == len(table) == 7
     for place, (_, row) in zip(work["places"], table.iterrows(), strict=True):
         assert place["echoes"] == row["echoes"] and tuple(place["box"]) == row.geometry.bounds
         assert place["x"] == pytest.approx((row.geometry.bounds[0] + row.geometry.bounds[2]) / 2)

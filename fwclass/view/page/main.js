@@ -229,7 +229,7 @@ function click(x, y) {
 
 // ------------------------------------------------------------------ work list
 async function go(step) {
-  if (!works) { const listed = await json('0/work.json'); works = listed.places; if (listed.file) $('work').title = `Places of ${listed.file}`; }
+  works ??= (await json('0/work.json')).places;
   if (!works.length) { $('place').textContent = 'no unsure place'; return; }
   at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;
@@ -299,7 +299,7 @@ async function begin() {
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
   for (const n of by) if (n === 'height' || ((MODES[n] !== undefined || !first.folder || first.folder.columns.includes(n)) && first.columns.some((c) => c.name === n))) $('by').add(new Option(n.replaceAll('_', ' '), n));
   if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';
-  $('work').hidden = false; recall(); relabels(first); classes(); await colourBy(given.get('by') || 'classification'); frame();
+  $('work').hidden = false; if (first.goes_through) $('place').textContent = first.goes_through; recall(); relabels(first); classes(); await colourBy(given.get('by') || 'classification'); frame();
 }
 window.fwclass = { cam, stats, traffic, state, click, show, moved, redraw, colourBy, tool, scenes: () => scenes, relabel: () => relabel, again: () => again, edit, shown: () => shown, step };
 begin().catch((e) => failed(e.message, e.status));
