@@ -68,6 +68,9 @@ NAMES = (
     (r"--order zc,echo_number,width", "--order zc,height_range_c100 --candidates zc,height_range_c100"),
     (r"--workflow (quality|ground)$", r"--workflow \1 --out runs/\1"),
     (r"(--method forward) (?=--to )", r"\1 --candidates fan2013 "),
+    (r"^suggest .*", r"\g<0> --size 5 --overwrite"),
+    (r"^label confirm \S+ places", "label confirm runs/other looked-at"),
+    (r"^(label .*)places\.gpkg", r"\1looked-at.gpkg"),
     (r"--method scales", "--method scales --set classify.refine.scales=[2.1,4.5]"),
     (r"^run my-survey\.yaml --workflow mine\.py$", "run my-survey.yaml --workflow mine.py --out runs/mine"),
     (r"^seams runs/my-survey --workflow mine\.py", "seams runs/mine --workflow mine.py"),
@@ -121,6 +124,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     rows = [r for r in page.split("begin,end,y0")[1].split("```")[0].splitlines()[1:] if r]
     (root / "labels.csv").write_text("\n".join(["begin,end,y0,y1,z0,z1,kind,class", *rows]) + "\n")
     assert fwclass("run", "my-survey.yaml", "--workers", "0", cwd=root).returncode in (0, 4)
+    assert fwclass("suggest", "runs/my-survey", "looked-at.gpkg", "--size", 5, cwd=root).returncode == 0
     for trees in ("train.trees=3", "train.trees=4"):
         words = ("run", "demo", "--out", "demo-run", "--workers", "0", *town, "--set", trees)
         assert fwclass(*words, cwd=root).returncode in (0, 4)
@@ -156,7 +160,7 @@ def test_the_commands_of_the_report_run(place: Path, tmp_path: Path) -> None:
     page = (here / "demo-run" / "report.html").read_text(encoding="utf-8")
     written = (re.sub("<[^>]*>", "", c) for c in re.findall(r"<code>(.*?)</code>", page))
     commands = [c.removeprefix("fwclass ") for c in written if c != "fwclass view RUN"]  # it ends with Ctrl-C
-    assert len(commands) == 2
+    assert len(commands) == 3
     for words in commands:
         ended = fwclass(*words.replace("RUN", "demo-run").split(), cwd=here)
         assert ended.returncode == 0, (words, ended.stderr)
