@@ -313,7 +313,7 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
             )
     if config.survey.crs is not None and user_crs is None:
         return None
-    systems: dict[str, Path] = {}
+    systems: list[tuple[CRS, Path]] = []
     for path, crs in ((source.path, system_of(source)) for source in opened):
         if user_crs is not None and crs is not None and not crs.equals(user_crs, ignore_axis_order=True):
             runner.display.say(f"note: survey.crs ({user_crs.name}) is used for {path.name}, which names {crs.name}")
@@ -335,15 +335,16 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
                 got=f"{crs.name}, in {', '.join(units)}",
                 do="convert the files (for example with PDAL's filters.reprojection) and run again",
             )
-        systems.setdefault(crs.to_wkt(), path)
+        if not any(crs.equals(known, ignore_axis_order=True) for known, _ in systems):  # whatever they call it
+            systems.append((crs, path))
     if len(systems) > 1:
         raise InputError(
             "the files are in different coordinate systems",
-            where=", ".join(str(p) for p in systems.values()),
-            got="; ".join(CRS.from_wkt(w).name for w in systems),
-            do="bring them into one system first",
+            where=", ".join(str(path) for _, path in systems),
+            got="; ".join(crs.name for crs, _ in systems),
+            do="bring them into one system first, or, if one names it wrongly, --set survey.crs=EPSG:<code>",
         )
-    return next(iter(systems))
+    return systems[0][0].to_wkt()
 
 
 def given_crs(text: str | None, where: str) -> CRS | None:

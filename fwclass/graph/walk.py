@@ -81,6 +81,16 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     path = local(place)
     model = load_model(path)
     check_model(model, config, path)
+    cells = config.classify.context.cells
+    if cells and (not isinstance(model, Contextual) or model.cells != cells):
+        has = f"cells of {list(model.cells)} m" if isinstance(model, Contextual) else "no layer that decides in context"
+        raise ConfigError(
+            "the model decides whether it has a layer that decides in context",
+            where=f"{config.path}: classify.context.cells",
+            expected=f"[], or what the model has: {has}",
+            got=list(cells),
+            do="--set classify.context.cells=[], or give it as survey.base_model, or train a model",
+        )
     if isinstance(model, Layered):
         if isinstance(model, TwoLayer):
             check_computed(model.fine, config.features, path)

@@ -168,3 +168,11 @@ def test_rows_that_are_not_whole_are_refused(how, made, model, tmp_path):
     )
     assert ended.returncode == 1 and "Traceback" not in ended.stderr, ended.stderr
     assert str(model) in ended.stderr and "rows" in ended.stderr
+
+
+def test_context_that_a_ready_model_does_not_have_is_refused(made, tmp_path):
+    words = ("--set", f"survey.model={made[2]}", "--set", "survey.classes=[]", "--set", "classify.context.cells=[1]")
+    ended = fwclass("run", made[0], "--out", tmp_path / "r", *words)
+    assert (
+        ended.returncode == 2 and "no layer that decides in context" in ended.stderr and not (tmp_path / "r").exists()
+    )

@@ -13,7 +13,9 @@ import numpy as np
 import pyogrio
 import pytest
 from commandline import fwclass
+from pyproj import CRS
 from pystac.validation.local_validator import LocalValidator
+from smallsurvey import small_survey
 
 import fwclass as package
 from fwclass import conf
@@ -113,3 +115,25 @@ def test_python_and_the_viewer_open_it(root: Path) -> None:
     for name in ("amplitude_sigma", "width"):  # discrete returns: no value anywhere
         if name in {c["name"] for c in scene.index()["columns"]}:
             assert scene.scale(name)["low"] == scene.scale(name)["high"] == 0.0
+
+
+def test_one_system_under_two_names_is_one(tmp_path):
+    """Software spells a system in its own way; what it is decides, not what it is called."""
+    survey = small_survey(tmp_path)
+    whole = laspy.read(tmp_path / "a.las")
+    text = CRS.from_epsg(25832).to_wkt("WKT1_GDAL").replace("ETRS89 / UTM zone 32N", "ETRS_1989_UTM_Zone_32N")
+    for name, system in (("a.las", CRS.from_epsg(25832)), ("b.las", CRS.from_wkt(text))):
+        part = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        part.header.offsets, part.header.scales = whole.header.offsets, whole.header.scales
+        part.points = whole.points[(whole.x < 500_040) == (name == "a.las")]
+        part.header.add_crs(system)
+        part.write(tmp_path / name)
+    survey.write_text(survey.read_text().replace("sources: [a.las]", "sources: [a.las, b.las]"))
+    ended = fwclass("run", survey, "--workflow", "ground", "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode in (0, 4), ended.stderr
+    other = laspy.read(tmp_path / "b.las")
+    other.header.vlrs.clear()
+    other.header.add_crs(CRS.from_epsg(25833))
+    other.write(tmp_path / "b.las")
+    ended = fwclass("run", survey, "--workflow", "ground", "--out", tmp_path / "s", "--workers", 0)
+    assert ended.returncode == 1 and "survey.crs" in ended.stderr, ended.stderr

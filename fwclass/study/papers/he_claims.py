@@ -52,8 +52,8 @@ def _optimised(facts: Facts) -> Verdict:
         for f in ("type_i", "type_ii", "kappa")
     }
     ends = [-gains["type_i"]["high"], -gains["type_ii"]["high"], gains["kappa"]["low"]]
-    signs = [-gains["type_i"]["value"], -gains["type_ii"]["value"], gains["kappa"]["value"]]
-    judged = HOLDS if min(ends) > 0 else UNSURE if min(signs) > 0 else FAILS
+    worst = [-gains["type_i"]["low"], -gains["type_ii"]["low"], gains["kappa"]["high"]]
+    judged = HOLDS if min(ends) > 0 else FAILS if min(worst) < 0 else UNSURE
     text = "; ".join(
         f"{n.replace('type_ii', 'Type II').replace('type_i', 'Type I')} {_words(g)}" for n, g in gains.items()
     )
@@ -113,7 +113,7 @@ def _smrf(facts: Facts) -> Verdict:
 
 def _slow(facts: Facts) -> Verdict:
     speeds = {m: facts["means"][m]["speed"] for m in ("csf", "smrf")}
-    text = f"{speeds['csf'] / speeds['smrf']:.2f} × as fast"
+    text = f"SMRF is {speeds['smrf'] / speeds['csf']:.2g} × as fast"
     each = ", ".join(f"{m.upper()} {v / 1e6:.2f}" for m, v in speeds.items())
     why = f"{each} million points a processor second, ours; on sparse samples the area costs, not the points"
     return text, verdict(speeds["csf"] > speeds["smrf"]), why
