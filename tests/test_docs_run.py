@@ -51,6 +51,7 @@ NAMES = (
     (r"\bOTHER\b", "runs/other"),
     (r"\bFILE\b", "worklist.gpkg"),
     (r"(?<=--export )DIR", "page"),
+    (r"^adapt (\S+) MODEL OUT", r"adapt \1 rows-dir adapted --set adapt.most_unsure=1"),
     (r"(?<=--model )DIR|(?<=survey.model=)DIR|\bMODEL\b", "forest-dir"),
     (r"\bDIR\b", "mend"),
     (r"\bOUT\b", "forest"),
@@ -124,6 +125,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     rows = [r for r in page.split("begin,end,y0")[1].split("```")[0].splitlines()[1:] if r]
     (root / "labels.csv").write_text("\n".join(["begin,end,y0,y1,z0,z1,kind,class", *rows]) + "\n")
     assert fwclass("run", "my-survey.yaml", "--workers", "0", cwd=root).returncode in (0, 4)
+    words = ("--model", "rows-dir", "--keep-rows", 50, "--workers", 0)
+    assert fwclass("train", "my-survey.yaml", *words, cwd=root).returncode == 0
     assert fwclass("suggest", "runs/my-survey", "looked-at.gpkg", "--size", 5, cwd=root).returncode == 0
     for trees in ("train.trees=3", "train.trees=4"):
         words = ("run", "demo", "--out", "demo-run", "--workers", "0", *town, "--set", trees)

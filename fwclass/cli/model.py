@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_DRIFT, JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import ACCEPT_DRIFT, JSON, OVERWRITE, PATH, RUN, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, nearest
 
@@ -207,6 +207,29 @@ def classify(
         click.echo(json.dumps(summary, indent=1))
     if not accept_drift:
         judge_drift(summary["drift"], conf.section("classify", job.settings), job.model)
+
+
+@cli.command()
+@click.argument("run", type=RUN)
+@click.argument("model", type=PATH)
+@click.argument("target", metavar="OUT", type=PATH)
+@SET
+@OVERWRITE
+def adapt(run: Any, model: Path, target: Path, settings: tuple[str, ...], overwrite: bool) -> None:
+    """Let MODEL learn from the echoes of a RUN of which it is sure, without labels, and write it to OUT.
+
+    MODEL keeps rows (`fwclass train --keep-rows`), and has classified RUN. Labels at few places are worth far more:
+    `fwclass suggest`.
+    """
+    from fwclass import conf
+    from fwclass.cli.status import run_at
+    from fwclass.delivery.adapting import adapt_model
+    from fwclass.store.url import is_url
+
+    conf.check_settings(settings, ("adapt", "train"))
+    params, training = conf.section("adapt", settings), conf.section("train", settings)
+    location = run_at(run) if is_url(run) else run
+    click.echo(adapt_model(location, model, target, params, training, overwrite), err=True)
 
 
 @cli.command()

@@ -36,7 +36,7 @@ from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
-from fwclass.train.params import TrainParams
+from fwclass.train.params import AdaptParams, TrainParams
 from fwclass.vectors.params import VectorParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
@@ -319,6 +319,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "publish": PublishParams,
     "vectors": VectorParams,
     "suggest": SuggestParams,
+    "adapt": AdaptParams,
     "view": ViewParams,
 }
 
@@ -372,6 +373,7 @@ class Config:
     publish: PublishParams
     vectors: VectorParams
     suggest: SuggestParams
+    adapt: AdaptParams
     view: ViewParams
 
     @property

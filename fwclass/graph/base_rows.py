@@ -12,11 +12,8 @@ from fwclass.store.arrays import write_arrays
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.model_rows import load_rows
 from fwclass.train.params import TrainParams
-from fwclass.train.sample import Sample
+from fwclass.train.sample import FIRST_BASE_KEY, Sample
 from fwclass.train.stage import TRAIN_SAMPLE
-
-FIRST_KEY = 1 << 63
-"""Keys of a survey's echoes are smaller (`schema.canonical_key`)."""
 
 
 def choose_base_rows(
@@ -25,7 +22,7 @@ def choose_base_rows(
     """Of every class as many of the base model's rows as the survey has, `base_rows` at least, by the smallest hash."""
     model, X, codes = load_rows(here.file())
     own = survey_sample(here.inputs, names).counts
-    key = np.arange(len(codes), dtype=np.uint64) + np.uint64(FIRST_KEY)
+    key = np.arange(len(codes), dtype=np.uint64) + np.uint64(FIRST_BASE_KEY)
     drawn = hash_keys(params.seed, key)
     rows, y = [], []
     for k, one in enumerate(classes):

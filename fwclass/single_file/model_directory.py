@@ -8,15 +8,17 @@ import shutil
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
+from fwclass.model import Model
 from fwclass.store.atomic import files_below, sync
 from fwclass.store.model_rows import ROWS, rows_fact, save_rows
-from fwclass.store.models import CARD, load_model
+from fwclass.store.models import CARD, load_model, save_model
 
 
 def check_target(target: Path, overwrite: bool) -> None:
@@ -41,6 +43,13 @@ def check_target(target: Path, overwrite: bool) -> None:
 
 
 Rows = tuple[NDArray[np.float32], NDArray[np.uint8]]
+
+
+def write_model(model: Model, target: Path, overwrite: bool, rows: Rows | None = None) -> None:
+    """Write a model that lies nowhere yet to `target`, as `deliver` does."""
+    with TemporaryDirectory() as place:
+        save_model(Path(place) / "model", model)
+        deliver(Path(place) / "model", target, overwrite, None, rows)
 
 
 def deliver(

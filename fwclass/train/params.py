@@ -60,3 +60,23 @@ class TrainParams(Params):
         elif number == "all":
             number = features
         return min(features, number)
+
+
+class AdaptParams(Params):
+    """How a model learns from a survey without labels.
+
+    Attributes
+    ----------
+    pool : echoes of the survey that are looked at.
+    sure : confidence from which on an echo counts as labelled by its class.
+    rounds : how often the model answers and learns.
+    unsure : an echo with less confidence is an unsure one.
+    most_unsure : of a survey with a larger share of unsure echoes nothing is learned: what the model is sure of is
+        wrong there too often.
+    """
+
+    pool: int = Field(ge=1000, le=10_000_000)
+    sure: float = Field(gt=0, le=1)
+    rounds: int = Field(ge=1, le=10)
+    unsure: float = Field(gt=0, le=1)
+    most_unsure: float = Field(gt=0, le=1)

@@ -14,6 +14,9 @@ from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.schema import Table
 
+FIRST_BASE_KEY = 1 << 63
+"""Keys of a base model's rows begin here; those of a survey's echoes are smaller (`schema.canonical_key`)."""
+
 _ARRAYS = ("X", "y", "key", "hash", "eligible", "bare", "place")
 
 

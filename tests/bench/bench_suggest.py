@@ -85,13 +85,18 @@ def judged(model: object, cloud: Cloud, rows: NDArray[np.int64]) -> NDArray[np.f
     return 100 * np.array([told["overall_accuracy"], told["mean_iou"]])
 
 
+def known(cloud: Cloud) -> NDArray[np.int64]:
+    """Echoes whose code counts as a class."""
+    return np.flatnonzero(np.isin(cloud.reference, [code for c in CLASSES for code in c.codes]))
+
+
 def half(cloud: Cloud, base: Sample, west: bool, draws: int) -> dict[str, NDArray[np.float64]]:
     """Figures (counts of places, 2) by way of choosing; `none` without any."""
     x, y, z = (cloud.columns[n] for n in ("x", "y", "z"))
     middle = np.floor((x.min() + x.max()) / 20) * 10
     pool = (x < middle) if west else (x >= middle)
-    known = np.isin(cloud.reference, [code for c in CLASSES for code in c.codes])
-    test = np.flatnonzero(~pool & (np.abs(x - middle) > GAP) & known)
+    test = known(cloud)
+    test = test[~pool[test] & (np.abs(x[test] - middle) > GAP)]
     test = test[:: max(1, len(test) // MOST)]
     model, seed = learn(base, 1), 1
     table = Table({n: cloud.columns[n][pool] for n in NAMES})
