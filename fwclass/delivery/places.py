@@ -94,25 +94,19 @@ def listed_places(delivery: Delivery, path: Path) -> WorkList:
 
 
 def tiles_with_places(run: RunLocation, path: Path) -> frozenset[str]:
-    """The tiles of a run that have echoes near the places of a file; `InputError` where none has."""
+    """The tiles of a run whose echoes the places of a file may hold; `InputError` where none has any."""
     delivery = open_run(run)
     places = read_places(path, delivery)
     touched = frozenset(str(t["tile"]) for t in delivery.tiles if places.within(_area(t)).parts)
     if not touched:
-        raise InputError(
-            "no tile of this delivery touches any of these places",
-            where=path,
-            expected="places on the survey, in its coordinates",
-            got=several(places.parts, "place"),
-            do="take the file that `fwclass suggest` wrote for this run",
-        )
+        raise no_echo(path, places)
     return touched
 
 
 def no_echo(path: Path, places: Polygons) -> InputError:
     """What to say where none is."""
     return InputError(
-        "no classified echo lies in any of these places",
+        "no echo of this delivery lies in any of these places",
         where=path,
         expected="places on the survey, in its coordinates",
         got=several(places.parts, "place"),

@@ -142,7 +142,8 @@ def survey_rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     if model.get("path"):
         rows.append(("model", f"{model['path']}, {len(model.get('features') or ())} features"))
     elif report.get("training"):
-        rows.append(("model", f"trained in this run, {len(model.get('features') or ())} features"))
+        base = f", from the survey's labels and rows of {model['base']}" if model.get("base") else ""
+        rows.append(("model", f"trained in this run{base}, {len(model.get('features') or ())} features"))
     if legacy := report.get("legacy_codes"):
         rows.append(("classes in strips", _legacy(legacy, report.get("classes") or ())))
     if report.get("fwclass"):

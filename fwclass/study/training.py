@@ -15,7 +15,7 @@ from fwclass.graph.layout import Layout
 from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
-from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
+from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles, with_model
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.store.arrays import read_arrays
@@ -82,6 +82,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
 def kept_rows(config: Config, store: Store, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Of every class at most so many of the survey's training rows, those with the smallest hashes: values (rows,
     features) and class codes (rows,)."""
+    config = with_model(config)
     arrays = read_arrays(store.arrays_path("training", "all", SAMPLE))[0]
     sample = thin(Sample.from_arrays(config.features_asked, arrays), most)
     return sample.X, np.array([c.code for c in config.classes], np.uint8)[sample.y]

@@ -79,6 +79,17 @@ def test_the_model_learns_from_the_confirmed_echoes_and_base_rows(made, learned)
     assert report["model"]["base"] == str(made[2]) and [c["code"] for c in report["model"]["classes"]] == [2, 5]
 
 
+def test_a_model_that_learned_further_can_be_learned_from_again(made, learned, tmp_path):
+    words = ("--set", f"survey.base_model={made[2]}", "--set", "survey.classes=[]", *ALONE, "--no-assess")
+    ended = fwclass("train", made[0], "--model", tmp_path / "m", "--keep-rows", 20, "--out", learned[0], *words)
+    assert ended.returncode == 0 and "the base model's" in ended.stderr, ended.stderr
+    model, X, codes = load_rows(tmp_path / "m")
+    assert set(codes.tolist()) <= {2, 5} and X.shape == (len(codes), len(model.features)) and len(codes) <= 40
+    own = sample(learned[0], ("training", "all"))
+    there = {(*row.tolist(), (2, 5)[y]) for row, y in zip(own["X"], own["y"], strict=True)}
+    assert {(*row.tolist(), int(code)) for row, code in zip(X, codes, strict=True)} <= there
+
+
 def test_only_what_learns_is_made_anew(made, learned, tmp_path):
     made_anew = {s["name"] for s in package.open(learned[0]).report["stages"] if s["computed"]}
     assert not made_anew & {"read", "split", "tile", "ground-filter", "terrain", "height", "features"}
