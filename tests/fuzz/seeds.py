@@ -230,18 +230,26 @@ def raw_seeds(folder: Path) -> list[Seed]:
 
 
 def model_seeds(folder: Path) -> list[Seed]:
-    """A model of every kind, without its digest: a stranger can make one that fits."""
+    """A model of every kind that keeps rows, without its digest: a stranger can make one that fits."""
     from modelmaker import models
 
+    from fwclass.store.model_rows import ROWS, rows_fact, save_rows
     from fwclass.store.models import save_model
 
     made = []
     for kind, model in models().items():
         own = folder / kind
-        save_model(own / "m", model)
+        codes = np.repeat(model.codes, 3).astype(np.uint8)
+        save_model(
+            own / "m",
+            type(model)(**{n: getattr(model, n) for n in model.layout}, card={**model.card, ROWS: rows_fact(codes)}),
+        )
+        save_rows(own / "m", np.ones((len(codes), len(model.features)), np.float32), codes)
         fields = [(f"m/{n}.npy", at, w) for n in model.layout for at in range(0, 12, 2) for w in (1, 2)]
         fields += [(f"m/{n}.npy", 128 + at, 4) for n in model.layout for at in range(0, 24, 4)]
-        arrays = [f"m/{n}.npy" for n in model.layout]
+        rows = [f"m/{ROWS}/{n}.npy" for n in ("X", "codes")]
+        fields += [(path, at, w) for path in rows for at in (*range(0, 12, 2), *range(128, 140, 4)) for w in (1, 4)]
+        arrays = [*(f"m/{n}.npy" for n in model.layout), *rows]
         made.append(_taken(own, kind, "m", fields, ["m/card.json", *arrays]))
     return made
 

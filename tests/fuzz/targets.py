@@ -70,7 +70,14 @@ def _pulses(path: Path) -> Actions:
 
 
 def _model(path: Path) -> Actions:
-    return [partial(_forged, path)]
+    return [partial(_forged, path), partial(_rows, path)]
+
+
+def _rows(path: Path) -> None:
+    from fwclass.store.model_rows import load_rows
+
+    model, X, codes = load_rows(path)
+    assert X.shape == (len(codes), len(model.features))
 
 
 def _forged(path: Path) -> None:
