@@ -218,7 +218,7 @@ def classify(
 def adapt(run: Any, model: Path, target: Path, settings: tuple[str, ...], overwrite: bool) -> None:
     """Let MODEL learn from the echoes of a RUN of which it is sure, without labels, and write it to OUT.
 
-    MODEL keeps rows (`fwclass train --keep-rows`), and has classified RUN. Labels at few places are worth far more:
+    MODEL keeps rows (`fwclass train --keep-rows`), and RUN has its features. Labels at few places are worth far more:
     `fwclass suggest`.
     """
     from fwclass import conf

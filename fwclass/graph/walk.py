@@ -52,8 +52,8 @@ def _place_of_model(config: Config, name: str) -> Location:
 
 
 def with_model(config: Config) -> Config:
-    """`config` with the classes of the model that it names, where it names none itself; and with the features of the
-    base model that it names, and its layer that decides in context, unless it has one."""
+    """`config` with the classes of the model that it names, where it names none itself, and the features of the base
+    model that it names."""
     survey = config.survey
     named = survey.model or survey.base_model
     if named is None or (survey.classes and survey.base_model is None):
@@ -66,11 +66,7 @@ def with_model(config: Config) -> Config:
         )
     if survey.base_model is not None:
         update["features"] = model.features
-    config = replace(config, survey=survey.model_copy(update=update))
-    if survey.base_model is None or not isinstance(model, Contextual) or config.classify.context.cells:
-        return config
-    context = config.classify.context.model_copy(update={"cells": model.cells})
-    return replace(config, classify=config.classify.model_copy(update={"context": context}))
+    return replace(config, survey=survey.model_copy(update=update))
 
 
 def given_model(config: Config) -> tuple[Location, str] | None:
