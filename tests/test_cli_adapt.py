@@ -17,8 +17,8 @@ from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef
 from fwclass.store.model_rows import load_rows
 from fwclass.store.models import load_model
-from fwclass.study.adapted import ADAPTED, Seen, adapt, base_sample, draw_seen
-from fwclass.train.sample import Sample
+from fwclass.study.adapted import ADAPTED, Seen, adapt, draw_seen
+from fwclass.train.sample import Sample, kept_sample
 from fwclass.train.stage import grow_trees, train
 
 CLASSES = (ClassDef(name="low", code=2, codes=(2,)), ClassDef(name="high", code=5, codes=(5,)))
@@ -35,8 +35,7 @@ def two_clouds(rng: np.random.Generator, n: int, shift: float, noise: float) -> 
 
 def learned(X: np.ndarray, y: np.ndarray):
     """A forest of rows, and these as a base."""
-    blank = type("Blank", (), {"codes": np.array([2, 5], np.uint8), "features": ("a", "b", "c")})()
-    base = base_sample(blank, X, np.array([2, 5], np.uint8)[y], 1)
+    base = kept_sample(("a", "b", "c"), X, np.array([2, 5], np.uint8)[y], CLASSES, 1)
     return train(base, grow_trees(base, CLASSES, 0, TRAINING.trees, TRAINING), TRAINING, CLASSES), base
 
 

@@ -1,4 +1,4 @@
-"""`fwclass adapt`: a ready model learns further from a run that it has classified."""
+"""`fwclass adapt`: a ready model learns further from a run that has its features."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from fwclass.store.installed_models import model_place
 from fwclass.store.model_rows import load_rows
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
-from fwclass.study.adapted import Seen, adapt, base_sample, describe, draw_seen
+from fwclass.study.adapted import Seen, adapt, describe, draw_seen
 from fwclass.train.params import AdaptParams, TrainParams
+from fwclass.train.sample import kept_sample
 
 
 def adapt_model(
@@ -28,7 +29,7 @@ def adapt_model(
     Raises
     ------
     InputError
-        `run` is no run that has delivered, was not classified by the features of the model, or has too many echoes of
+        `run` is no run that has delivered, has not the features of the model, or has too many echoes of
         which the model is unsure; the model keeps no rows.
     ConfigError
         There is something at `target`.
@@ -45,7 +46,7 @@ def adapt_model(
             got=f"{len(delivery.report['model']['features'])}",
             do=f"run the survey with --set survey.model={named} first",
         )
-    base = base_sample(first, X, codes, training.seed)
+    base = kept_sample(first.features, X, codes, first.classes, training.seed)
     seen = draw_seen(_echoes(delivery, first), params.pool, training.seed)
     adapted = adapt(model, base, seen, params, training)
     write_model(adapted, target, overwrite, (X, codes))

@@ -65,7 +65,7 @@ class Delivery:
         return self.file(f"parquet/{tile}.parquet")
 
     def file(self, name: str) -> Path:
-        """A file of the delivery on this host, whether or not there is one."""
+        """A file on this host, whether or not the delivery has it; `InputError` where it has, and it is gone."""
         if self._far is not None:
             self._far([name])
         return self._there(name)

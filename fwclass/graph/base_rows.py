@@ -6,13 +6,12 @@ import numpy as np
 
 from fwclass.graph.learn import BASE_ROWS, SAMPLE, forest_learns, learning_arguments, survey_sample
 from fwclass.graph.stage import Result, Stage, StageInputs
-from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef
 from fwclass.store.arrays import write_arrays
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.model_rows import load_rows
 from fwclass.train.params import TrainParams
-from fwclass.train.sample import FIRST_BASE_KEY, Sample
+from fwclass.train.sample import kept_sample
 from fwclass.train.stage import TRAIN_SAMPLE
 
 
@@ -21,29 +20,14 @@ def choose_base_rows(
 ) -> Result:
     """Of every class as many of the base model's rows as the survey has, `base_rows` at least, by the smallest hash."""
     model, X, codes = load_rows(here.file())
-    own = survey_sample(here.inputs, names).counts
-    key = np.arange(len(codes), dtype=np.uint64) + np.uint64(FIRST_BASE_KEY)
-    drawn = hash_keys(params.seed, key)
-    rows, y = [], []
-    for k, one in enumerate(classes):
-        mine = np.flatnonzero(codes == one.code)
-        most = min(params.samples_per_class, max(int(own[k]), params.base_rows))
-        rows.append(np.sort(mine[np.argsort(drawn[mine], kind="stable")[:most]]))
-        y.append(np.full(len(rows[-1]), k, np.uint8))
-    at = np.concatenate(rows)
-    order = np.argsort(at)
-    at = at[order]
     columns = [model.features.index(name) for name in names]
-    sample = Sample(
-        names,
-        np.ascontiguousarray(X[at][:, columns]),
-        np.concatenate(y)[order],
-        key[at],
-        drawn[at],
-        np.zeros(len(classes), np.int64),
-        np.zeros(len(classes), np.int64),
-        np.zeros((len(at), 2), np.int64),
-    )
+    kept = kept_sample(names, np.ascontiguousarray(X[:, columns]), codes, classes, params.seed)
+    own, rows = survey_sample(here.inputs, names).counts, []
+    for k, count in enumerate(own.tolist()):
+        mine = np.flatnonzero(kept.y == k)
+        most = min(params.samples_per_class, max(count, params.base_rows))
+        rows.append(mine[np.argsort(kept.hash[mine], kind="stable")[:most]])
+    sample = kept.take(np.sort(np.concatenate(rows)))
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows, "counts": sample.counts.tolist()}
 

@@ -15,7 +15,7 @@ from fwclass.hashing import hash_keys
 from fwclass.model import Contextual, Forest, Layered, Model
 from fwclass.model.ranges import RANGES
 from fwclass.train.params import AdaptParams, TrainParams
-from fwclass.train.sample import FIRST_BASE_KEY, Sample, join, thin
+from fwclass.train.sample import Sample, join, thin
 from fwclass.train.stage import grow_trees, train
 
 ADAPTED = "adapted"
@@ -59,15 +59,6 @@ def draw_seen(parts: Iterable[Seen], most: int, seed: int) -> Seen:
     return kept
 
 
-def base_sample(model: Model, X: NDArray[np.float32], codes: NDArray[np.uint8], seed: int) -> Sample:
-    """The rows that a model keeps: X (rows, features), class codes (rows,)."""
-    known = np.flatnonzero(np.isin(codes, model.codes))
-    key = known.astype(np.uint64) + np.uint64(FIRST_BASE_KEY)
-    y = (codes[known][:, None] == model.codes[None, :]).argmax(axis=1).astype(np.uint8)
-    none = np.zeros(len(model.codes), np.int64)
-    return Sample(tuple(model.features), X[known], y, key, hash_keys(seed, key), none, none)
-
-
 def adapt(model: Model, base: Sample, seen: Seen, params: AdaptParams, training: TrainParams) -> Model:
     """The model after `params.rounds` rounds; its card says what it and those before it say of the survey (`ADAPTED`).
 
@@ -98,9 +89,12 @@ def adapt(model: Model, base: Sample, seen: Seen, params: AdaptParams, training:
     for _ in range(params.rounds):
         rows = np.flatnonzero(sure >= params.sure)
         key, none = seen.key[rows], np.zeros(len(classes), np.int64)
-        own = Sample(
-            base.features, seen.X[rows], winner[rows].astype(np.uint8), key, hash_keys(training.seed, key), none, none
+        y, drawn, nowhere = (
+            winner[rows].astype(np.uint8),
+            hash_keys(training.seed, key),
+            np.zeros((len(rows), 2), np.int64),
         )
+        own = Sample(base.features, seen.X[rows], y, key, drawn, none, none, nowhere)
         both = join((base, thin(own, per_class)), 2 * per_class)
         current = train(both, grow_trees(both, classes, 0, training.trees, training), training, classes)
         winner, sure = _answers(current, seen)

@@ -115,6 +115,20 @@ def draw(
     return _sort(Sample(names, X, y[smallest], key[smallest], drawn[smallest], eligible, bare, there))
 
 
+def kept_sample(
+    features: Sequence[str], X: NDArray[np.float32], codes: NDArray[np.uint8], classes: Sequence[ClassDef], seed: int
+) -> Sample:
+    """The rows that a model keeps, X (rows, features) and class codes (rows,), as a sample beside a survey's own: those
+    of `classes`, by keys that no echo has, at no place."""
+    y = np.full(256, len(classes), np.int64)
+    y[[one.code for one in classes]] = np.arange(len(classes))
+    rows = np.flatnonzero(y[codes] < len(classes))
+    key = rows.astype(np.uint64) + np.uint64(FIRST_BASE_KEY)
+    none = np.zeros(len(classes), np.int64)
+    own, drawn = y[codes[rows]].astype(np.uint8), hash_keys(seed, key)
+    return Sample(tuple(features), X[rows], own, key, drawn, none, none, np.zeros((len(rows), 2), np.int64))
+
+
 def join(samples: Iterable[Sample], per_class: int) -> Sample:
     """One sample of the union of the rows that `samples` were drawn from, whatever their order or number."""
     parts: list[Sample] = []
