@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.assess.distribution import distribution
+from fwclass.classify.context import coarse_share_columns, context_of
 from fwclass.classify.stage import classify
 from fwclass.classify.vote import walkable, winners
 from fwclass.columns import FEATURES
@@ -433,6 +434,15 @@ def work_voxels(_: Path) -> Any:
     counts = [np.zeros((8, 6, 6), kind) for kind in (np.uint32, np.uint32, float, float)]
     follow(start, end, shares[:, 0].copy(), shares, np.arange(10), 1.0, 0.0, *counts)
     return counts
+
+
+def work_context(_: Path) -> Any:
+    """Boxes over voxels that are crowded, alone, and one above another."""
+    rng = np.random.default_rng(11)
+    places = rng.normal(0.0, 6.0, (3, 300))
+    shares = {name: rng.integers(0, 256, 300).astype(np.uint8) for name in coarse_share_columns((2, 5, 6))}
+    table = Table({**dict(zip("xyz", places, strict=True)), **shares})
+    return context_of(table, np.arange(0, 300, 2), list(shares), (1.0, 3.0))
 
 
 def work_octree(_: Path) -> Any:
