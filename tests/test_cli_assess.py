@@ -84,7 +84,7 @@ def test_a_figure_of_a_given_model_is_told_as_that(tmp_path: Path) -> None:
     given = ("--set", f"survey.model={tmp_path / 'new/place'}", "--workers", "0")
     whole = fwclass("run", path, "--out", tmp_path / "a", *given, "--set", "areas.train=[]")
     assert "on all echoes, by a model that was given" in whole.stderr and "every training area" not in whole.stderr
-    assert "The model was given, and nothing here tells where it learned" in whole.stderr
+    assert "The model, or its base, was given, and nothing here tells where it learned" in whole.stderr
     assert "test on 20 squares or more" not in whole.stderr, "there are 128"
     few = fwclass("run", path, "--out", tmp_path / "b", *given, "--set", "areas.train=[]", "--set", "assess.block=40")
     assert "test on 20 squares or more" in few.stderr, "as of a model that is trained here"

@@ -147,3 +147,8 @@ def with_context(X: NDArray[np.float32], context: NDArray[np.uint8]) -> NDArray[
     """float32 (rows, features): features X of rows and their `context_of`, which the second layer sees as 0 to 1; as
     ``Contextual.deciding`` names them."""
     return np.concatenate([X, context.astype(np.float32) / np.float32(WHOLE)], axis=1)
+
+
+def context_from(X: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """uint8 (rows, context): what `with_context` made these columns (rows, context) of."""
+    return np.rint(X * np.float32(WHOLE)).astype(np.uint8)

@@ -65,16 +65,18 @@ class ContextParams(Params):
     Attributes
     ----------
     cells : edges of the cells that neighbours are counted in, boxes of 5 x 5 and of 5 x 5 x 5 of them [m]; empty: no
-        such layer.
+        such layer; None: as the model has that is given or learned further, and none without one.
     folds : so many first layers answer for the training areas, each for squares that it has not learned from.
     """
 
-    cells: tuple[Annotated[float, Field(ge=0.1, le=WIDEST)], ...] = Field(max_length=MOST_CELLS)
+    cells: tuple[Annotated[float, Field(strict=True, ge=0.1, le=WIDEST)], ...] | None = Field(max_length=MOST_CELLS)
     folds: int = Field(ge=2, le=50)
 
     @field_validator("cells")
     @classmethod
-    def _rising(cls, cells: tuple[float, ...]) -> tuple[float, ...]:
+    def _rising(cls, cells: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if cells is None:
+            return None
         if any(b <= a for a, b in zip(cells, cells[1:], strict=False)):
             raise ValueError("edges must rise")
         if any(abs(100 * c - round(100 * c)) > 1e-6 for c in cells):

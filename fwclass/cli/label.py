@@ -82,8 +82,12 @@ def confirm(run: Any, places: Path, who: str) -> None:
 @cli.command()
 @click.argument("run", type=RUN)
 @click.argument("output", metavar="OUT", type=PATH)
-@click.option("--places", type=int, help="How many (default: suggest.places).")
-@click.option("--size", type=float, help="Edge of a place [m] (default: suggest.size, wider where echoes are few).")
+@click.option("--places", type=click.IntRange(1, 100_000), help="How many (default: suggest.places).")
+@click.option(
+    "--size",
+    type=click.FloatRange(1, 1000),
+    help="Edge of a place [m] (default: suggest.size, wider where echoes are few).",
+)
 @SET
 @OVERWRITE
 def suggest(

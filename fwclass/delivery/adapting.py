@@ -36,7 +36,7 @@ def adapt_model(
     """
     check_target(target, overwrite)
     delivery = open_run(run)
-    model, X, codes = load_rows(model_place(named))
+    model, rows = load_rows(model_place(named))
     first = model.coarse if isinstance(model, Layered) else model
     if tuple(delivery.report["model"]["features"]) != tuple(first.features):
         raise InputError(
@@ -46,10 +46,10 @@ def adapt_model(
             got=f"{len(delivery.report['model']['features'])}",
             do=f"run the survey with --set survey.model={named} first",
         )
-    base = kept_sample(first.features, X, codes, first.classes, training.seed)
+    base = kept_sample(first.features, rows.X, rows.codes, first.classes, training.seed)
     seen = draw_seen(_echoes(delivery, first), params.pool, training.seed)
     adapted = adapt(model, base, seen, params, training)
-    write_model(adapted, target, overwrite, (X, codes))
+    write_model(adapted, target, overwrite, rows)
     return f"{describe(dict(adapted.card))}\nmodel       {target}"
 
 

@@ -53,7 +53,7 @@ def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool
         x, y, z = (millimetres(columns[n]) for n in PLACE)
         counts.add(x, y, z, columns["classification"], columns["entropy"])
     counts = counts.widened(params.echoes)
-    every, places = counts.places(), counts.suggest(params, _settled(delivery, counts.size))
+    useful, places = len(counts.useful(params)), counts.suggest(params, _settled(delivery, counts.size))
     names = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
     fields: dict[str, NDArray[Any] | Sequence[str]] = {
         "rank": np.arange(1, len(places) + 1, dtype=np.int32),
@@ -63,7 +63,7 @@ def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool
         "classes": [", ".join(f"{names.get(code, f'code {code}')} {n}" for code, n in p.classes) for p in places],
     }
     write_gpkg([Layer(LAYER, box_wkb([p.box for p in places]), fields)], path, delivery.crs)
-    return _summary(every, places, counts.size, path)
+    return _summary(useful, places, counts.size, path)
 
 
 def _settled(delivery: Delivery, size: float) -> Callable[[Place], bool]:
@@ -88,13 +88,13 @@ def _settled(delivery: Delivery, size: float) -> Callable[[Place], bool]:
     return settled
 
 
-def _summary(every: Sequence[Place], places: Sequence[Place], size: float, path: Path) -> str:
+def _summary(useful: int, places: Sequence[Place], size: float, path: Path) -> str:
     if not places:
         none = f"no place of {size:g} m teaches more: the model is sure of it, or it is labelled or tested already"
         return f"{none}; {path} is empty"
     echoes = sum(p.echoes for p in places)
     return (
-        f"{several(len(places), 'place')} of {size:g} m, out of {len(every):,}, with {echoes:,} echoes: "
+        f"{several(len(places), 'place')} of {size:g} m, out of {useful:,}, with {echoes:,} echoes: "
         f"layer {LAYER} of {path}"
     )
 

@@ -13,8 +13,13 @@ from fwclass.conf import Config
 from fwclass.features.params import Asked, is_feature
 
 OF_A_GIVEN_MODEL = (
-    "The model was given, and nothing here tells where it learned: if it was in this survey, the figure is too good: "
-    "name those places in areas.train, and they are not tested."
+    "The model, or its base, was given, and nothing here tells where it learned: if it was in this survey, the figure "
+    "is too good: name those places in areas.train, and they are not tested."
+)
+
+OF_CORRECTIONS = (
+    "The labels are corrections, and answers of a model that were confirmed: who confirms sees the answer first, so "
+    "the figure is rather too good."
 )
 
 
@@ -33,7 +38,12 @@ def accuracy_remarks(
     """
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
     apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
-    around = halo_of(config.classify.context.cells)
+    around = halo_of(config.classify.context.cells or ())
     reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + around
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
-    return sentences if config.survey.model is None or config.areas.train else [*sentences, OF_A_GIVEN_MODEL]
+    learned_here = (config.survey.model or config.survey.base_model) and not config.areas.train
+    return [
+        *sentences,
+        *([OF_A_GIVEN_MODEL] if learned_here else []),
+        *([OF_CORRECTIONS] if config.survey.reference.kind == "corrections" else []),
+    ]

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
+from fwclass.classify.context import with_context
+from fwclass.graph.context_layer import base_has_context, context_layer
 from fwclass.graph.learn import BASE_ROWS, SAMPLE, forest_learns, learning_arguments, survey_sample
-from fwclass.graph.stage import Result, Stage, StageInputs
-from fwclass.model import ClassDef
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.model import ClassDef, Contextual
 from fwclass.store.arrays import write_arrays
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.model_rows import load_rows
@@ -15,13 +20,27 @@ from fwclass.train.sample import kept_sample
 from fwclass.train.stage import TRAIN_SAMPLE
 
 
+def _arguments(plan: Plan) -> Mapping[str, Any]:
+    layer = context_layer(plan) if base_has_context(plan) else None
+    return {**learning_arguments(plan), **({"context": layer.names} if layer else {})}
+
+
 def choose_base_rows(
-    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]
+    here: StageInputs,
+    names: tuple[str, ...],
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+    context: tuple[str, ...] = (),
 ) -> Result:
-    """Of every class as many of the base model's rows as the survey has, `base_rows` at least, by the smallest hash."""
-    model, X, codes = load_rows(here.file())
-    columns = [model.features.index(name) for name in names]
-    kept = kept_sample(names, np.ascontiguousarray(X[:, columns]), codes, classes, params.seed)
+    """Of every class as many of the base model's rows as the survey has, `base_rows` at least, by the smallest hash;
+    with their `context`."""
+    model, rows_kept = load_rows(here.file())
+    X, wanted = rows_kept.X, (*names, *context)
+    there = model.features
+    if isinstance(model, Contextual):
+        X, there = with_context(X, rows_kept.context), model.deciding
+    columns = [there.index(name) for name in wanted]
+    kept = kept_sample(wanted, np.ascontiguousarray(X[:, columns]), rows_kept.codes, classes, params.seed)
     own, rows = survey_sample(here.inputs, names).counts, []
     for k, count in enumerate(own.tolist()):
         mine = np.flatnonzero(kept.y == k)
@@ -39,7 +58,7 @@ CHOOSE_BASE_ROWS = Stage(
     "row",
     choose_base_rows,
     when=lambda plan: plan.base is not None and forest_learns(plan),
-    arguments=learning_arguments,
+    arguments=_arguments,
     silent=frozenset(TrainParams.model_fields) - {"seed", "samples_per_class", "base_rows"},
     after=("training",),
     needs=lambda plan, part: (("training", "all"),),

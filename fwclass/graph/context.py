@@ -94,18 +94,19 @@ def train_fold(
     """A first layer that has not learned from the squares of a fold."""
     sample = survey_sample(here.inputs, names)
     division, _ = squares_of(sample, block, gap, folds)
-    rest = _rest(sample, division, int(here.part))
+    rest = _rest(here, sample, division)
     if rest is not None:
-        rest = with_base_rows(here, rest)
         save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap))
     return {"rows": 0 if rest is None else rest.rows, "model": rest is not None}
 
 
-def _rest(sample: Sample, division: Folds, fold: int) -> Sample | None:
-    """The rows that train for a fold; None where a class has none, or there are fewer folds."""
+def _rest(here: StageInputs, sample: Sample, division: Folds) -> Sample | None:
+    """The rows that train for the fold that the part is named after; None where a class has none, or there are fewer
+    folds."""
+    fold = int(here.part)
     if fold >= len(division.near):
         return None
-    rest = sample.take(division.trains(fold))
+    rest = with_base_rows(here, sample.take(division.trains(fold)))
     return rest if (rest.counts > 0).all() else None
 
 
@@ -188,10 +189,10 @@ def try_context(
     """How many rows of a fold's squares the first layer has right, and both, which have not learned from them."""
     sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
     division, _ = squares_of(sample, block, gap, folds)
-    rest = _rest(sample, division, fold := int(here.part))
+    rest = _rest(here, sample, division)
     if rest is None:
         return {"rows": 0, "first": 0, "both": 0}
-    asked = sample.take(division.judged(fold))
+    asked = sample.take(division.judged(int(here.part)))
     first = asked.X[:, len(names) : len(names) + len(classes)].astype(np.float64)
     both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap))[1]
     right = [int((shares.argmax(axis=1) == asked.y).sum()) for shares in (first, both)]
@@ -213,7 +214,9 @@ def train_context(
     """The second layer, and both as one model, delivered as the run's."""
     coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
     sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
-    fine = with_feature_parameters(fit_layer(sample, params, compare, classes, block, gap), computed)
+    fine = with_feature_parameters(
+        fit_layer(with_base_rows(here, sample), params, compare, classes, block, gap), computed
+    )
     trials = [here.inputs.meta(TRIED, str(k)) for k in range(folds)]
     judged = {n: sum(int(t[n]) for t in trials) for n in ("rows", "first", "both")}
     card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
@@ -398,9 +401,9 @@ TRY_CONTEXT = Stage(
     when=_learns,
     parts=_folds,
     arguments=lambda plan: {**_fitting(plan), "layer": _layer(plan)},
-    silent=frozenset({"importance_repeats"}),
-    after=(MERGED,),
-    needs=lambda plan, part: ((MERGED, "all"),),
+    silent=frozenset({"importance_repeats", "base_rows"}),
+    after=(MERGED, BASE_ROWS),
+    needs=lambda plan, part: ((MERGED, "all"), *base_rows_part(plan)),
 )
 TRAIN_CONTEXT = Stage(
     TRAIN.name,
@@ -416,8 +419,13 @@ TRAIN_CONTEXT = Stage(
         "classes": plan.config.written_classes,
         "computed": parameters_of(plan, plan.names),
     },
-    after=(MERGED, TRIED, TRAIN_COARSE),
-    needs=lambda plan, part: ((MERGED, "all"), (TRAIN_COARSE, "model"), *((TRIED, k) for k in _folds(plan))),
+    after=(MERGED, TRIED, TRAIN_COARSE, BASE_ROWS),
+    needs=lambda plan, part: (
+        (MERGED, "all"),
+        (TRAIN_COARSE, "model"),
+        *base_rows_part(plan),
+        *((TRIED, k) for k in _folds(plan)),
+    ),
     where="deliver",
 )
 SHARE_FIRST = Stage(

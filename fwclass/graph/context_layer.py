@@ -40,8 +40,15 @@ def context_layer(plan: Plan) -> ContextLayer | None:
     """The layer of a run, None without one."""
     if plan.model is not None:
         return _of_model(str(local(plan.model[0])), plan.model[1])
-    cells = plan.config.classify.context.cells
+    cells = plan.config.classify.context.cells or ()
     return ContextLayer(tuple(c.code for c in plan.config.classes), cells) if cells else None
+
+
+def base_has_context(plan: Plan) -> bool:
+    """Whether the rows of the base model have the context that the run's second layer decides by."""
+    layer = context_layer(plan)
+    has = _of_model(str(local(plan.base[0])), plan.base[1]) if plan.base else None
+    return layer is not None and has is not None and set(layer.names) == set(has.names)
 
 
 @lru_cache(maxsize=4)

@@ -121,10 +121,15 @@ def learned_sample(here: StageInputs, names: tuple[str, ...]) -> Sample:
 
 
 def with_base_rows(here: StageInputs, sample: Sample) -> Sample:
-    """`sample`, rows of the survey, and after it those of the base model where there is one."""
+    """`sample`, rows of the survey, and after it those of the base model where there is one that has its features."""
     if not here.parts(BASE_ROWS):
         return sample
-    base = load_sample(here.inputs, BASE_ROWS, "all", sample.features)
+    arrays, _ = here.inputs.arrays(BASE_ROWS, "all", SAMPLE)
+    values = arrays["X"]  # features, and context where the base model has it
+    if values.shape[1] < len(sample.features):
+        return sample
+    wanted = np.ascontiguousarray(values[:, : len(sample.features)])
+    base = Sample.from_arrays(sample.features, {**arrays, "X": wanted})
     return join((sample, base), sample.rows + base.rows)
 
 

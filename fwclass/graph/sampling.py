@@ -10,6 +10,7 @@ import numpy as np
 from fwclass.conf.model import AreasSection
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test, training_tiles
+from fwclass.graph.context_layer import base_has_context, context_layer
 from fwclass.graph.corrections import (
     CORRECTIONS,
     corrected_training_rows,
@@ -58,7 +59,8 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     config = plan.config
     train = config.areas.boxes("train")
     whole = total((receipt.meta for receipt in counted.values()), len(train), len(config.classes))
-    few = plan.base is not None and any(whole["labelled"])  # the base model's rows stand in for a class without labels
+    layers = context_layer(plan) is None or base_has_context(plan)
+    few = plan.base is not None and layers and any(whole["labelled"])  # base rows stand in for a class without labels
     sentences = [] if few else lacking(whole, config.classes, train)
     if sentences:
         raise ConfigError(

@@ -53,20 +53,28 @@ def _place_of_model(config: Config, name: str) -> Location:
 
 def with_model(config: Config) -> Config:
     """`config` with the classes of the model that it names, where it names none itself, and the features of the base
-    model that it names."""
+    model that it names, and the context that its rows have."""
     survey = config.survey
     named = survey.model or survey.base_model
     if named is None or (survey.classes and survey.base_model is None):
         return config
-    model = load_model(local(_place_of_model(config, named)))
+    path = local(_place_of_model(config, named))
+    model = load_model(path)
     update: dict[str, Any] = {}
     if not survey.classes:
         update["classes"] = tuple(
             ClassSection(name=c.name, code=c.code, codes=c.codes, legacy_code=c.legacy_code) for c in model.classes
         )
-    if survey.base_model is not None:
-        update["features"] = model.features
-    return replace(config, survey=survey.model_copy(update=update))
+    if survey.base_model is None:
+        return replace(config, survey=survey.model_copy(update=update))
+    config = replace(config, survey=survey.model_copy(update={**update, "features": model.features}))
+    one_layer = config.classify.refine.between or config.thin.rate < 1.0 or config.train.method != "forest"
+    if config.classify.context.cells is not None or not isinstance(model, Contextual) or one_layer:
+        return config
+    if {c.code for c in model.classes} != {c.code for c in config.classes}:
+        return config
+    context = config.classify.context.model_copy(update={"cells": model.cells})
+    return replace(config, classify=config.classify.model_copy(update={"context": context}))
 
 
 def given_model(config: Config) -> tuple[Location, str] | None:
@@ -106,7 +114,7 @@ def base_model(config: Config) -> tuple[Location, str] | None:
         return None
     place = _place_of_model(config, config.survey.base_model)
     path = local(place)
-    model, _, _ = load_rows(path)
+    model, _ = load_rows(path)
     check_computed(model, config.features, path)
     own = {c.code for c in config.classes}
     if not any(c.code in own for c in model.classes):

@@ -231,9 +231,9 @@ def _about_areas(whole: Census, train: Sequence[Box], test: Sequence[Box], gap: 
         if t.touches(b)
     ]
     nearest = whole["nearest"]
-    if nearest is None:
+    if not any(whole["test"]):
         sentences.append("No labelled echo lies in a test area: the accuracy is unknown.")
-    elif nearest < gap:
+    elif nearest is not None and nearest < gap:
         sentences.append(f"A tested echo lies {nearest:.3f} m from a training area, nearer than areas.gap = {gap:g} m.")
     return sentences
 

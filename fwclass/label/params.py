@@ -25,9 +25,12 @@ class SuggestParams(Params):
     echoes : the edge is doubled until half of all places have so many; 0 leaves it.
     places : how many, at most.
     least : a place has at least this share of the echoes that half of all places have.
+    apart : a place that touches another is put off until the best that touches none has less than this share of its
+        score; 0: until there is none.
     """
 
     size: float = Field(ge=1, le=1000)
     echoes: int = Field(ge=0, le=1_000_000)
     places: int = Field(ge=1, le=100_000)
     least: float = Field(ge=0, le=1)
+    apart: float = Field(ge=0, le=1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +52,9 @@ class PlaceCounts:
     """
 
     def __init__(self, size: float) -> None:
-        self.size, self._edge = size, whole_millimetres(size, "suggest.size")
-        self._counts: dict[tuple[int, int, int], NDArray[np.int64]] = {}
+        self.size, self._edge = size, whole_millimetres(size, "--size (suggest.size)")
+        self._keys = np.empty((0, 3), np.int64)  # column, row, class code; each once, in this order
+        self._sums = np.empty((0, 3), np.int64)  # echoes, entropies [1/PARTS], heights [mm]
 
     def add(
         self,
@@ -64,12 +67,8 @@ class PlaceCounts:
         """Echoes: places [mm], class codes, entropies; those without an entropy (NaN) were not classified."""
         known = np.isfinite(entropy)
         squares = np.stack([x[known] // self._edge, y[known] // self._edge, code[known]], axis=1)
-        keys, number = np.unique(squares, axis=0, return_inverse=True)
         parts = np.rint(entropy[known].astype(np.float64) * PARTS).astype(np.int64)
-        sums = np.zeros((len(keys), 3), np.int64)
-        np.add.at(sums, number.ravel(), np.stack([np.ones_like(parts), parts, z[known]], axis=1))
-        for key, row in zip(map(tuple, keys.tolist()), sums, strict=True):
-            self._counts[key] = self._counts.get(key, 0) + row
+        self._join(*_summed(squares, np.stack([np.ones_like(parts), parts, z[known]], axis=1)))
 
     def widened(self, echoes: int) -> PlaceCounts:
         """The same counts in squares so wide, by doubling, that half of those with echoes have so many; of 1 km at
@@ -77,50 +76,75 @@ class PlaceCounts:
         wide = self
         while 2 * wide.size <= WIDEST and wide.middling < echoes:
             twice = PlaceCounts(2 * wide.size)
-            for (i, j, code), sums in wide._counts.items():
-                key = i // 2, j // 2, code
-                twice._counts[key] = twice._counts.get(key, 0) + sums
+            twice._join(wide._keys // (2, 2, 1), wide._sums)
             wide = twice
         return wide
 
     @property
     def middling(self) -> float:
         """Median of the echoes of the squares [echoes]; 0.0 where there is none."""
-        squares: dict[tuple[int, int], int] = {}
-        for (i, j, _), sums in self._counts.items():
-            squares[i, j] = squares.get((i, j), 0) + int(sums[0])
-        return float(np.median(list(squares.values()))) if squares else 0.0
+        first = self._first()
+        return float(np.median(np.add.reduceat(self._sums[:, 0], first))) if len(first) else 0.0
 
     def places(self) -> list[Place]:
         """All squares with classified echoes, by column and row."""
-        squares: dict[tuple[int, int], dict[int, NDArray[np.int64]]] = {}
-        for (i, j, code), sums in sorted(self._counts.items()):
-            squares.setdefault((i, j), {})[code] = sums
-        classes = len({code for _, _, code in self._counts})
-        return [self._place(i, j, by_code, classes) for (i, j), by_code in squares.items()]
+        first, classes = self._first(), len(np.unique(self._keys[:, 2]))
+        return [self._place(a, b, classes) for a, b in pairwise([*first.tolist(), len(self._keys)])]
+
+    def useful(self, params: SuggestParams) -> list[Place]:
+        """The mixed places with enough echoes."""
+        least = params.least * self.middling
+        return [p for p in self.places() if p.echoes >= least and p.score > 0]
 
     def suggest(self, params: SuggestParams, without: Callable[[Place], bool]) -> list[Place]:
-        """The places that teach most, the best first: no two touch, unless there are no others; none `without` labels
-        to give."""
-        least = params.least * self.middling
-        useful = (p for p in self.places() if p.echoes >= least and p.score > 0 and not without(p))
-        ranked = sorted(useful, key=lambda p: (-p.score, p.box.bounds))
-        taken: set[tuple[int, int]] = set()
-        apart: list[Place] = []
-        touching: list[Place] = []
-        for place in ranked:
-            i, j = round(place.box.xmin / self.size), round(place.box.ymin / self.size)
-            near = any((i + a, j + b) in taken for a in (-1, 0, 1) for b in (-1, 0, 1))
-            (touching if near else apart).append(place)
-            if not near:
-                taken.add((i, j))
-        return (apart + touching)[: params.places]
+        """The places that teach most, the best first; none `without` labels to give.
 
-    def _place(self, i: int, j: int, by_code: dict[int, NDArray[np.int64]], classes: int) -> Place:
-        n, parts, height = np.sum(list(by_code.values()), axis=0).tolist()
-        share = np.array([sums[0] for sums in by_code.values()]) / n
+        One that touches another is put off until the best of the others has less than `params.apart` of its score.
+        """
+        ranked = sorted(self.useful(params), key=lambda p: (-p.score, p.box.bounds))
+        free = deque(p for p in ranked if not without(p))
+        touching: deque[Place] = deque()
+        taken: set[tuple[int, int]] = set()
+        chosen: list[Place] = []
+        while len(chosen) < params.places and (free or touching):
+            while free and self._around(free[0]) & taken:
+                touching.append(free.popleft())
+            waits = bool(free) and not (touching and free[0].score < params.apart * touching[0].score)
+            place = (free if waits else touching).popleft()
+            taken.add(self._square(place))
+            chosen.append(place)
+        return chosen
+
+    def _join(self, keys: NDArray[np.int64], sums: NDArray[np.int64]) -> None:
+        self._keys, self._sums = _summed(np.concatenate([self._keys, keys]), np.concatenate([self._sums, sums]))
+
+    def _first(self) -> NDArray[np.int64]:
+        """int64 (squares,): index of the first key of every square."""
+        squares = self._keys[:, :2]
+        return np.flatnonzero(np.append(True, (squares[1:] != squares[:-1]).any(axis=1))[: len(squares)])
+
+    def _square(self, place: Place) -> tuple[int, int]:
+        return round(place.box.xmin / self.size), round(place.box.ymin / self.size)
+
+    def _around(self, place: Place) -> set[tuple[int, int]]:
+        i, j = self._square(place)
+        return {(i + a, j + b) for a in (-1, 0, 1) for b in (-1, 0, 1)}
+
+    def _place(self, start: int, end: int, classes: int) -> Place:
+        i, j = self._keys[start, :2].tolist()
+        echoes, codes = self._sums[start:end, 0], self._keys[start:end, 2]
+        n, parts, height = self._sums[start:end].sum(axis=0).tolist()
+        share = echoes / n
         mixture = float(-(share * np.log(share)).sum() / np.log(classes)) if classes > 1 else 0.0
-        ordered = sorted(((code, int(sums[0])) for code, sums in by_code.items()), key=lambda c: (-c[1], c[0]))
+        ordered = sorted(zip(codes.tolist(), echoes.tolist(), strict=True), key=lambda c: (-c[1], c[0]))
         edge = self._edge / 1000
         box = Box(i * edge, j * edge, (i + 1) * edge, (j + 1) * edge)
         return Place(box, n, height / n / 1000, parts / n / PARTS, max(0.0, mixture), tuple(ordered))
+
+
+def _summed(keys: NDArray[np.int64], values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Every key (rows, 3) once, in their order, and the sums of its values (rows, 3)."""
+    order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0]))
+    keys, values = keys[order], values[order]
+    first = np.flatnonzero(np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(keys)])
+    return keys[first], np.add.reduceat(values, first, axis=0) if len(first) else values

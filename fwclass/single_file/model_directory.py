@@ -11,13 +11,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fwclass.errors import ConfigError
 from fwclass.model import Model
 from fwclass.store.atomic import files_below, sync
-from fwclass.store.model_rows import ROWS, rows_fact, save_rows
+from fwclass.store.model_rows import ROWS, ModelRows, rows_fact, save_rows
 from fwclass.store.models import CARD, load_model, save_model
 
 
@@ -42,10 +39,7 @@ def check_target(target: Path, overwrite: bool) -> None:
         raise ConfigError("the model exists", where=target, do="choose another name, or add --overwrite")
 
 
-Rows = tuple[NDArray[np.float32], NDArray[np.uint8]]
-
-
-def write_model(model: Model, target: Path, overwrite: bool, rows: Rows | None = None) -> None:
+def write_model(model: Model, target: Path, overwrite: bool, rows: ModelRows | None = None) -> None:
     """Write a model that lies nowhere yet to `target`, as `deliver` does."""
     with TemporaryDirectory() as place:
         save_model(Path(place) / "model", model)
@@ -53,10 +47,14 @@ def write_model(model: Model, target: Path, overwrite: bool, rows: Rows | None =
 
 
 def deliver(
-    source: Path, target: Path, overwrite: bool, measured: Mapping[str, Any] | None = None, rows: Rows | None = None
+    source: Path,
+    target: Path,
+    overwrite: bool,
+    measured: Mapping[str, Any] | None = None,
+    rows: ModelRows | None = None,
 ) -> None:
     """Copy the model in `source` to `target`: written beside, flushed, checked, renamed. How good it was `measured`
-    elsewhere is added to its card, and so are `rows` that it has learned from, values and class codes."""
+    elsewhere is added to its card, and so are `rows` that it has learned from."""
     check_target(target, overwrite)
     target.parent.mkdir(parents=True, exist_ok=True)
     beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
@@ -65,8 +63,8 @@ def deliver(
         shutil.copytree(source, beside, copy_function=shutil.copyfile)  # a run's own is read-only
         facts = {"measured": measured} if measured is not None else {}
         if rows is not None:
-            save_rows(beside, *rows)
-            facts |= {ROWS: rows_fact(rows[1])}
+            save_rows(beside, rows)
+            facts |= {ROWS: rows_fact(rows.codes)}
         if facts:
             card = {**json.loads((beside / CARD).read_text(encoding="utf-8")), **facts}
             (beside / CARD).write_text(json.dumps(card, sort_keys=True, indent=1) + "\n", encoding="utf-8")

@@ -1,8 +1,12 @@
-"""The rows that a model has learned from, kept beside it for models that learn further from them."""
+"""The rows that a model has learned from, kept beside it for models that learn further from them.
+
+A model that decides in context keeps with them what its second layer has learned from.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +14,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.model import Model
+from fwclass.model import Contextual, Model
 from fwclass.store.atomic import digest_of, file_digest
 from fwclass.store.models import load_array, load_model, model_digest
 
 ROWS = "rows"
-_VALUES, _CODES = "X", "codes"
-_LAYOUT = {_VALUES: ("<f4", 2), _CODES: ("|u1", 1)}
+_VALUES, _CODES, _CONTEXT = "X", "codes", "context"
+_LAYOUT = {_VALUES: ("<f4", 2), _CODES: ("|u1", 1), _CONTEXT: ("|u1", 2)}
 
 
-def save_rows(directory: Path, X: NDArray[np.float32], codes: NDArray[np.uint8]) -> None:
-    """Write training rows beside the model in `directory`: X (rows, features), class codes (rows,)."""
+@dataclass(frozen=True)
+class ModelRows:
+    """Attributes
+    ----------
+    X : float32 (rows, features), in the order of the model's.
+    codes : uint8 (rows,), class codes.
+    context : uint8 (rows, context), `classify.context.context_of` [1/255]; (rows, 0) of a model that decides without.
+    """
+
+    X: NDArray[np.float32]
+    codes: NDArray[np.uint8]
+    context: NDArray[np.uint8]
+
+
+def save_rows(directory: Path, rows: ModelRows) -> None:
+    """Write training rows beside the model in `directory`."""
     place = directory / ROWS
     place.mkdir()
-    for name, array in ((_VALUES, X), (_CODES, codes)):
+    arrays = {_VALUES: rows.X, _CODES: rows.codes} | ({_CONTEXT: rows.context} if rows.context.shape[1] else {})
+    for name, array in arrays.items():
         np.save(place / f"{name}.npy", np.ascontiguousarray(array, _LAYOUT[name][0]), allow_pickle=False)
 
 
@@ -32,8 +51,8 @@ def rows_fact(codes: NDArray[np.uint8]) -> Mapping[str, int]:
     return {str(c): int(n) for c, n in zip(*np.unique(codes, return_counts=True), strict=True)}
 
 
-def load_rows(directory: Path) -> tuple[Model, NDArray[np.float32], NDArray[np.uint8]]:
-    """A model and the rows that it keeps: values (rows, features), class codes (rows,).
+def load_rows(directory: Path) -> tuple[Model, ModelRows]:
+    """A model and the rows that it keeps.
 
     Raises
     ------
@@ -41,31 +60,41 @@ def load_rows(directory: Path) -> tuple[Model, NDArray[np.float32], NDArray[np.u
     """
     model = load_model(directory)
     _require_rows(directory, model.card)
+    names = _names(model)
     try:
-        arrays = {n: load_array(directory / ROWS / f"{n}.npy", *of) for n, of in _LAYOUT.items()}
+        arrays = {n: load_array(directory / ROWS / f"{n}.npy", *_LAYOUT[n]) for n in names}
     except (OSError, ValueError) as fault:
+        gone = isinstance(fault, FileNotFoundError)
         raise InputError(
-            "the rows that a model keeps are damaged",
+            f"the rows that a model keeps are {'not there' if gone else 'damaged'}",
             where=directory / ROWS,
-            expected=" and ".join(f"{n}.npy" for n in _LAYOUT),
+            expected=" and ".join(f"{n}.npy" for n in names),
             got=f"{type(fault).__name__}: {fault}",
             do="copy the whole model directory, or train it again",
         ) from fault
     X, codes = arrays[_VALUES], arrays[_CODES]
-    if X.shape != (len(codes), len(model.features)) or np.isinf(X).any() or rows_fact(codes) != model.card[ROWS]:
+    context = arrays.get(_CONTEXT, np.empty((len(codes), 0), np.uint8))
+    features = len(model.deciding) if isinstance(model, Contextual) else len(model.features)
+    fits = X.shape == (len(codes), len(model.features)) and context.shape == (len(codes), features - X.shape[1])
+    if not fits or np.isinf(X).any() or rows_fact(codes) != model.card[ROWS]:
         raise InputError(
             "the rows that a model keeps do not fit its card",
             where=directory / ROWS,
-            expected=f"{sum(model.card[ROWS].values())} rows of {len(model.features)} features",
-            got=f"{X.shape[0]} rows of {X.shape[1]} features, and {len(codes)} classes",
+            expected=f"{sum(model.card[ROWS].values())} rows of {features} features",
+            got=f"{X.shape[0]} rows of {X.shape[1]} features and {context.shape[1]} of context, {len(codes)} classes",
             do="copy the whole model directory, or train it again",
         )
-    return model, X, codes
+    return model, ModelRows(X, codes, context)
 
 
 def rows_digest(directory: Path) -> str:
     """Digest of a model's files and of the rows that it keeps."""
-    return digest_of([model_digest(directory), *(file_digest(directory / ROWS / f"{n}.npy") for n in _LAYOUT)])
+    names = _names(load_model(directory))
+    return digest_of([model_digest(directory), *(file_digest(directory / ROWS / f"{n}.npy") for n in names)])
+
+
+def _names(model: Model) -> tuple[str, ...]:
+    return (_VALUES, _CODES, *((_CONTEXT,) if isinstance(model, Contextual) else ()))
 
 
 def _require_rows(directory: Path, card: Mapping[str, Any]) -> None:

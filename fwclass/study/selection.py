@@ -21,7 +21,7 @@ from fwclass.select.score import Names, Score, Trial, score
 from fwclass.select.search import Search, backward, by_fscore, forward, in_given_order
 from fwclass.study.select.cost import costs
 from fwclass.study.select.result import plain_result, sets_to_time
-from fwclass.study.select.sample import PLACED, TRAINING, sample_tasks, training_of
+from fwclass.study.select.sample import PLACED, TRAINING, require_own_labels, sample_tasks, training_of
 from fwclass.study.select.trials import Trials
 
 
@@ -100,6 +100,7 @@ def _search(
 
 
 def _check(config: Config, candidates: Names, order: Sequence[str]) -> None:
+    require_own_labels(config)
     check_features(config, candidates, "--candidates")
     twice = sorted({c for c in candidates if candidates.count(c) > 1})
     if twice:

@@ -6,11 +6,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fwclass.classify.context import context_from
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.accuracy_remarks import accuracy_remarks
+from fwclass.graph.context import MERGED
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.graph.stage import Plan
@@ -19,8 +20,10 @@ from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels,
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.store.arrays import read_arrays
+from fwclass.store.model_rows import ModelRows
 from fwclass.store.run_store import Store
 from fwclass.study.compare import compare_methods
+from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import cross_validate
 from fwclass.train.sample import Sample, thin
 
@@ -79,18 +82,19 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     return plain
 
 
-def kept_rows(config: Config, store: Store, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Of every class at most so many of the survey's training rows, those with the smallest hashes: values (rows,
-    features) and class codes (rows,)."""
+def kept_rows(config: Config, store: Store, most: int) -> ModelRows:
+    """Of every class at most so many of the survey's training rows, those with the smallest hashes."""
     config = with_model(config)
-    arrays = read_arrays(store.arrays_path("training", "all", SAMPLE))[0]
-    sample = thin(Sample.from_arrays(config.features_asked, arrays), most)
-    return sample.X, np.array([c.code for c in config.classes], np.uint8)[sample.y]
+    stage = MERGED if config.classify.context.cells else "training"
+    sample = thin(Sample.from_arrays((), read_arrays(store.arrays_path(stage, "all", SAMPLE))[0]), most)
+    codes, features = np.array([c.code for c in config.classes], np.uint8)[sample.y], len(config.features_asked)
+    return ModelRows(sample.X[:, :features], codes, context_from(sample.X[:, features:]))
 
 
 def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict[str, Any]:
     """Several kinds of classifier on one sample and the same test echoes; see `compare_methods`. Nothing is thinned."""
     _check_labelled(config)
+    require_own_labels(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
     plan, tasks = _begin(config, runner)
     config = plan.config

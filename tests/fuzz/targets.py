@@ -76,8 +76,8 @@ def _model(path: Path) -> Actions:
 def _rows(path: Path) -> None:
     from fwclass.store.model_rows import load_rows
 
-    model, X, codes = load_rows(path)
-    assert X.shape == (len(codes), len(model.features))
+    model, rows = load_rows(path)
+    assert rows.X.shape == (len(rows.codes), len(model.features)) and len(rows.context) == len(rows.codes)
 
 
 def _forged(path: Path) -> None:

@@ -89,13 +89,14 @@ def told(whole, rows=None, tiles=None, test=()):
 
 def test_nothing_is_said_where_nothing_is_wrong():
     assert told(counted()) == []
+    assert told(counted(nearest=None)) == [], "echoes are tested though no area trains"
 
 
 @pytest.mark.parametrize(
     "changes, words",
     [
         ({"whole": counted(boxes=[[500, 500], [0, 0]])}, "Training area [20, 0, 30, 10] has no labelled echo"),
-        ({"whole": counted(nearest=None)}, "the accuracy is unknown"),
+        ({"whole": counted(test=[0, 0], nearest=None)}, "the accuracy is unknown"),
         ({"whole": counted(nearest=3.0)}, "lies 3.000 m from a training area"),
         ({"whole": counted(test=[900, 0])}, "'vegetation' does not occur in the test areas"),
         ({"whole": counted(labelled=[5000, 0], other={"6": 7})}, "5); the reference also has the codes 6 (7"),

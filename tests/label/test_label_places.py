@@ -52,6 +52,17 @@ def test_mixed_places_of_which_the_model_is_unsure_come_first():
     assert all(max(abs(a - c), abs(b - d)) > 1 for a, b in squares for c, d in squares if (a, b) != (c, d))
 
 
+def test_a_far_better_place_that_touches_another_comes_before_one_alone():
+    x, y, z, code, _ = echoes()
+    good, poor = (x < 20_000) & (y < 10_000), (x > 50_000) & (x < 60_000) & (y < 10_000)
+    keep, rng = good | poor, np.random.default_rng(5)
+    code = rng.choice([2, 5], len(x)).astype(np.uint8)
+    for share, order in ((0.2, [0, 10, 50]), (0.5, [0, 50, 10])):
+        told = np.where(poor, share * 0.9, np.where(x < 10_000, 0.95, 0.9)).astype(np.float32)
+        places = counts(tuple(c[keep] for c in (x, y, z, code, told))).suggest(PARAMS, no_place)
+        assert [p.box.xmin for p in places] == order
+
+
 def test_tiles_and_their_order_change_nothing():
     columns = echoes()
     pieces = PlaceCounts(10.0)

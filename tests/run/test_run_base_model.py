@@ -11,8 +11,9 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 import fwclass as package
+from fwclass.model import Contextual
 from fwclass.run.inputs import PartInputs
-from fwclass.store.corrections import read_corrections
+from fwclass.store.corrections import add_corrections, read_corrections
 from fwclass.store.model_rows import load_rows
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
@@ -58,9 +59,13 @@ def learned(made, tmp_path_factory):
 
 
 def test_a_model_keeps_rows_of_every_class(made):
-    model, X, codes = load_rows(made[2])
-    assert dict(zip(*np.unique(codes, return_counts=True), strict=True)) == {2: 300, 5: 300}
-    assert X.shape == (600, len(model.features)) and model.card["rows"] == {"2": 300, "5": 300}
+    model, rows = load_rows(made[2])
+    assert dict(zip(*np.unique(rows.codes, return_counts=True), strict=True)) == {2: 300, 5: 300}
+    assert (
+        rows.X.shape == (600, len(model.features))
+        and rows.context.shape == (600, 0)
+        and model.card["rows"] == {"2": 300, "5": 300}
+    )
 
 
 def test_the_model_learns_from_the_confirmed_echoes_and_base_rows(made, learned):
@@ -70,8 +75,8 @@ def test_the_model_learns_from_the_confirmed_echoes_and_base_rows(made, learned)
     assert len(own["y"]) == stands.rows
     counts = np.bincount(own["y"], minlength=2)
     assert np.bincount(base["y"], minlength=2).tolist() == [min(300, max(int(n), 50)) for n in counts]
-    _, X, codes = load_rows(made[2])
-    there = {(*row.tolist(), int(code)) for row, code in zip(X, codes, strict=True)}
+    kept = load_rows(made[2])[1]
+    there = {(*row.tolist(), int(code)) for row, code in zip(kept.X, kept.codes, strict=True)}
     assert {(*row.tolist(), (2, 5)[y]) for row, y in zip(base["X"], base["y"], strict=True)} <= there
     card = load_model(root / "current" / "model").card if (root / "current").exists() else {}
     assert card["samples"] == (counts + np.bincount(base["y"], minlength=2)).tolist()
@@ -83,11 +88,11 @@ def test_a_model_that_learned_further_can_be_learned_from_again(made, learned, t
     words = ("--set", f"survey.base_model={made[2]}", "--set", "survey.classes=[]", *ALONE, "--no-assess")
     ended = fwclass("train", made[0], "--model", tmp_path / "m", "--keep-rows", 20, "--out", learned[0], *words)
     assert ended.returncode == 0 and "the base model's" in ended.stderr, ended.stderr
-    model, X, codes = load_rows(tmp_path / "m")
-    assert set(codes.tolist()) <= {2, 5} and X.shape == (len(codes), len(model.features)) and len(codes) <= 40
+    kept = load_rows(tmp_path / "m")[1]
+    assert set(kept.codes.tolist()) <= {2, 5} and len(kept.codes) <= 40
     own = sample(learned[0], ("training", "all"))
     there = {(*row.tolist(), (2, 5)[y]) for row, y in zip(own["X"], own["y"], strict=True)}
-    assert {(*row.tolist(), int(code)) for row, code in zip(X, codes, strict=True)} <= there
+    assert {(*row.tolist(), int(code)) for row, code in zip(kept.X, kept.codes, strict=True)} <= there
 
 
 def test_only_what_learns_is_made_anew(made, learned, tmp_path):
@@ -114,6 +119,84 @@ def test_classes_of_a_ready_model_can_be_corrected(made, tmp_path):
     assert fwclass("label", "checkout", made[1], tmp_path / "out", "--tiles", tile).returncode == 0
     ended = fwclass("label", "collect", tmp_path / "out")
     assert ended.returncode == 0 and "nothing new" in ended.stdout + ended.stderr, ended.stderr
+
+
+# ------------------------------------------------------------------ in context
+
+CELLS = "classify.context.cells=[1,3]"
+
+
+@pytest.fixture(scope="module")
+def contextual(made, tmp_path_factory):
+    """A model of both layers that keeps rows."""
+    place = tmp_path_factory.mktemp("contextual")
+    ended = fwclass(
+        *("train", made[0], "--model", place / "model", "--keep-rows", 200, "--out", place / "t", "--workers", 0),
+        *("--set", CELLS),
+    )
+    assert ended.returncode == 0, ended.stderr
+    return made[0], made[1], place / "model"
+
+
+def only(run, root, code):
+    """A run with corrections of one class alone."""
+    shutil.copytree(run / "labels", root / "labels")
+    path = root / "labels" / "corrections.parquet"
+    rows = read_corrections(root)
+    path.unlink()
+    kept = rows.take(rows.code == code)
+    assert 0 < kept.rows < rows.rows
+    add_corrections(root, lambda earlier: kept)
+
+
+def test_both_layers_learn_from_base_rows_though_a_class_has_no_label(contextual, tmp_path):
+    model, rows = load_rows(contextual[2])
+    assert isinstance(model, Contextual) and rows.X.shape == (400, len(model.features))
+    assert rows.context.shape == (400, 2 + 2 * 2 * 2) and model.card["rows"] == {"2": 200, "5": 200}
+    assert (rows.context[:, :2].sum(axis=1, dtype=int) - 255 <= 1).all(), "shares of two classes, rounded"
+    only(contextual[1], tmp_path / "run", 2)
+    ended = learn(contextual, tmp_path / "run")
+    assert ended.returncode == 0, ended.stderr
+    root = tmp_path / "run"
+    base, own = sample(root, ("base-rows", "all")), sample(root, ("context-training", "all"))
+    assert set(own["y"].tolist()) == {0} and base["X"].shape[1] == own["X"].shape[1] == len(model.deciding)
+    learned = load_model(Store(root, read_only=True).path("train", "model", "model"))
+    assert isinstance(learned, Contextual) and learned.cells == model.cells
+    rows = len(own["y"]) + len(base["y"])
+    assert sum(learned.coarse.card["samples"]) == sum(learned.fine.card["samples"]) == rows
+    written = np.unique(package.open(root).echoes(columns=["classification"]).to_pandas()["classification"])
+    assert {2, 5} <= set(written.tolist()), "a class without a label is not forgotten"
+
+
+def test_rows_in_context_change_with_neither_tiles_nor_workers(contextual, tmp_path):
+    for name, words in (("a", ()), ("b", ("tile.size=40",))):
+        shutil.copytree(contextual[1] / "labels", tmp_path / name / "labels")
+        ended = learn(contextual, tmp_path / name, *words, workers=2 if words else 0)
+        assert ended.returncode == 0, ended.stderr
+    keys = ["strip", "pulse", "echo_number"]
+    tables = [
+        package.open(tmp_path / name).echoes(columns=[*keys, "classification", "confidence"]).to_pandas()
+        for name in "ab"
+    ]
+    a, b = (t.sort_values(keys).reset_index(drop=True) for t in tables)
+    assert a.equals(b)
+
+
+def test_the_context_of_a_base_model_may_be_left_out_or_be_another(contextual, tmp_path):
+    shutil.copytree(contextual[1] / "labels", tmp_path / "run" / "labels")
+    ended = learn(contextual, tmp_path / "run", "classify.context.cells=[]")
+    assert ended.returncode == 0 and "context-training" not in ended.stderr, ended.stderr
+    only(contextual[1], tmp_path / "other", 2)
+    ended = learn(contextual, tmp_path / "other", "classify.context.cells=[2]")
+    assert ended.returncode == 2 and "do not suffice" in ended.stderr, "no row of plants has such a context"
+    assert "features" not in ended.stderr.split("do not suffice")[0], "before anything dear is computed"
+
+
+def test_what_compares_on_labels_alone_refuses_a_base_model(made, tmp_path):
+    words = ("--set", f"survey.base_model={made[2]}", "--set", "survey.classes=[]")
+    for command in (("train", made[0], "--compare", "forest,boosting"), ("select", made[0], "--method", "rffs")):
+        ended = fwclass(*command, "--out", tmp_path / "r", *words)
+        assert ended.returncode == 2 and "survey.base_model=null" in ended.stderr, ended.stderr
 
 
 # ------------------------------------------------------------------ what is refused
@@ -168,6 +251,17 @@ def damage(model, how):
         np.save(rows / "X.npy", X)
     elif how == "objects":
         np.save(rows / "codes.npy", np.array([{}] * 600, object), allow_pickle=True)
+
+
+def test_rows_of_a_model_in_context_have_theirs(contextual, tmp_path):
+    for how in ("gone", "others"):
+        shutil.copytree(contextual[2], tmp_path / how)
+        path = tmp_path / how / "rows" / "context.npy"
+        path.unlink() if how == "gone" else np.save(path, np.load(path)[:, 1:])
+        shutil.copytree(contextual[1] / "labels", tmp_path / f"r-{how}" / "labels")
+        ended = learn((contextual[0], None, tmp_path / how), tmp_path / f"r-{how}")
+        assert ended.returncode == 1 and "Traceback" not in ended.stderr, ended.stderr
+        assert ("are not there" if how == "gone" else "do not fit its card") in ended.stderr, ended.stderr
 
 
 @pytest.mark.parametrize("how", ["none", "gone", "cut", "others", "infinite", "objects"])

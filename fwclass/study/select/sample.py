@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, InputError
 from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
 from fwclass.graph.thin import thins
@@ -189,3 +190,14 @@ def training_of(inputs: PartInputs, names: tuple[str, ...]) -> tuple[PlacedSampl
         folds = Folds(arrays["fold"], arrays["near"].astype(bool), int(inputs.meta(TRAINING, "all")["blocks"]))
         _loaded[key] = _load(inputs, TRAINING, "all", names), folds
     return _loaded[key]
+
+
+def require_own_labels(config: Config) -> None:
+    """`ConfigError` where the survey names a base model: what is compared or chosen here learns from labels alone."""
+    if config.survey.base_model is not None:
+        raise ConfigError(
+            "classifiers and features are compared on the survey's own labels, and the survey names a base model",
+            where=f"{config.path}: survey.base_model",
+            got=config.survey.base_model,
+            do="--set survey.base_model=null, with survey.classes and survey.features",
+        )

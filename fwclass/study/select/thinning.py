@@ -33,6 +33,7 @@ from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
 from fwclass.study.select.cost import computed_names, microseconds
+from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import predict
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
@@ -198,6 +199,7 @@ def _matrices(
 
 def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     """The curve over ``select.rates`` on the training areas, for a classifier by `names`; plain data."""
+    require_own_labels(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
     check_features(config, names, "survey.features or --candidates")
     plan = until_tiles(Plan(config, names, names), runner)
