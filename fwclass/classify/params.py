@@ -93,13 +93,17 @@ class ClassifyParams(Params):
     `only`: class codes of the sources whose echoes are classified, all others keep theirs; empty: all are classified.
     `keep`: class codes of the sources that stay. `probabilities`: the share of every class too, in columns
     ``probability_<code>``. `max_outside`: share of the echoes whose value of a feature lies outside of what the model
-    has seen, above which a command ends with exit code 4, unless `accept_drift`; neither changes a class.
+    has seen, above which a command ends with exit code 4, unless `accept_drift`; `unsure`: confidence below which an
+    echo is unsure; `max_unsure`: share of unsure echoes above which it does so too, by a given model. None of these
+    changes a class.
     """
 
     only: tuple[Code, ...] = Field(max_length=256)
     keep: tuple[Code, ...] = Field(max_length=256)
     probabilities: bool
     max_outside: float = Field(ge=0.0, le=1.0)
+    unsure: float = Field(ge=0.0, le=1.0)
+    max_unsure: float = Field(ge=0.0, le=1.0)
     accept_drift: bool
     refine: RefineParams
     context: ContextParams

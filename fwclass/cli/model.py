@@ -190,6 +190,7 @@ def classify(
     all other fields; confidence and entropy become extra bytes.
     """
     from fwclass import conf
+    from fwclass.classify.unsure import judge_unsure
     from fwclass.graph.drift import judge_drift
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
     from fwclass.single_file.features.echoes import Flight
@@ -206,7 +207,9 @@ def classify(
     if as_json:
         click.echo(json.dumps(summary, indent=1))
     if not accept_drift:
-        judge_drift(summary["drift"], conf.section("classify", job.settings), job.model)
+        params = conf.section("classify", job.settings)
+        judge_drift(summary["drift"], params, job.model)
+        judge_unsure(summary["unsure"], params, job.model)
 
 
 @cli.command()

@@ -95,6 +95,7 @@ def _verify(runner: Any) -> None:
 
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
+    from fwclass.classify.unsure import judge_unsure
     from fwclass.graph import plausibility
     from fwclass.graph.drift import judge_drift
     from fwclass.graph.report import REPORT
@@ -144,6 +145,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     if report.get("plausibility"):
         plausibility.judge(report["plausibility"]["strips"], config.plausibility)
     judge_drift(report.get("drift"), config.classify, config.survey.model or config.path)
+    judge_unsure(report.get("unsure"), config.classify, config.survey.model or config.path)
     if report.get("quality"):
         judge_quality(report["quality"], config.quality)
     if report["accuracy"]:

@@ -22,6 +22,7 @@ from fwclass.assess.stage import (
     unpack,
 )
 from fwclass.classify.kept import Kept
+from fwclass.classify.unsure import PERCENT, percent_of
 from fwclass.conf.model import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
@@ -82,15 +83,11 @@ def count_tile(
     return {**facts, **({"kept": left_out} if kept else {})}
 
 
-PERCENT = 101
-
-
 def by_confidence(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
     """(2, 101) labelled echoes: wrong and right ones (rows), by the confidence of their class [%]."""
     reference, answer = class_index(table["reference"], classes), code_index(table["classification"], classes)
     known = (reference >= 0) & np.isfinite(table["confidence"])
-    percent = np.floor(100 * table["confidence"][known].astype(np.float64) + 1e-4).astype(np.int64)
-    cells = PERCENT * (reference[known] == answer[known]) + np.clip(percent, 0, PERCENT - 1)
+    cells = PERCENT * (reference[known] == answer[known]) + percent_of(table["confidence"][known])
     return np.bincount(cells, minlength=2 * PERCENT).reshape(2, PERCENT).astype(np.int64)
 
 

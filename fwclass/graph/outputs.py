@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.classify.kept import Kept
+from fwclass.classify.unsure import by_percent
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, StoreError, several
 from fwclass.graph.classify import classes_written
@@ -97,7 +98,8 @@ def deliver_tile(
     about = about_delivery(called, params.parquet_bits)
     plain = round_floats(table, params.parquet_bits, EXACT)
     write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params, about)
-    return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table)}
+    percent = by_percent(table["confidence"]).tolist() if "confidence" in table else []
+    return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table), "percent": percent}
 
 
 def deliver_strip(
@@ -221,7 +223,7 @@ def class_names(plan: Plan) -> dict[str, str]:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    6,
+    7,
     "tile",
     "echo",
     deliver_tile,

@@ -19,7 +19,7 @@ from fwclass.graph.report_accuracy import (
     training_facts,
 )
 from fwclass.graph.report_counts import delivered_files, echo_counts, source_files, stage_figures
-from fwclass.graph.report_facts import legacy_codes, place_of, receipts_of_run, sureness
+from fwclass.graph.report_facts import legacy_codes, place_of, receipts_of_run, sureness, unsure_of_run
 from fwclass.graph.report_figures import report_figures
 from fwclass.graph.report_remarks import (
     remarks_of_parts,
@@ -76,6 +76,7 @@ def write_report(
     if accuracy is not None:
         accuracy["remarks"] = on_accuracy
     drifted, plausible = drift_of_run(runner), plausibility_of_run(runner, survey, config)
+    unsure = unsure_of_run(tiles, config) if classified else None
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -111,11 +112,13 @@ def write_report(
         "distribution": feature_distribution(runner),
         "waveforms": waveform_facts(runner, survey),
         "drift": drifted,
+        "unsure": unsure,
         "plausibility": plausible,
         "remarks": [
             *on_accuracy,
             *(plausible or {}).get("remarks", ()),
             *(drifted or {}).get("remarks", ()),
+            *(unsure or {}).get("remarks", ()),
             *remarks_on_crowds(runner, config),
             *remarks_on_empty_files(files),
             *remarks_of_parts(runner),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
 from fwclass.graph.layout import Survey
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
@@ -61,6 +62,13 @@ def legacy_codes(runner: Runner, survey: Survey, config: Config) -> dict[str, An
 
 def _date(seconds: float) -> str:
     return (GPS_EPOCH + timedelta(seconds=seconds + ADJUSTED - LEAP_SECONDS)).strftime("%Y-%m-%d")
+
+
+def unsure_of_run(tiles: Sequence[Receipt], config: Config) -> dict[str, Any] | None:
+    """How much the model is unsure of (`unsure_facts`); None where nothing was classified."""
+    counts = [np.array(r.meta["percent"], np.int64) for r in tiles if r.meta["percent"]]
+    given = config.survey.model is not None
+    return unsure_facts(np.sum(counts, axis=0), config.classify, given) if counts else None
 
 
 def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:

@@ -16,6 +16,7 @@ from fwclass.classes import standard_name
 from fwclass.classify.context import whole_shares
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import classify, count_filled
+from fwclass.classify.unsure import by_percent, unsure_facts
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
@@ -118,13 +119,14 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     echoes = _echoes(job, model, asked, tell)
     first = model.coarse if isinstance(model, Layered) else model
     outside = RangeCounter.of(first.card, first.features)
-    kept = Kept.of(conf.section("classify", job.settings))
+    params = conf.section("classify", job.settings)
+    kept = Kept.of(params)
     results, without, medians, dense = _classify(echoes.table, model, job.settings, tell, outside, kept)
     drifted = drift(first.card, [outside.counts()] if outside else [])
     boundary = None
     if isinstance(model, TwoLayer):
-        check_computed(model.fine, params := conf.section("features", job.settings), job.model)
-        results, more = refine(echoes.table, results, model, params, conf.section("tile", job.settings).size, tell)
+        check_computed(model.fine, features := conf.section("features", job.settings), job.model)
+        results, more = refine(echoes.table, results, model, features, conf.section("tile", job.settings).size, tell)
         boundary, medians = more["boundary"], medians + more["filled"]
     tell("writing")
     rows = _row_of_point(echoes, job.source)
@@ -138,6 +140,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     by_code = dict(zip(*(n.tolist() for n in np.unique(own, return_counts=True)), strict=True))
     stay = kept_codes(by_code, kept)
     sure = answered["confidence"][np.isfinite(answered["confidence"])]
+    unsure = unsure_facts(by_percent(answered["confidence"]), params, given=True)
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -155,6 +158,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "confidence": float(sure.mean()) if len(sure) else None,
         "without_value": without,
         "drift": drifted,
+        "unsure": unsure,
         "filled": medians,
         "boundary": boundary,
         "waveforms": wrote.get("wdp"),
@@ -163,6 +167,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
             *dense,
             *notes,
             *_drift_notes(drifted),
+            *(unsure or {}).get("remarks", ()),
             *class_remarks(by_code, known_codes(model.classes), kept, "points"),
             *(str(n) for n in wrote.get("notes", ())),
         ],

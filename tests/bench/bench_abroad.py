@@ -4,7 +4,8 @@
 
 Five public surveys of 0.3 to 60 echoes/m2 from two countries; ground, buildings, and what is neither (AHN3 has one
 class for plants and objects). The features are those of `fwclass features`, the ground its filter's; nothing of a
-survey that is judged is known to its model. Data are not part of this repository; without them it says so.
+survey that is judged is known to its model. The share of echoes with a confidence below `classify.unsure`, which needs
+no label, stands beside the figures. Data are not part of this repository; without them it says so.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.assess.confusion import figures
 from fwclass.classify.stage import classify
+from fwclass.classify.unsure import by_percent, unsure_facts
 from fwclass.conf.sets import feature_set
 from fwclass.model import ClassDef, sample_matrix
 from fwclass.schema import Table
@@ -93,16 +95,18 @@ def learn(surveys: list[Survey], names: tuple[str, ...], params: TrainParams) ->
 
 
 def judged(model: object, survey: Survey) -> NDArray[np.float64]:
-    """Overall accuracy, kappa and mean IoU [%]."""
+    """Overall accuracy, kappa and mean IoU, and the share of echoes of which the model is unsure [%]."""
     known = np.isin(survey.reference, [code for c in CLASSES for code in c.codes])
     rows = np.flatnonzero(known)[::EVERY]
-    answers = classify(sample_matrix(survey.features.take(rows), model.features), model)["classification"]
+    table = classify(sample_matrix(survey.features.take(rows), model.features), model)
+    answers = table["classification"]
+    unsure = unsure_facts(by_percent(table["confidence"]), conf.section("classify", ()), given=True)
     matrix = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
     of = {code: k for k, c in enumerate(CLASSES) for code in c.codes}
     truth = np.array([of[int(code)] for code in survey.reference[rows]])
     np.add.at(matrix, (truth, np.searchsorted([c.code for c in CLASSES], answers)), 1)
     told = figures(matrix, [c.name for c in CLASSES])
-    return 100 * np.array([told["overall_accuracy"], told["kappa"], told["mean_iou"]])
+    return 100 * np.array([told["overall_accuracy"], told["kappa"], told["mean_iou"], unsure["share"]])
 
 
 def main() -> None:
@@ -123,15 +127,15 @@ def main() -> None:
             params = conf.section("train", (f"train.seed={seed}",))
             for home in surveys:
                 model = learn([surveys[home]], features, params)
-                pairs.append([judged(model, s) if n != home else np.full(3, np.nan) for n, s in surveys.items()])
+                pairs.append([judged(model, s) if n != home else np.full(4, np.nan) for n, s in surveys.items()])
             models = [learn([s for n, s in surveys.items() if n != out], features, params) for out in surveys]
             others.append([judged(m, s) for m, s in zip(models, surveys.values(), strict=True)])
-        table = np.array(pairs).reshape(-1, len(surveys), len(surveys), 3).mean(axis=0)
-        print(f"\n{name}, {len(features)} features: overall / kappa / mean IoU [%]")
-        print(f"{'trained on':<12}" + "".join(f"{n:>20}" for n in surveys))
+        table = np.array(pairs).reshape(-1, len(surveys), len(surveys), 4).mean(axis=0)
+        print(f"\n{name}, {len(features)} features: overall / kappa / mean IoU / unsure [%]")
+        print(f"{'trained on':<12}" + "".join(f"{n:>26}" for n in surveys))
         for home, row in itertools.chain(zip(surveys, table, strict=True), [("all others", np.mean(others, axis=0))]):
             cells = ("/".join(f"{v:5.1f}" for v in figure) if np.isfinite(figure[0]) else "" for figure in row)
-            print(f"{home:<12}" + "".join(f"{cell:>20}" for cell in cells))
+            print(f"{home:<12}" + "".join(f"{cell:>26}" for cell in cells))
         mean, all_others = np.nanmean(table, axis=(0, 1)), np.mean(others, axis=(0, 1))
         print("mean of pairs " + " / ".join(f"{v:.2f}" for v in mean), end="; ")
         print("of all others " + " / ".join(f"{v:.2f}" for v in all_others), flush=True)

@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import geopandas
 import laspy
 import numpy as np
 import yaml
@@ -29,7 +30,6 @@ from scipy.spatial import cKDTree
 import fwclass as package
 from fwclass.assess.confusion import figures
 from fwclass.formats.echo_labels import EchoLabels
-from fwclass.read.polygons import open_polygons, read_polygons
 from fwclass.store.corrections import add_corrections
 
 NAMES = ("ground", "vegetation", "building")
@@ -132,8 +132,7 @@ def bench(name: str, data: Path, counts: list[int], place: Path) -> None:
         root, file = place / f"run-{count}", place / f"{count}.gpkg"
         shutil.copytree(first, root, symlinks=True)
         command("suggest", root, file, "--places", count)
-        _, shapes = read_polygons(open_polygons(file, None, "--places"), None)
-        boxes = [shape.bounds for shape in shapes]
+        boxes = [tuple(place.bounds) for place in geopandas.read_file(file).geometry]
         correct(root, boxes, truth)
         command("label", "confirm", root, file)
         told = []

@@ -1,0 +1,65 @@
+"""How much of a survey a model is unsure of: a share of its echoes that needs no label."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.classify.params import ClassifyParams
+from fwclass.errors import QualityError
+
+PERCENT = 101
+
+SAID_FROM = 0.055
+"""Share from which it is said: below it models that had left home had 92 to 98 % right, above it 73 to 97 %
+(docs/models.md)."""
+
+
+def percent_of(confidence: NDArray[np.float32]) -> NDArray[np.int64]:
+    """int64 (rows,): confidences, 0 to 1, in whole percent, rounded down."""
+    percent = np.floor(100 * confidence.astype(np.float64) + 1e-4).astype(np.int64)
+    return np.clip(percent, 0, PERCENT - 1)
+
+
+def by_percent(confidence: NDArray[np.float32]) -> NDArray[np.int64]:
+    """int64 (101,): echoes by their confidence [%]; those without one (NaN) were not classified."""
+    known = np.isfinite(confidence)
+    return np.bincount(percent_of(confidence[known]), minlength=PERCENT).astype(np.int64)
+
+
+def unsure_facts(counts: NDArray[np.int64], params: ClassifyParams, given: bool) -> dict[str, Any] | None:
+    """``share`` of the classified echoes with a confidence ``below`` that of `params`, and ``remarks``; None for none.
+
+    Parameters
+    ----------
+    counts : int64 (101,), `by_percent` of all echoes.
+    given : the model was not trained in this run; of one that was, the test areas tell more.
+    """
+    total = int(counts.sum())
+    if not total:
+        return None
+    share = int(counts[: round(100 * params.unsure)].sum()) / total
+    said = given and share > SAID_FROM
+    remark = (
+        f"the model is unsure of {100 * share:.1f} % of the echoes (confidence below {params.unsure:g}): where models "
+        f"that left home were unsure of more than {100 * SAID_FROM:g} %, up to a quarter of the classes were wrong: "
+        "look at the least sure places (`fwclass view`), and label some (`fwclass suggest`)"
+    )
+    return {"share": share, "below": params.unsure, "given": given, "remarks": [remark] if said else []}
+
+
+def judge_unsure(facts: dict[str, Any] | None, params: ClassifyParams, where: object) -> None:
+    """`QualityError` where a given model is unsure of more than `classify.max_unsure`."""
+    if facts is None or not facts["given"] or params.accept_drift or facts["share"] <= params.max_unsure:
+        return
+    raise QualityError(
+        "the model is unsure of too much",
+        where=where,
+        expected=f"at most {100 * params.max_unsure:g} % of the echoes with a confidence below {params.unsure:g} "
+        "(classify.max_unsure)",
+        got=f"{100 * facts['share']:.1f} %",
+        do="take a model of like data, or label some places (`fwclass suggest`) and learn from them "
+        "(survey.base_model); --accept-drift (classify.accept_drift=true) takes the classes as they are",
+    )

@@ -1,0 +1,67 @@
+"""How much a model is unsure of: counted alike in any tiles, said and judged of models that were given."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from commandline import fwclass
+from smallsurvey import small_survey
+
+import fwclass as package
+from fwclass import conf
+from fwclass.classify.unsure import SAID_FROM, by_percent, judge_unsure, unsure_facts
+from fwclass.errors import QualityError
+
+PARAMS = conf.section("classify", ())
+
+
+def facts(unsure, of=1000, given=True):
+    counts = np.zeros(101, np.int64)
+    counts[40], counts[99] = unsure, of - unsure
+    return unsure_facts(counts, PARAMS, given)
+
+
+def test_parts_add_up_and_the_bound_itself_is_sure():
+    confidence = np.random.default_rng(1).integers(0, 301, 999).astype(np.float32) / np.float32(300)
+    confidence[::7] = np.nan
+    parts = np.array_split(confidence, 13)
+    assert (np.sum([by_percent(p) for p in parts], axis=0) == by_percent(confidence)).all()
+    known = confidence[np.isfinite(confidence)]
+    share = unsure_facts(by_percent(confidence), PARAMS, True)["share"]
+    assert share == (np.rint(known.astype(float) * 300) < 180).mean()
+    assert unsure_facts(by_percent(np.full(3, np.nan, np.float32)), PARAMS, True) is None
+
+
+def test_it_is_said_and_judged_of_given_models_alone():
+    few, some, many = (round(1000 * s) for s in (SAID_FROM - 0.001, SAID_FROM + 0.001, PARAMS.max_unsure + 0.001))
+    assert not facts(few)["remarks"] and "unsure of 5.6 %" in facts(some)["remarks"][0]
+    judge_unsure(facts(some), PARAMS, "m")
+    with pytest.raises(QualityError) as fault:
+        judge_unsure(facts(many), PARAMS, "m")
+    assert "9.1 %" in str(fault.value) and "suggest" in str(fault.value)
+    judge_unsure(facts(many), PARAMS.model_copy(update={"accept_drift": True}), "m")
+    judge_unsure(facts(many, given=False), PARAMS, "m")
+    assert not facts(many, given=False)["remarks"]
+    judge_unsure(None, PARAMS, "m")
+
+
+def test_the_commands_say_it_and_end_with_4(tmp_path):
+    survey = small_survey(tmp_path)
+    words = ("--model", tmp_path / "m", "--no-assess", "--out", tmp_path / "t", "--workers", 0)
+    assert fwclass("train", survey, *words, "--set", "train.trees=5").returncode == 0
+    given = ("--set", f"survey.model={tmp_path / 'm'}", "--set", "survey.classes=[]", "--set", "areas.train=[]")
+    strict = ("--set", "classify.unsure=1", "--set", "classify.max_unsure=0")
+    ended = fwclass("run", survey, "--out", tmp_path / "r", "--workers", 0, *given, *strict)
+    assert ended.returncode == 4 and "unsure of too much" in ended.stderr, ended.stderr
+    told = json.loads((tmp_path / "r" / "report.json").read_text())["unsure"]
+    sure = package.open(tmp_path / "r").echoes(columns=["confidence"]).to_pandas()["confidence"].to_numpy()
+    assert told["share"] == (sure < 0.9999).mean() > 0
+    accepted = fwclass("run", survey, "--out", tmp_path / "r", "--workers", 0, *given, *strict, "--accept-drift")
+    assert accepted.returncode == 0, accepted.stderr
+    words = ("classify", tmp_path / "a.las", tmp_path / "o.las", "--model", tmp_path / "m", "--json")
+    ended = fwclass(*words, *strict)
+    assert ended.returncode == 4 and "unsure of too much" in ended.stderr, ended.stderr
+    assert json.loads(ended.stdout)["unsure"]["share"] == told["share"], "the same features and answers as in the run"
+    assert fwclass(*words, "--overwrite", "--accept-drift", *strict).returncode == 0
