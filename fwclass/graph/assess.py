@@ -83,21 +83,54 @@ def count_tile(
     return {**facts, **({"kept": left_out} if kept else {})}
 
 
+MILLIONTHS = 1_000_000
+"""Of a confidence of 1: sums of whole numbers do not depend on the order of what is added."""
+
+STEPS = 10
+"""Steps of the confidence that reliability is told by (Guo et al. 2017)."""
+
+
 def by_confidence(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
-    """(2, 101) labelled echoes: wrong and right ones (rows), by the confidence of their class [%]."""
+    """(3, 101) labelled echoes by the confidence of their class [%]: wrong ones, right ones, and the sum of their
+    confidences [1/MILLIONTHS]."""
     reference, answer = class_index(table["reference"], classes), code_index(table["classification"], classes)
     known = (reference >= 0) & np.isfinite(table["confidence"])
-    cells = PERCENT * (reference[known] == answer[known]) + percent_of(table["confidence"][known])
-    return np.bincount(cells, minlength=2 * PERCENT).reshape(2, PERCENT).astype(np.int64)
+    confidence, percent = table["confidence"][known], percent_of(table["confidence"][known])
+    cells = PERCENT * (reference[known] == answer[known]) + percent
+    counts = np.bincount(cells, minlength=2 * PERCENT).reshape(2, PERCENT).astype(np.int64)
+    total = np.zeros(PERCENT, np.int64)
+    np.add.at(total, percent, np.rint(confidence.astype(np.float64) * MILLIONTHS).astype(np.int64))
+    return np.concatenate([counts, total[None]])
 
 
 def automation(counts: NDArray[np.int64]) -> list[list[float]]:
     """(confidence, share of the echoes that are as sure or surer, share of these that are right), by ascending
-    confidence; empty without an echo."""
-    total = int(counts.sum())
-    left = counts[:, ::-1].cumsum(axis=1)[:, ::-1]
+    confidence; empty without an echo. `counts` as `by_confidence` gives them."""
+    total = int(counts[:2].sum())
+    left = counts[:2, ::-1].cumsum(axis=1)[:, ::-1]
     rows = [(k, int(left[:, k].sum()), int(left[1, k])) for k in range(PERCENT)]
     return [[k / 100, some / total, right / some] for k, some, right in rows if some] if total else []
+
+
+def reliability(counts: NDArray[np.int64]) -> dict[str, Any] | None:
+    """Whether the confidence is the share that is right; None without an echo. `counts` as `by_confidence` gives them.
+
+    Mean ``confidence`` and ``right`` share; ``steps`` of a tenth each: (mean confidence, share of the echoes, share of
+    these that are right); ``error``, the mean distance of the last and the first over all echoes: the expected
+    calibration error of Guo et al. 2017.
+    """
+    total = int(counts[:2].sum())
+    if not total:
+        return None
+    summed = np.add.reduceat(counts, np.arange(0, 100, 100 // STEPS), axis=1)  # the last step holds 100 % too
+    rows = [(w + r, r, s) for w, r, s in summed.T.tolist() if w + r]
+    steps = [(s / MILLIONTHS / n, n / total, r / n) for n, r, s in rows]
+    return {
+        "confidence": int(counts[2].sum()) / MILLIONTHS / total,
+        "right": int(counts[1].sum()) / total,
+        "error": sum(share * abs(mean - right) for mean, share, right in steps),
+        "steps": steps,
+    }
 
 
 def ground_counts(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
@@ -126,7 +159,7 @@ def assess_survey(
     """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
-    parts, counted, sure, left_out = [], [], np.zeros((2, PERCENT), np.int64), 0
+    parts, counted, sure, left_out = [], [], np.zeros((3, PERCENT), np.int64), 0
     for tile in here.parts("confusion"):
         meta = here.inputs.meta("confusion", tile)
         matrix += np.array(meta["matrix"], np.int64)
@@ -152,6 +185,7 @@ def assess_survey(
         "distribution": summary(histograms, called, quantiles),
         "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
         "automation": automation(sure),
+        "reliability": reliability(sure),
     }
 
 

@@ -103,6 +103,7 @@ def write_report(
         ),
         "sureness": sureness(tiles, classes),
         "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),
+        "reliability": next((r.meta["reliability"] for r in receipts_of_run(runner, "assess")), None),
         "waves": some_waves(
             receipts_of_run(runner, "read"),
             {r.part for r in receipts_of_run(runner, "decompose")},

@@ -19,6 +19,12 @@ SHOWN = 4
 """Names that are told of a longer list."""
 
 
+def describe_reliability(told: Mapping[str, Any]) -> str:
+    """What `assess.reliability` says, in a sentence."""
+    mean, right, error = (100 * told[n] for n in ("confidence", "right", "error"))
+    return f"{mean:.1f} % on average where {right:.1f} % are right; expected calibration error {error:.1f} %"
+
+
 def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     """The last words of a run, for the terminal; what it delivered lies below `root`."""
     if "words" in report:  # of a workflow that has no echoes
@@ -47,6 +53,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             + (f", kappa {kappa:.3f}" if kappa is not None else "")
             + f" on {accuracy['area']}"
         )
+        if told := report.get("reliability"):
+            rows.append(f"confidence  {describe_reliability(told)}")
     elif report["training"]:
         none = (
             "unknown: no labelled echo lies in a test area (areas.test, areas.gap; with areas.train: all none is left)"

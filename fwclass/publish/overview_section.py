@@ -177,6 +177,19 @@ def sure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
     ]
 
 
+def reliability_rows(told: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """A sentence, and a row for each step of the confidence: its mean, shares of test echoes and of right ones."""
+    if not told:
+        return None
+    rows = [{"confidence": percent(c), "share": percent(s), "right": percent(r)} for c, s, r in told["steps"]]
+    mean, right, error = (percent(told[n]) for n in ("confidence", "right", "error"))
+    text = (
+        f"The confidence of the test echoes is {mean} % on average, and {right} % of them are right; over steps of a "
+        f"tenth both differ by {error} % (expected calibration error)."
+    )
+    return {"text": text, "rows": rows}
+
+
 def curve(levels: Sequence[Sequence[float]] | None) -> dict[str, Any] | None:
     """Accuracy of the echoes that are left to the model, over their share: a path, ends of the scale, a small table."""
     if not levels or len(levels) < 2:

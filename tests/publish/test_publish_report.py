@@ -81,6 +81,12 @@ def full(survey: str = "city") -> dict[str, Any]:
             "tiles": [{"tile": "1_2", "file": "laz/tiles/1_2.copc.laz", "confidence": 0.61, "echoes": 1200}],
         },
         "automation": [[0.5, 1.0, 0.9], [0.8, 0.7, 0.97], [1.0, 0.2, 1.0]],
+        "reliability": {
+            "confidence": 0.91,
+            "right": 0.93,
+            "error": 0.025,
+            "steps": [[0.55, 0.1, 0.6], [0.97, 0.9, 0.97]],
+        },
         "waves": [
             {
                 "strip": 3,
