@@ -95,7 +95,7 @@ class ClassifyParams(Params):
     ``probability_<code>``. `max_outside`: share of the echoes whose value of a feature lies outside of what the model
     has seen, above which a command ends with exit code 4, unless `accept_drift`; `unsure`: confidence below which an
     echo is unsure; `max_unsure`: share of unsure echoes above which it does so too, by a given model. None of these
-    changes a class.
+    changes a class; `leave` does: the code that unsure echoes get instead of one, None: they have their class.
     """
 
     only: tuple[Code, ...] = Field(max_length=256)
@@ -104,6 +104,7 @@ class ClassifyParams(Params):
     max_outside: float = Field(ge=0.0, le=1.0)
     unsure: float = Field(ge=0.0, le=1.0)
     max_unsure: float = Field(ge=0.0, le=1.0)
+    leave: Code | None
     accept_drift: bool
     refine: RefineParams
     context: ContextParams

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,35 @@ from numpy.typing import NDArray
 
 from fwclass.classify.params import ClassifyParams
 from fwclass.errors import QualityError
+from fwclass.schema import Table
 
 PERCENT = 101
 
 SAID_FROM = 0.055
 """Share from which it is said: below it models that had left home had 92 to 98 % right, above it 73 to 97 %
 (docs/models.md)."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """Echoes with a confidence `below` this are left without a class: they get `code`."""
+
+    below: float
+    code: int
+
+    @classmethod
+    def of(cls, params: ClassifyParams) -> Left | None:
+        """None where every echo gets a class."""
+        return None if params.leave is None else cls(params.unsure, params.leave)
+
+
+def with_left(answered: Table, left: Left | None) -> Table:
+    """`answered` (as `classify` gives it) without the classes of unsure echoes; their confidence stays."""
+    if left is None:
+        return answered
+    unsure = percent_of(answered["confidence"]) < round(100 * left.below)
+    codes = np.where(unsure, np.uint8(left.code), answered["classification"])
+    return answered.with_columns({"classification": codes})
 
 
 def percent_of(confidence: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -42,12 +66,15 @@ def unsure_facts(counts: NDArray[np.int64], params: ClassifyParams, given: bool)
         return None
     share = int(counts[: round(100 * params.unsure)].sum()) / total
     said = given and share > SAID_FROM
+    left = f"{100 * share:.1f} % of the echoes have no class but code {params.leave}: their confidence is below "
     remark = (
         f"the model is unsure of {100 * share:.1f} % of the echoes (confidence below {params.unsure:g}): where models "
         f"that left home were unsure of more than {100 * SAID_FROM:g} %, up to a quarter of the classes were wrong: "
         "look at the least sure places (`fwclass view`), and label some (`fwclass suggest`)"
     )
-    return {"share": share, "below": params.unsure, "given": given, "remarks": [remark] if said else []}
+    remarks = [f"{left}{params.unsure:g}"] if params.leave is not None and share else []
+    remarks += [remark] if said else []
+    return {"share": share, "below": params.unsure, "given": given, "remarks": remarks}
 
 
 def judge_unsure(facts: dict[str, Any] | None, params: ClassifyParams, where: object) -> None:

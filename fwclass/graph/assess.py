@@ -92,9 +92,9 @@ STEPS = 10
 
 def by_confidence(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
     """(3, 101) labelled echoes by the confidence of their class [%]: wrong ones, right ones, and the sum of their
-    confidences [1/MILLIONTHS]."""
+    confidences [1/MILLIONTHS]. Echoes left without a class are none of them."""
     reference, answer = class_index(table["reference"], classes), code_index(table["classification"], classes)
-    known = (reference >= 0) & np.isfinite(table["confidence"])
+    known = (reference >= 0) & (answer >= 0) & np.isfinite(table["confidence"])
     confidence, percent = table["confidence"][known], percent_of(table["confidence"][known])
     cells = PERCENT * (reference[known] == answer[known]) + percent
     counts = np.bincount(cells, minlength=2 * PERCENT).reshape(2, PERCENT).astype(np.int64)

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.kept import Kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
+from fwclass.classify.unsure import Left
 from fwclass.errors import InputError
 from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument, source_classes
+from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, source_classes, written
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -61,12 +62,17 @@ def _model(here: StageInputs, digest: str | None) -> Model:
 
 
 def classify_tile(
-    here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None, kept: Kept | None = None
+    here: StageInputs,
+    names: tuple[str, ...],
+    probabilities: bool,
+    model: str | None,
+    kept: Kept | None = None,
+    left: Left | None = None,
 ) -> Result:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
 
     `names`: the features that decide; `model`: digest of a given one, None for the run's own; `kept`: which echoes
-    have the class of their source instead.
+    have the class of their source instead, `left`: which have none.
     """
     used = _model(here, model)
     tables, missing = [], 0
@@ -76,7 +82,7 @@ def classify_tile(
         source = rows["source_class"] if kept else NO_SOURCE
         if outside is not None:
             outside.add(X[~kept.rows(source)] if kept else X)
-        tables.append(with_kept(classify(X, used, probabilities), source, kept))
+        tables.append(written(classify(X, used, probabilities), source, kept, left))
         missing += count_filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing, **outside_facts(outside)}
@@ -90,6 +96,7 @@ def classify_thinned_tile(
     reach: float,
     thin: int,
     kept: Kept | None = None,
+    left: Left | None = None,
 ) -> Result:
     """As `classify_tile`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes,
     in the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
@@ -107,7 +114,7 @@ def classify_thinned_tile(
     near = np.searchsorted(rows, chunk.core)
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
-    table = with_kept(answer.take(near), source_classes(here, kept), kept)
+    table = written(answer.take(near), source_classes(here, kept), kept, left)
     facts = {"codes": codes_of(table), "filled": count_filled(X, used), "asked": int(own.sum())}
     return table, facts | outside_facts(outside)
 
@@ -126,7 +133,7 @@ def codes_of(table: Table) -> dict[str, int]:
 def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
     arguments = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
-    return {**arguments, **kept_argument(plan)}
+    return {**arguments, **answer_arguments(plan)}
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:

@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.classify.context import CONTEXT, context_of, whole_shares, with_context
-from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.kept import Kept
 from fwclass.classify.shares import answer
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
+from fwclass.classify.unsure import Left
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
 from fwclass.graph.context_layer import ContextLayer, context_layer
-from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument
+from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
 from fwclass.graph.learn import (
     BASE_ROWS,
     MODEL,
@@ -265,8 +266,9 @@ def classify_tile_in_context(
     probabilities: bool,
     model: str | None,
     kept: Kept | None = None,
+    left: Left | None = None,
 ) -> Result:
-    """Answers of both layers for a tile; `kept` echoes have the class of their source."""
+    """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none."""
     used = _contextual(here, model)
     rows_of, parts = [], []
     for these, chunk in here.chunks():
@@ -277,7 +279,7 @@ def classify_tile_in_context(
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
         answers = classify(with_context(X, context[first : first + rows.rows]), used, probabilities)
-        tables.append(with_kept(answers, rows["source_class"] if kept else NO_SOURCE, kept))
+        tables.append(written(answers, rows["source_class"] if kept else NO_SOURCE, kept, left))
         missing += count_filled(X, used.coarse)
         first += rows.rows
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
@@ -455,7 +457,7 @@ CLASSIFY_IN_CONTEXT = Stage(
         "names": plan.names,
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
-        **kept_argument(plan),
+        **answer_arguments(plan),
     },
     reads=lambda plan: (*_PLACE, *_layer(plan).columns()),
     own=lambda plan: (*plan.names, *deciding_column(plan)),

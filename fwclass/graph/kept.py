@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.classes import STANDARD, ClassDef, standard_name
-from fwclass.classify.kept import Kept
-from fwclass.errors import first_few
+from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.params import ClassifyParams
+from fwclass.classify.unsure import Left, with_left
+from fwclass.errors import ConfigError, first_few
 from fwclass.graph.stage import Plan, StageInputs
+from fwclass.schema import Table
 
 UNNAMED = frozenset({0, 1})
 """Codes that say nothing: never classified, unclassified."""
@@ -26,6 +29,29 @@ def kept_argument(plan: Plan) -> Mapping[str, Any]:
     """Which echoes stay as they are, for a stage that classifies; nothing where all are classified."""
     kept = Kept.of(plan.config.classify)
     return {"kept": kept} if kept else {}
+
+
+def answer_arguments(plan: Plan) -> Mapping[str, Any]:
+    """Which echoes do not get the class that the model says, for a stage that writes classes."""
+    left = Left.of(plan.config.classify)
+    return {**kept_argument(plan), **({"left": left} if left else {})}
+
+
+def check_left(code: int | None, classes: Iterable[ClassDef], where: str) -> None:
+    """`ConfigError` where echoes without a class (`classify.leave`) would get the code of one."""
+    taken = [c.name for c in classes if c.code == code]
+    if taken:
+        raise ConfigError(
+            "unsure echoes would get the code of a class",
+            where=where,
+            got=f"{code}, which is {taken[0]}",
+            do="--set classify.leave=1, or another code that no class is written as",
+        )
+
+
+def written(answered: Table, source: NDArray[np.uint8], kept: Kept | None, left: Left | None) -> Table:
+    """What is written of the model's answers: unsure echoes are `left`, and those of a `source` that is `kept` stay."""
+    return with_kept(with_left(answered, left), source, kept)
 
 
 def deciding_column(plan: Plan) -> tuple[str, ...]:
@@ -43,10 +69,11 @@ def kept_codes(by_code: Mapping[int, int], kept: Kept | None) -> dict[int, int]:
     return {code: by_code[code] for code in sorted(by_code) if kept and kept.codes[code]}
 
 
-def kept_names(by_code: Mapping[int, int], kept: Kept | None, own: Iterable[int]) -> dict[int, str]:
-    """What the standard calls the codes that stay, but for those of a class (`own`)."""
-    classes = frozenset(own)
-    return {code: standard_name(code) for code in kept_codes(by_code, kept) if code not in classes}
+def other_names(by_code: Mapping[int, int], params: ClassifyParams, own: Iterable[int]) -> dict[int, str]:
+    """What the standard calls the codes that stay, and that of echoes left without a class, but for those of a class
+    (`own`)."""
+    codes = [*kept_codes(by_code, Kept.of(params)), *([] if params.leave is None else [params.leave])]
+    return {code: standard_name(code) for code in dict.fromkeys(codes) if code not in frozenset(own)}
 
 
 def known_codes(classes: Iterable[ClassDef]) -> frozenset[int]:

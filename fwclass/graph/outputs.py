@@ -15,7 +15,7 @@ from fwclass.classify.unsure import by_percent
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, StoreError, several
 from fwclass.graph.classify import classes_written
-from fwclass.graph.kept import deciding_column, kept_argument, kept_names
+from fwclass.graph.kept import deciding_column, kept_argument, other_names
 from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
@@ -215,9 +215,9 @@ def columns_of_tiles(plan: Plan) -> Names:
 
 
 def class_names(plan: Plan) -> dict[str, str]:
-    """Names of the survey's classes by code, and of those that stay as the sources have them."""
+    """Names of the survey's classes by code, and of codes that echoes have besides."""
     own = {str(c.code): c.name for c in plan.config.survey.classes}
-    others = kept_names(source_codes(plan.splits), Kept.of(plan.config.classify), map(int, own))
+    others = other_names(source_codes(plan.splits), plan.config.classify, [int(code) for code in own])
     return {**{str(code): name for code, name in others.items()}, **own}
 
 

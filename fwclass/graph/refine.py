@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.kept import Kept
 from fwclass.classify.params import RefineParams
 from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refine_boundary
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
+from fwclass.classify.unsure import Left
 from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
@@ -21,7 +22,7 @@ from fwclass.graph.classify import classes_written, codes_of, given_model, model
 from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument
+from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
 from fwclass.graph.learn import (
     MODEL,
     NOT_OF_THE_SAMPLE,
@@ -189,8 +190,9 @@ def classify_refined(
     probabilities: bool,
     model: str | None,
     kept: Kept | None = None,
+    left: Left | None = None,
 ) -> Result:
-    """Answers of both layers for a tile; `kept` echoes have the class of their source."""
+    """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none."""
     if model is None:
         used = model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
     else:
@@ -201,9 +203,8 @@ def classify_refined(
     for rows in here.cuts():
         X = sample_matrix(rows.take(np.flatnonzero(rows[BOUNDARY])), used.fine.features, here.part)
         coarse = classify(sample_matrix(rows, used.features, here.part), used.coarse, True) if probabilities else None
-        tables.append(
-            with_kept(refine_boundary(rows, X, used, coarse), rows["source_class"] if kept else NO_SOURCE, kept)
-        )
+        source = rows["source_class"] if kept else NO_SOURCE
+        tables.append(written(refine_boundary(rows, X, used, coarse), source, kept, left))
         missing += count_filled(X, used.fine)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing}
@@ -342,7 +343,7 @@ CLASSIFY_REFINED = Stage(
         "names": plan.names,
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
-        **kept_argument(plan),
+        **answer_arguments(plan),
     },
     own=lambda plan: (
         *deciding_column(plan),

@@ -9,7 +9,7 @@ from fwclass import __version__
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.graph.corrections import CORRECTIONS
-from fwclass.graph.kept import class_remarks, kept_codes, kept_names, known_codes
+from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.report_accuracy import (
     class_accuracy,
@@ -64,7 +64,7 @@ def write_report(
 
     source = source_codes({(SPLIT.name, r.part): r for r in receipts_of_run(runner, SPLIT.name)})
     keeps, classified = Kept.of(config.classify), "classify" in runner.tallies
-    classes = _classes(config, source, keeps) if classified else []
+    classes = _classes(config, source) if classified else []
     files, tiles = source_files(runner, survey), receipts_of_run(runner, "publish-tile")
     counted = sampling(
         config,
@@ -148,10 +148,10 @@ def write_report(
     return report
 
 
-def _classes(config: Config, source: Mapping[int, int], kept: Kept | None) -> list[dict[str, Any]]:
-    """The survey's classes, and those that stay as the sources have them."""
+def _classes(config: Config, source: Mapping[int, int]) -> list[dict[str, Any]]:
+    """The survey's classes, and codes that echoes have besides."""
     own = [{"name": c.name, "code": c.code} for c in config.survey.classes]
-    others = kept_names(source, kept, (c.code for c in config.survey.classes))
+    others = other_names(source, config.classify, [c.code for c in config.survey.classes])
     return [*own, *({"name": name, "code": code} for code, name in others.items())]
 
 

@@ -12,6 +12,7 @@ from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, label_parts
 from fwclass.graph.fine_layer import fine_layer
+from fwclass.graph.kept import check_left
 from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
 from fwclass.graph.model_fit import check_computed, check_model
@@ -131,6 +132,7 @@ def base_model(config: Config) -> tuple[Location, str] | None:
 def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
     """A plan that knows the features that decide, and the model that is given; `ConfigError` for what is no feature."""
     config = with_model(config)
+    check_left(config.classify.leave, config.classes, f"{config.path}: classify.leave")
     model, base = given_model(config), base_model(config)
     names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features", stages)

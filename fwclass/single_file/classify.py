@@ -12,16 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.classes import standard_name
 from fwclass.classify.context import whole_shares
-from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.kept import Kept
 from fwclass.classify.stage import classify, count_filled
-from fwclass.classify.unsure import by_percent, unsure_facts
+from fwclass.classify.unsure import Left, by_percent, unsure_facts
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.graph.drift import drift
-from fwclass.graph.kept import class_remarks, kept_codes, known_codes
+from fwclass.graph.kept import check_left, class_remarks, kept_codes, known_codes, other_names, written
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
@@ -111,6 +110,8 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
             raise ConfigError("this setting has no effect here", where=f"--set {text}", do=MODELS_OWN)
     source = _checked_source(job)
     model = load_model(job.model)
+    params = conf.section("classify", job.settings)
+    check_left(params.leave, model.classes, "classify.leave")
     check_output(job.source, job.output, job.overwrite)
     check_computed(model, conf.section("features", job.settings), job.model)
     notes = check_learned(model.card, {source.path.name: quantities_of(source)}, job.model)
@@ -119,7 +120,6 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     echoes = _echoes(job, model, asked, tell)
     first = model.coarse if isinstance(model, Layered) else model
     outside = RangeCounter.of(first.card, first.features)
-    params = conf.section("classify", job.settings)
     kept = Kept.of(params)
     results, without, medians, dense = _classify(echoes.table, model, job.settings, tell, outside, kept)
     drifted = drift(first.card, [outside.counts()] if outside else [])
@@ -132,7 +132,8 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     rows = _row_of_point(echoes, job.source)
     own = classes_of(source) if source.has_waves else echoes.table["source_class"][rows]
     answered = Table({name: values[rows] for name, values in results.items()})
-    answered = with_kept(answered.with_columns({"classification": codes[answered["classification"]]}), own, kept)
+    answered = answered.with_columns({"classification": codes[answered["classification"]]})
+    answered = written(answered, own, kept, Left.of(params))
     classes = answered["classification"]
     extra = {name: answered[name] for name in answered if name != "classification"}
     wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
@@ -151,7 +152,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "features": list(model.features),
         "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
         "names": {
-            **{str(code): standard_name(code) for code in stay},
+            **{str(code): name for code, name in other_names(by_code, params, ()).items()},
             **{str(int(codes[c.code])): c.name for c in model.classes},
         },
         "kept": {str(code): n for code, n in stay.items()},

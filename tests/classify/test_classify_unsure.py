@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
@@ -65,3 +66,39 @@ def test_the_commands_say_it_and_end_with_4(tmp_path):
     assert ended.returncode == 4 and "unsure of too much" in ended.stderr, ended.stderr
     assert json.loads(ended.stdout)["unsure"]["share"] == told["share"], "the same features and answers as in the run"
     assert fwclass(*words, "--overwrite", "--accept-drift", *strict).returncode == 0
+
+
+# ------------------------------------------------------------------ left without a class
+
+KEYS = ["strip", "pulse", "echo_number"]
+LEAVE = ("--set", "classify.leave=1", "--set", "classify.unsure=1")
+
+
+def echoes(root):
+    table = package.open(root).echoes(columns=[*KEYS, "classification", "confidence"]).to_pandas()
+    return table.sort_values(KEYS).reset_index(drop=True)
+
+
+@pytest.mark.parametrize("way", ["one layer", "in context", "thinned"])
+def test_unsure_echoes_are_left_and_nothing_else_changes(way, tmp_path):
+    more = {"one layer": (), "in context": ("classify.context.cells=[1]",), "thinned": ("thin.rate=0.5",)}[way]
+    words = [w for s in more for w in ("--set", s)]
+    survey = small_survey(tmp_path)
+    for name, settings in (("a", ()), ("b", LEAVE), ("c", (*LEAVE, "--set", "tile.size=40"))):
+        ended = fwclass("run", survey, "--out", tmp_path / name, "--workers", 0, *words, *settings)
+        assert ended.returncode == 0, ended.stderr
+        assert ("have no class but code 1: their confidence is below 1" in ended.stderr) == (name != "a")
+    a, b, c = (echoes(tmp_path / name) for name in "abc")
+    unsure = a.confidence < 1 - 1e-6
+    assert unsure.any() and (b.classification == a.classification.where(~unsure, 1)).all()
+    assert (b.confidence.fillna(-1) == a.confidence.fillna(-1)).all() and b.equals(c), "whatever the tiles"
+    report = json.loads((tmp_path / "b" / "report.json").read_text())
+    assert {"name": "unclassified", "code": 1} in report["classes"]
+    assert sum(report["accuracy"]["unclassified"]) > 0, "they are nobody's success"
+    strip = laspy.read(tmp_path / "b/laz/strips/a.laz")
+    assert np.bincount(strip.classification)[1] == unsure.sum()
+
+
+def test_a_code_that_is_a_class_is_refused(tmp_path):
+    ended = fwclass("run", small_survey(tmp_path), "--out", tmp_path / "r", "--set", "classify.leave=5")
+    assert ended.returncode == 2 and "code of a class" in ended.stderr and not (tmp_path / "r").exists()
