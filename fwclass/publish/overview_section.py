@@ -177,11 +177,17 @@ def sure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
     ]
 
 
+SEEN = 0.001
+"""Share of the test echoes that a step of the confidence needs to be told."""
+
+
 def reliability_rows(told: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """A sentence, and a row for each step of the confidence: its mean, shares of test echoes and of right ones."""
     if not told:
         return None
-    rows = [{"confidence": percent(c), "share": percent(s), "right": percent(r)} for c, s, r in told["steps"]]
+    rows = [
+        {"confidence": percent(c), "share": percent(s), "right": percent(r)} for c, s, r in told["steps"] if s >= SEEN
+    ]
     mean, right, error = (percent(told[n]) for n in ("confidence", "right", "error"))
     text = (
         f"The confidence of the test echoes is {mean} % on average, and {right} % of them are right; over steps of a "
