@@ -14,7 +14,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.delivery.explain import deciding_values
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import FwclassError, InputError
-from fwclass.graph.context import MERGED as CONTEXT_TRAINING
+from fwclass.graph.context_training import MERGED as CONTEXT_TRAINING
 from fwclass.graph.learn import load_sample
 from fwclass.graph.sources import chunk_name, pulse_of, waveforms_of
 from fwclass.model import Contextual

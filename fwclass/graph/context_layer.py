@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from fwclass.classify.context import coarse_share_columns, halo_of
+from fwclass.errors import InputError
 from fwclass.graph.stage import Plan
 from fwclass.model import Contextual
 from fwclass.model.contextual import context_names
@@ -42,6 +43,14 @@ def context_layer(plan: Plan) -> ContextLayer | None:
         return _of_model(str(local(plan.model[0])), plan.model[1])
     cells = plan.config.classify.context.cells or ()
     return ContextLayer(tuple(c.code for c in plan.config.classes), cells) if cells else None
+
+
+def layer_of(plan: Plan) -> ContextLayer:
+    """The layer of a run that has one."""
+    layer = context_layer(plan)
+    if layer is None:
+        raise InputError("the run decides without context", where="classify.context")
+    return layer
 
 
 def base_has_context(plan: Plan) -> bool:

@@ -23,11 +23,10 @@ from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
 from fwclass.graph.check_points import MEASURE_CHECK_POINTS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
-from fwclass.graph.context import (
-    CLASSIFY_IN_CONTEXT,
+from fwclass.graph.context import CLASSIFY_IN_CONTEXT, SHARE_FIRST
+from fwclass.graph.context_training import (
     DRAW_CONTEXT,
     MERGE_CONTEXT,
-    SHARE_FIRST,
     SHARE_FOLDS,
     TRAIN_CONTEXT,
     TRAIN_FOLDS,

@@ -11,7 +11,7 @@ from fwclass.classify.context import context_from
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.accuracy_remarks import accuracy_remarks
-from fwclass.graph.context import MERGED
+from fwclass.graph.context_training import MERGED
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.graph.stage import Plan

@@ -14,7 +14,7 @@ import fwclass as fwclass_package
 from fwclass import conf
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.context import _folds_at, squares_of
+from fwclass.graph.context_training import _folds_at, squares_of
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent
 from fwclass.run.cluster import Cluster

@@ -1,0 +1,360 @@
+"""The stages of a layer that decides in context, as it is learned: first layers by folds, what they say of the training
+areas, what the second layer learns from, and whether it pays.
+
+In the training areas a first layer knows the echoes too well. So there the shares that the second layer learns from are
+those of a model that has not learned from the echo's square; where it decides they are those of the whole first layer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.classify.context import CONTEXT, context_of, whole_shares, with_context
+from fwclass.classify.shares import answer
+from fwclass.classify.stage import CLASSIFY
+from fwclass.errors import InputError
+from fwclass.graph.areas import training_tiles
+from fwclass.graph.classify import model_at
+from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
+from fwclass.graph.learn import (
+    BASE_ROWS,
+    MODEL,
+    NOT_OF_THE_SAMPLE,
+    SAMPLE,
+    TRAIN_COARSE,
+    base_rows_part,
+    fit_layer,
+    learning_arguments,
+    load_sample,
+    parameters_of,
+    survey_sample,
+    trains,
+    with_base_rows,
+    with_feature_parameters,
+)
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.grid import Tile, millimetres, whole_millimetres
+from fwclass.model import ClassDef, Contextual, sample_matrix
+from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.select.folds import Folds, spatial_folds
+from fwclass.store.arrays import write_arrays
+from fwclass.store.models import load_model, save_model
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
+from fwclass.train.params import TrainParams
+from fwclass.train.sample import Sample
+from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, merge
+
+FOLDS, FOLD_SHARES = "fold-models", "fold-shares"
+DRAWN, MERGED, TRIED = "context-sample", "context-training", "context-folds"
+FOLD_SHARE = "fold_share"
+_PLACE = ("x", "y", "z")
+LEAST_SQUARE = 2.0
+"""m, squares of the folds are halved down to this where training areas are small."""
+
+
+def squares_of(sample: Sample, block: float, gap: float, folds: int) -> tuple[Folds, float]:
+    """Folds of a sample's rows by squares of `block` [m], or of a half, a quarter … down to `LEAST_SQUARE` where there
+    are too few, and at last by fewer folds; and the edge [m] that it was. `InputError` for a single square."""
+    x, y = sample.place[:, 0].astype(np.float64) * 0.001, sample.place[:, 1].astype(np.float64) * 0.001
+    edges = [block]
+    while edges[-1] / 2 >= LEAST_SQUARE:
+        edges.append(round(edges[-1] / 2, 3))
+    for edge, count in (*((e, folds) for e in edges), *((edges[-1], n) for n in range(folds - 1, 1, -1))):
+        with suppress(InputError):
+            return spatial_folds(x, y, sample.y, edge, min(gap, edge / 4), count), edge
+    raise InputError(
+        "the training areas are too small to learn the context of an echo",
+        where="classify.context, areas.train",
+        expected=f"labelled echoes in at least two squares of {edges[-1]:g} m",
+        got="one",
+        do="larger training areas, or no such layer: --set classify.context.cells=[]",
+    )
+
+
+def train_fold(
+    here: StageInputs,
+    names: tuple[str, ...],
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+    compare: CompareParams,
+    block: float,
+    gap: float,
+    folds: int,
+) -> Result:
+    """A first layer that has not learned from the squares of a fold."""
+    sample = survey_sample(here.inputs, names)
+    division, _ = squares_of(sample, block, gap, folds)
+    rest = _rest(here, sample, division)
+    if rest is not None:
+        save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap))
+    return {"rows": 0 if rest is None else rest.rows, "model": rest is not None}
+
+
+def _rest(here: StageInputs, sample: Sample, division: Folds) -> Sample | None:
+    """The rows that train for the fold that the part is named after; None where a class has none, or there are fewer
+    folds."""
+    fold = int(here.part)
+    if fold >= len(division.near):
+        return None
+    rest = with_base_rows(here, sample.take(division.trains(fold)))
+    return rest if (rest.counts > 0).all() else None
+
+
+def share_folds(
+    here: StageInputs, names: tuple[str, ...], layer: ContextLayer, block: float, gap: float, folds: int
+) -> Result:
+    """Shares of a tile's echoes by the first layer that has not learned from their square, or the whole one where
+    nothing of it was learned, or a class stands in one fold alone."""
+    sample = survey_sample(here.inputs, names)
+    division, edge = squares_of(sample, block, gap, folds)
+    mm = whole_millimetres(edge, "select.block")
+    squares, at = np.unique(sample.place // mm, axis=0, return_index=True)
+    fold_of = division.fold[at]
+    models = {
+        k: model_at(here.inputs.path(FOLDS, str(k), MODEL), here.inputs.digest(FOLDS, str(k)), False)
+        for k in range(folds)
+        if here.inputs.meta(FOLDS, str(k))["model"]
+    }
+    whole = model_at(here.inputs.path(TRAIN_COARSE, "model", MODEL), here.inputs.digest(TRAIN_COARSE, "model"), False)
+    tables = []
+    for rows in here.cuts():
+        X = sample_matrix(rows, names, here.part)
+        fold = _folds_at(millimetres(rows["x"]) // mm, millimetres(rows["y"]) // mm, squares, fold_of)
+        shares = np.empty((rows.rows, len(layer.codes)), np.uint8)
+        for k in np.unique(fold):
+            mine = fold == k
+            shares[mine] = whole_shares(X[mine], models.get(int(k), whole))
+        tables.append(Table(dict(zip(layer.columns(FOLD_SHARE), shares.T, strict=True))))
+    return tables[0] if len(tables) == 1 else Table.concat(tables)
+
+
+def _folds_at(x: NDArray, y: NDArray, squares: NDArray, fold_of: NDArray) -> NDArray[np.int64]:
+    """int64 (rows,): the fold of the square (x, y) of every row; -1 for one that is none of `squares` (n, 2)."""
+    width = int(squares[:, 1].max() - squares[:, 1].min()) + 1
+    low = squares.min(axis=0)
+    known = (squares[:, 0] - low[0]) * width + squares[:, 1] - low[1]  # rises, as `squares` are in order
+    inside = (y >= low[1]) & (y < low[1] + width)
+    asked = (x - low[0]) * width + y - low[1]
+    place = np.minimum(np.searchsorted(known, asked), len(known) - 1)
+    return np.where(inside & (known[place] == asked), fold_of[place], -1).astype(np.int64)
+
+
+def draw_context_tile(here: StageInputs, names: tuple[str, ...], layer: ContextLayer) -> Result:
+    """The rows of a tile that train, with their context."""
+    drawn = load_sample(here.inputs, TRAIN_SAMPLE.name, here.part, names)
+    more = np.empty((drawn.rows, len(layer.names)), np.uint8)
+    wanted = canonical_key(here.own_rows())
+    order = np.argsort(wanted)
+    chosen = order[np.searchsorted(wanted[order], drawn.key)] if drawn.rows else order[:0]
+    for these, chunk in here.chunks():
+        mine = np.flatnonzero(np.isin(chosen, these))
+        core = chunk.core[np.searchsorted(these, chosen[mine])]
+        more[mine] = context_of(chunk.table, core, layer.columns(FOLD_SHARE), layer.cells)
+    sample = replace(drawn, features=(*names, *layer.names), X=with_context(drawn.X, more))
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows}
+
+
+def merge_context_samples(
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, layer: ContextLayer
+) -> Result:
+    """The rows of the survey's sample, with their context."""
+    tiles = here.parts(DRAWN)
+    sample = merge((load_sample(here.inputs, DRAWN, t, (*names, *layer.names)) for t in tiles), params)
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+def try_context(
+    here: StageInputs,
+    names: tuple[str, ...],
+    layer: ContextLayer,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: tuple[ClassDef, ...],
+    block: float,
+    gap: float,
+    folds: int,
+) -> Result:
+    """How many rows of a fold's squares the first layer has right, and both, which have not learned from them."""
+    sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
+    division, _ = squares_of(sample, block, gap, folds)
+    rest = _rest(here, sample, division)
+    if rest is None:
+        return {"rows": 0, "first": 0, "both": 0}
+    asked = sample.take(division.judged(int(here.part)))
+    first = asked.X[:, len(names) : len(names) + len(classes)].astype(np.float64)
+    both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap))[1]
+    right = [int((shares.argmax(axis=1) == asked.y).sum()) for shares in (first, both)]
+    return {"rows": asked.rows, "first": right[0], "both": right[1]}
+
+
+def train_context(
+    here: StageInputs,
+    names: tuple[str, ...],
+    layer: ContextLayer,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: tuple[ClassDef, ...],
+    computed: Mapping[str, Any],
+    block: float,
+    gap: float,
+    folds: int,
+) -> Result:
+    """The second layer, and both as one model, delivered as the run's."""
+    coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
+    sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
+    fine = with_feature_parameters(
+        fit_layer(with_base_rows(here, sample), params, compare, classes, block, gap), computed
+    )
+    trials = [here.inputs.meta(TRIED, str(k)) for k in range(folds)]
+    judged = {n: sum(int(t[n]) for t in trials) for n in ("rows", "first", "both")}
+    card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
+    card["notes"] = [*card["notes"], *_note_of(judged)]
+    both = Contextual(
+        coarse, fine, {**card, "kind": Contextual.kind, "context": {"cells": list(layer.cells), "judged": judged}}
+    )
+    both.check("a newly trained model")
+    save_model(here.directory / MODEL, both)
+    return {"card": dict(both.card), "trees": None}
+
+
+def _note_of(judged: Mapping[str, int]) -> list[str]:
+    if not judged["rows"]:
+        return ["whether the second layer pays could not be tried: a class stands in one square of the folds alone"]
+    first, both = (100 * judged[n] / judged["rows"] for n in ("first", "both"))
+    pays = "" if both > first else ": it does not pay here (--set classify.context.cells=[])"
+    return [
+        f"of training rows in squares not learned from the first layer has {first:.1f} % right, both {both:.1f} %{pays}"
+    ]
+
+
+def _learns(plan: Plan) -> bool:
+    return trains(plan) and context_layer(plan) is not None
+
+
+def _folds(plan: Plan) -> list[str]:
+    return [str(k) for k in range(plan.config.classify.context.folds)]
+
+
+def _tiles_around(plan: Plan) -> list[Tile]:
+    """Training tiles, and those that their context reaches into."""
+    halo, layout = layer_of(plan).halo, plan.layout
+    keys = {key for tile in training_tiles(plan) for key in layout.around(tile.box.grown(halo), layout.keys)}
+    return [tile for tile in layout.tiles if tile.key in keys]
+
+
+def _squares(plan: Plan) -> Mapping[str, Any]:
+    return {
+        "block": plan.config.select.block,
+        "gap": plan.config.select.gap,
+        "folds": plan.config.classify.context.folds,
+    }
+
+
+def _fitting(plan: Plan) -> Mapping[str, Any]:
+    """Arguments of the stages that fit a layer."""
+    return {**learning_arguments(plan), "compare": plan.config.compare, **_squares(plan)}
+
+
+_OF_LAYERS = 1000 * BASELINE_VERSION + TRAIN.version
+_OF_ROWS = 1000 * CONTEXT.version + TRAIN_SAMPLE.version
+
+TRAIN_FOLDS = Stage(
+    FOLDS,
+    _OF_LAYERS,
+    "survey",
+    "tree_row",
+    train_fold,
+    when=_learns,
+    parts=_folds,
+    arguments=_fitting,
+    silent=frozenset({"importance_repeats", "base_rows"}),
+    after=("training", BASE_ROWS),
+    needs=lambda plan, part: (("training", "all"), *base_rows_part(plan)),
+)
+SHARE_FOLDS = Stage(
+    FOLD_SHARES,
+    CLASSIFY.version,
+    "tile",
+    "echo",
+    share_folds,
+    when=_learns,
+    parts=_tiles_around,
+    arguments=lambda plan: {"names": plan.names, "layer": layer_of(plan), **_squares(plan)},
+    own=lambda plan: ("x", "y", *plan.names),
+    writes=lambda plan: layer_of(plan).columns(FOLD_SHARE),
+    after=("training", FOLDS, TRAIN_COARSE),
+    needs=lambda plan, part: (("training", "all"), (TRAIN_COARSE, "model"), *((FOLDS, k) for k in _folds(plan))),
+    cells=True,
+)
+DRAW_CONTEXT = Stage(
+    DRAWN,
+    _OF_ROWS,
+    "tile",
+    "echo",
+    draw_context_tile,
+    when=_learns,
+    parts=training_tiles,
+    arguments=lambda plan: {"names": plan.names, "layer": layer_of(plan)},
+    reads=lambda plan: (*_PLACE, *layer_of(plan).columns(FOLD_SHARE)),
+    own=IDENTITY,
+    halo=lambda plan: layer_of(plan).halo,
+    after=(TRAIN_SAMPLE.name,),
+    needs=lambda plan, tile: ((TRAIN_SAMPLE.name, tile.key),),
+)
+MERGE_CONTEXT = Stage(
+    MERGED,
+    TRAIN_SAMPLE.version,
+    "survey",
+    "row",
+    merge_context_samples,
+    when=_learns,
+    arguments=lambda plan: {"names": plan.names, "params": plan.config.train, "layer": layer_of(plan)},
+    silent=NOT_OF_THE_SAMPLE,
+    after=(DRAWN,),
+    needs=lambda plan, part: [(DRAWN, t.key) for t in training_tiles(plan)],
+)
+TRY_CONTEXT = Stage(
+    TRIED,
+    _OF_LAYERS,
+    "survey",
+    "tree_row",
+    try_context,
+    when=_learns,
+    parts=_folds,
+    arguments=lambda plan: {**_fitting(plan), "layer": layer_of(plan)},
+    silent=frozenset({"importance_repeats", "base_rows"}),
+    after=(MERGED, BASE_ROWS),
+    needs=lambda plan, part: ((MERGED, "all"), *base_rows_part(plan)),
+)
+TRAIN_CONTEXT = Stage(
+    TRAIN.name,
+    _OF_LAYERS,
+    "survey",
+    "tree_row",
+    train_context,
+    when=_learns,
+    parts=lambda plan: ("model",),
+    arguments=lambda plan: {
+        **_fitting(plan),
+        "layer": layer_of(plan),
+        "classes": plan.config.written_classes,
+        "computed": parameters_of(plan, plan.names),
+    },
+    after=(MERGED, TRIED, TRAIN_COARSE, BASE_ROWS),
+    needs=lambda plan, part: (
+        (MERGED, "all"),
+        (TRAIN_COARSE, "model"),
+        *base_rows_part(plan),
+        *((TRIED, k) for k in _folds(plan)),
+    ),
+    where="deliver",
+)
