@@ -31,6 +31,7 @@ SETS = click.option(
 @METHOD
 @PRESET
 @PARAM
+@click.option("--auto", is_flag=True, help="Adapt the filter's parameters to the points first.")
 @click.option("--own-ground", is_flag=True, help="Heights count from class 2 of the file; no filter.")
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
 @click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
@@ -58,7 +59,7 @@ def features(
         return
     if source is None or output is None:
         raise click.UsageError("IN and OUT.parquet are wanted, or --list")
-    if options["own_ground"] and (options["method"] or options["preset"] or options["assignments"]):
+    if options["own_ground"] and any(options[n] for n in ("method", "preset", "assignments", "auto")):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
     from fwclass.single_file.features.file import FeaturesJob, features_file
     from fwclass.single_file.features.listing import describe

@@ -144,6 +144,7 @@ def _code_list(context: click.Context, parameter: click.Parameter, text: str | N
 @click.option("--method", metavar="NAME", help="Ground filter for heights above ground (default: ground.method).")
 @click.option("--preset", metavar="NAME", help="Its preset; see docs/ground.md.")
 @click.option("--param", "assignments", multiple=True, metavar="NAME=VALUE", help="A parameter of the filter.")
+@click.option("--auto", is_flag=True, help="Adapt the filter's parameters to the points first.")
 @click.option("--own-ground", is_flag=True, help="Heights count from class 2 of the file; no filter.")
 @click.option(
     "--legacy-code",
@@ -196,7 +197,7 @@ def classify(
     from fwclass.single_file.features.echoes import Flight
     from fwclass.single_file.ground.steps import Steps
 
-    if options["own_ground"] and (options["method"] or options["preset"] or options["assignments"]):
+    if options["own_ground"] and any(options[n] for n in ("method", "preset", "assignments", "auto")):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
     settings += (f"classify.only={only}",) if only else ()
     settings += (f"classify.keep={keep}",) if keep else ()

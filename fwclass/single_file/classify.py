@@ -35,6 +35,7 @@ from fwclass.read.source import open_source
 from fwclass.schema import Table
 from fwclass.single_file.context import answer_in_context
 from fwclass.single_file.features.echoes import (
+    OF_ECHOES,
     FileEchoes,
     Flight,
     GroundChoice,
@@ -49,7 +50,7 @@ from fwclass.single_file.samples import samples
 from fwclass.store.installed_models import model_place
 from fwclass.store.models import load_model
 
-SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "classify", "publish", "tile")
+SECTIONS = (*OF_ECHOES, "classify", "publish", "tile")
 """Sections of the configuration that the command obeys."""
 
 MODELS_OWN = "leave it out; what decides is the model's"
@@ -70,6 +71,7 @@ class ClassifyJob:
     model : directory of the model, or a name that `installed_models` gives.
     method, preset, assignments : ground filter; without any that of the settings.
     own_ground : heights count from class 2 of the file instead.
+    auto : the filter's parameters are adapted to the points.
     legacy : class code to write in place of another; point formats 0 to 5 take what the model's classes say besides.
     """
 
@@ -83,6 +85,7 @@ class ClassifyJob:
     preset: str | None = None
     assignments: tuple[str, ...] = ()
     own_ground: bool = False
+    auto: bool = False
     flight: Flight = field(default_factory=Flight)
     legacy: Mapping[int, int] | None = None
 
@@ -263,7 +266,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
         method = job.method
         if method is None and job.preset is None and not job.own_ground:
             method = conf.section("ground", job.settings).method
-        by = GroundChoice(method, job.preset, job.assignments, job.own_ground)
+        by = GroundChoice(method, job.preset, job.assignments, job.own_ground, job.auto)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
         if "height_above_ground" in model.features and (note := ground_note(model, method)):
             notes = (note,)

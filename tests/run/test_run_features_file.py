@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import lasmaker
@@ -262,3 +263,20 @@ def test_waveforms_are_decomposed_first(tmp_path):
         assert np.isfinite(values).mean() > 0.9
     with pytest.raises(ConfigError, match="no ranges"):
         features_file(FeaturesJob(source, output, listed=names, overwrite=True))
+
+
+def test_parameters_adapted_to_a_hall_make_it_stand_above_the_ground(tmp_path):
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, 160, (2, 50_000))
+    hall = (abs(x - 80) < 35) & (abs(y - 80) < 35)
+    z = 100 + 0.02 * x + rng.normal(0, 0.02, len(x)) + np.where(hall, 8.0, 0.0)
+    lasmaker.write_las(tmp_path / "a.las", np.c_[500_000 + x, 5_400_000 + y, z], point_format=6)
+    heights = {}
+    for auto in (False, True):
+        job = FeaturesJob(tmp_path / "a.las", tmp_path / "a.parquet", listed="height_above_ground", overwrite=True)
+        summary = features_file(replace(job, auto=auto, settings=("ground.max_building_size=20",)))
+        table = pq.read_table(tmp_path / "a.parquet").to_pandas()
+        middle = (abs(table.x - 500_080) < 20) & (abs(table.y - 5_400_080) < 20)
+        heights[auto] = table.height_above_ground[middle].median()
+        assert any("max_building_size" in note for note in summary["notes"]) == auto, summary["notes"]
+    assert abs(heights[False]) < 0.5 and abs(heights[True] - 8) < 0.2

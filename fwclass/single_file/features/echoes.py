@@ -16,7 +16,9 @@ from fwclass.errors import InputError
 from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.ground.auto import adapt_filter
 from fwclass.ground.blocks import ground_by_blocks
+from fwclass.ground.params import GroundParams
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.cloud import read_point_cloud
@@ -26,7 +28,7 @@ from fwclass.read.text import is_text
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
-from fwclass.single_file.ground.params import ground_params
+from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.ground.steps import Tell
 from fwclass.single_file.strip import strip_of
 from fwclass.waveforms import IMPLAUSIBLE
@@ -46,6 +48,10 @@ FOR_RADIOMETRY = (
     "fit_flags",
     "origin",
 )
+
+
+OF_ECHOES = ("read", "pulse", "decompose", "ground", "ground_auto", "terrain", "features", "radiometry")
+"""Sections of the configuration that echoes of a file and their heights obey."""
 
 
 @dataclass(frozen=True)
@@ -143,13 +149,15 @@ def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
 
 @dataclass(frozen=True)
 class GroundChoice:
-    """A ground filter, that of the settings where nothing is named; or the file's `own` ground, class 2. `optional`:
-    without ground there are no heights."""
+    """A ground filter, that of the settings where nothing is named; or the file's `own` ground, class 2. `auto`: its
+    parameters are adapted to the echoes, as `fwclass ground --auto` does. `optional`: without ground there are no
+    heights."""
 
     method: str | None = None
     preset: str | None = None
     assignments: tuple[str, ...] = ()
     own: bool = False
+    auto: bool = False
     optional: bool = False
 
 
@@ -165,11 +173,19 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
     x, y, z = (table[a] for a in "xyz")
     sound = (table["fit_flags"] & IMPLAUSIBLE) == 0 if "fit_flags" in table else np.ones(table.rows, bool)
     if not by.own:
-        params = ground_params(by.method, by.preset, by.assignments, _of_ground(settings))
         last = np.ones(table.rows, bool)
         if "number_of_echoes" in table:
             last = table["echo_number"] >= table["number_of_echoes"]
         rows = np.flatnonzero(sound)
+        adapted = ""
+        params = ground_params(by.method, by.preset, () if by.auto else by.assignments, _of_ground(settings))
+        if by.auto and len(rows):
+            tell("measuring, then trying settings of the filter")
+            rules, given = conf.section("ground_auto", settings), params
+            method = None if params.method == "auto" else params.method
+            params = adapt_filter((x[rows], y[rows], z[rows]), last[rows], params, rules, method).params
+            params = with_assignments(params, by.assignments)
+            adapted = _changes(given, params)
         flags = ground_by_blocks(
             x[rows],
             y[rows],
@@ -178,7 +194,7 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
             params,
             lambda k, of: tell(f"filter {params.method}: block {k} of {of}"),
         )
-        ground, noise, note = np.zeros(table.rows, bool), ~sound, f"ground by {params.method}"
+        ground, noise, note = np.zeros(table.rows, bool), ~sound, f"ground by {params.method}{adapted}"
         ground[rows], noise[rows] = flags.ground, flags.noise
     else:
         codes = table["source_class"] if "source_class" in table else np.zeros(table.rows, np.uint8)
@@ -203,6 +219,13 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
     without = int(np.isnan(surface.height).sum())
     note = f"{note}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
     return FileEchoes(table.with_columns({"height_above_ground": surface.height}), echoes.crs, (*echoes.notes, note))
+
+
+def _changes(given: GroundParams, params: GroundParams) -> str:
+    """What was adapted, in words."""
+    before, after = (used_params(p) for p in (given, params))
+    words = [f"{name} {value:g}" for name, value in after.items() if isinstance(value, float) and value != before[name]]
+    return f" with {', '.join(words)}" if words else ", nothing to adapt"
 
 
 def _of_ground(settings: tuple[str, ...]) -> tuple[str, ...]:

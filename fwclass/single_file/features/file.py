@@ -24,6 +24,7 @@ from fwclass.publish.geoparquet import bounds_of, short_coordinates, write_geopa
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.schema import Table, column
 from fwclass.single_file.features.echoes import (
+    OF_ECHOES,
     PLACE,
     FileEchoes,
     Flight,
@@ -39,7 +40,7 @@ from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
 from fwclass.tile.stage import morton
 
-SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "tile", "publish")
+SECTIONS = (*OF_ECHOES, "tile", "publish")
 """Sections of the configuration that the command obeys."""
 
 SUFFIX = (".parquet", ".geoparquet")
@@ -59,6 +60,7 @@ class FeaturesJob:
     settings : ``section.key=value`` of `SECTIONS`.
     method, preset, assignments : ground filter; without any that of the settings.
     own_ground : heights count from class 2 of the file instead.
+    auto : the filter's parameters are adapted to the points.
     trajectory, undulation : where the sensor flew, and metres to take from its heights.
     crs : coordinate system instead of the file's own, as text.
     skip_missing : features that the file cannot give are left out and told; else they are an error.
@@ -74,6 +76,7 @@ class FeaturesJob:
     preset: str | None = None
     assignments: tuple[str, ...] = ()
     own_ground: bool = False
+    auto: bool = False
     trajectory: Path | None = None
     undulation: float = 0.0
     crs: str | None = None
@@ -164,7 +167,7 @@ def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
     later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(echoes, flight, job.settings) else ()))
     available(wanted, echoes.table, job.source, job.skip_missing, frozenset(later))
     if "height_above_ground" in wanted.names:
-        by = GroundChoice(job.method, job.preset, job.assignments, job.own_ground, job.skip_missing)
+        by = GroundChoice(job.method, job.preset, job.assignments, job.own_ground, job.auto, job.skip_missing)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
     if set(wanted.names) & set(RADIOMETRY.writes):
         echoes = with_radiometry(echoes, flight, job.settings)
