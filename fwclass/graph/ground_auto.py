@@ -125,7 +125,7 @@ def auto_facts(receipts: Iterable[tuple[str, Mapping[str, Any]]], edge: float) -
 
 CHOOSE_PARAMETERS = Stage(
     AUTO,
-    1,
+    2,
     "block",
     "echo",
     choose_parameters,

@@ -45,6 +45,12 @@ DEEP = 5.0
 STEEP_BORDER = 1.0
 """Least median step [m] along the border of a building on level ground; hills that stand out have less."""
 
+STEEP_SHARE = 0.85
+"""Of the border of a hall so much is steep, 0.94 to 1 of those on ISPRS and IGN tiles; terraces reach 0.75."""
+
+SMOOTH = 0.3
+"""Greatest median distance [m] of a roof's cells from the mean of their neighbours; closed crowns have more."""
+
 MOST_CELLS = 1 << 23
 """Cells of the raster that is measured on; a larger survey gets larger cells."""
 
@@ -280,7 +286,34 @@ def _widest(low: NDArray[np.float64], cell: float, slope: float) -> float:
         return 0.0
     widths = 2.0 * edge * scipy.ndimage.maximum(inside, names, np.arange(1, count + 1)) - edge
     steep = _border_steps(surface, high, names, count) >= STEEP_BORDER + math.sqrt(2.0) * edge * slope
-    return float(np.max(widths, where=steep, initial=0.0))
+    return _widest_hall(surface, edge, slope, float(np.max(widths, where=steep, initial=0.0)))
+
+
+def _widest_hall(surface: NDArray[np.float64], edge: float, slope: float, widest: float) -> float:
+    """Width [m] of the widest smooth region with steep borders all around that an opening takes off, or `widest`.
+
+    A hall of 8 m that is 60 m wide rises less over the opening than a hill of `OPEN_SLOPE`; its border and its roof
+    tell it from one.
+    """
+    rough = np.abs(surface - scipy.ndimage.uniform_filter(surface, 3, mode="nearest"))
+    least = STEEP_BORDER + math.sqrt(2.0) * edge * slope
+    last = surface
+    for radius in _radii(max(1, math.ceil(WIDEST / edge))):
+        this = disk_opening(last, radius)
+        taken, step = last - this > HIGH, last - scipy.ndimage.minimum_filter(last, 3, mode="nearest")
+        last = this
+        inside = scipy.ndimage.distance_transform_edt(np.pad(taken, 1, constant_values=False))[1:-1, 1:-1]
+        names, count = scipy.ndimage.label(taken)
+        rim = taken & ~scipy.ndimage.binary_erosion(taken)
+        widths = 2.0 * edge * scipy.ndimage.maximum(inside, names, np.arange(1, count + 1)) - edge
+        for name, box in enumerate(scipy.ndimage.find_objects(names), 1):
+            if widths[name - 1] <= widest:
+                continue
+            own = names[box] == name
+            steep = np.mean(step[box][own & rim[box]] >= least)
+            if steep >= STEEP_SHARE and np.median(rough[box][own]) <= SMOOTH:
+                widest = float(widths[name - 1])
+    return widest
 
 
 def _border_steps(

@@ -59,6 +59,23 @@ def test_width_of_buildings_is_found_within_two_coarse_cells(width):
     assert told(town(width)).building == pytest.approx(width, abs=4.0)
 
 
+@pytest.mark.parametrize("width", [40.0, 70.0, 110.0])
+def test_low_halls_are_as_wide_as_they_are(width):
+    x, y, z = plane(1.0, 2 * width + 120, 0.02)
+    inside = np.maximum(abs(x - ORIGIN[0] - width - 60), abs(y - ORIGIN[1] - width - 60)) < width / 2
+    assert told((x, y, np.where(inside, z + 8.0, z))).building == pytest.approx(width, abs=8.0)
+
+
+def test_a_terrace_and_a_wood_are_no_halls():
+    x, y, z = plane(1.0, 240.0)
+    a, b = x - ORIGIN[0], y - ORIGIN[1]
+    terrace = (np.abs(b - 120) < 35) & (a < 155) & (a > 85)  # it slopes down to level ground on one side
+    ramp = np.clip((a - 85) / 70, 0, 1) * 8
+    assert told((x, y, z + np.where(terrace, ramp, 0.0))).building < 15
+    wood = (np.hypot(a - 120, b - 120) < 40) * np.random.default_rng(2).uniform(4, 14, len(x))
+    assert told((x, y, z + wood)).building < 15
+
+
 def test_hills_are_no_buildings():
     x, y, _ = plane(2.0)
     hills = 100.0 + 6.0 * np.sin((x - ORIGIN[0]) / 15) * np.sin((y - ORIGIN[1]) / 15)
