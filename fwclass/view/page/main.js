@@ -7,11 +7,12 @@ import { json, traffic, useDelivery, useToken } from './net.js';
 import { kept, LITTLE } from './folder.js';
 import { Again } from './again.js';
 import { Relabel } from './relabel.js';
+import { ARROWS, Crosshair } from './crosshair.js';
 
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
 const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, sketched: false, section: null, selected: null, motion: 600_000, shade: true };
-let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null;
+let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null, cross;
 useToken(given.get('token') || ''); $('unserved').remove();
 const inSight = (id) => $(id).scrollIntoView({ block: 'nearest' }); // on a phone the panel is longer than its place
 const says = (text) => { $('says').textContent = text; if (text) inSight('says'); };
@@ -127,17 +128,18 @@ function tool(name) {
 }
 const svg = (kind, attributes, text) => { const e = document.createElementNS('http://www.w3.org/2000/svg', kind); for (const [k, v] of Object.entries(attributes)) e.setAttribute(k, v); if (text) e.textContent = text; return e; };
 function marks(m, w, h) {
-  const out = [], at2 = (p) => project(m, p, w, h);
-  const line = (a, b) => { const A = at2(a), B = at2(b); if (A[2] > 0 && B[2] > 0) out.push(svg('line', { x1: A[0], y1: A[1], x2: B[0], y2: B[1] })); return [A, B]; };
+  const out = [], at2 = (p) => project(m, p, w, h), halves = (put) => scenes.forEach((_, k) => put(k * w));
+  const line = (a, b) => { const A = at2(a), B = at2(b); if (A[2] > 0 && B[2] > 0) halves((x) => { for (const name of ['under', 'over']) out.push(svg('line', { class: name, x1: A[0] + x, y1: A[1], x2: B[0] + x, y2: B[1] })); }); return [A, B]; };
+  const circle = (p, r) => { const [x, y, d] = at2(p); if (d > 0) halves((by) => out.push(svg('circle', { cx: x + by, cy: y, r }))); };
   if (state.section) line(state.section.A, state.section.B);
-  for (const p of state.points) { const [x, y, d] = at2(p); if (d > 0) out.push(svg('circle', { cx: x, cy: y, r: 5 })); }
-  if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`)); }
+  for (const p of state.points) circle(p, 5);
+  if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); if (A[2] > 0 && B[2] > 0) halves((x) => out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6 + x, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`))); }
   if (works?.[at]) { // the squares of the unsure place
     const [x0, y0, x1, y1] = works[at].box, o = scenes[0].origin, corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map(([x, y]) => at2([x - o[0], y - o[1], works[at].z - o[2]]));
-    if (corners.every((c) => c[2] > 0)) out.push(svg('path', { class: 'frame', d: `M${corners.map((c) => `${c[0]} ${c[1]}`).join('L')}Z` }));
+    if (corners.every((c) => c[2] > 0)) halves((x) => out.push(svg('path', { class: 'frame', d: `M${corners.map((c) => `${c[0] + x} ${c[1]}`).join('L')}Z` })));
   }
   for (const t of marked()) { t.at = at2(t.place); if (t.at[2] > 0) out.push(svg('circle', { cx: t.at[0], cy: t.at[1], r: 4 })); }
-  if (state.selected) scenes.forEach((_, k) => { const [x, y, d] = at2(state.selected.place); if (d > 0) out.push(svg('circle', { cx: x + k * w, cy: y, r: 8 })); });
+  if (state.selected) circle(state.selected.place, 8);
   const shape = relabel?.shape(); if (shape) out.push(svg('path', shape));
   $('marks').replaceChildren(...out);
 }
@@ -158,34 +160,46 @@ function chosen(hit, x, y) {
   redraw();
 }
 // The cloud is drawn in what its section leaves, so that the line stays in sight.
-function cutAlong(line) { state.section = line; $('profile').hidden = !line; $('stage').classList.toggle('cut', Boolean(line)); if (!line && relabel?.along) relabel.use(''); redraw(); }
+function cutAlong(line) { state.section = line; $('profile').hidden = !line; $('stage').classList.toggle('cut', Boolean(line)); if (!line && relabel?.along) relabel.use(''); cross.show(); redraw(); }
+// Of two runs the same strip of ground, at one scale: side by side, or one above the other where that shows them larger.
 function profile() {
-  const c = $('cut'), g = c.getContext('2d'), line = state.section; c.width = c.clientWidth; c.height = c.clientHeight; line.stale = false;
-  const nodes = shown[0].nodes, { echoes, length } = cut(nodes, line.A, line.B, line.half, hidden);
-  if (!echoes.length) { $('cut-says').textContent = 'no echo lies here'; line.echoes = []; line.picture = line.view = null; return; }
-  let low = Infinity, high = -Infinity; for (const e of echoes) { low = Math.min(low, e.z); high = Math.max(high, e.z); }
-  const over = Number($('exaggeration').value) || 1, k = Math.min((c.width - 20) / length, (c.height - 16) / Math.max((high - low) * over, 1)), left = (c.width - k * length) / 2;
-  const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), wide = echoes.length < FEW ? 3 : 2;
-  for (const e of echoes) {
-    e.x = left + e.s * k; e.y = c.height - 8 - (e.z - low) * k * over;
+  const c = $('cut'), g = c.getContext('2d'), line = state.section, n = scenes.length; line.stale = false;
+  const cuts = scenes.map((s) => cut(s.nodes.values(), line.A, line.B, line.half, hidden)), { length } = cuts[0];
+  let low = Infinity, high = -Infinity; for (const { echoes } of cuts) for (const e of echoes) { low = Math.min(low, e.z); high = Math.max(high, e.z); }
+  line.echoes = []; line.picture = line.view = null;
+  $('cut-says').textContent = low > high ? 'no echo lies here' : `${cuts.map(({ echoes }, of) => `${n > 1 ? `${scenes[of].run}: ` : ''}${counted(echoes.length)}`).join('; ')}; ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high`;
+  c.width = c.clientWidth; c.height = c.clientHeight; // which the words have left
+  if (low > high) return;
+  const over = Number($('exaggeration').value) || 1, scale = (w, h) => Math.min((w - 20) / length, (h - 16) / Math.max((high - low) * over, 1));
+  const beside = scale(c.width / n, c.height) > scale(c.width, c.height / n), w = Math.floor(beside ? c.width / n : c.width), h = Math.floor(beside ? c.height : c.height / n), k = scale(w, h), left = (w - k * length) / 2, bottom = h - 8;
+  const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), wide = cuts.reduce((sum, one) => sum + one.echoes.length, 0) < FEW * n ? 3 : 2;
+  cuts.forEach(({ echoes }, of) => { for (const e of echoes) {
+    e.of = of; e.x = left + e.s * k + (beside ? of * w : 0); e.y = bottom - (e.z - low) * k * over + (beside ? 0 : of * h); line.echoes.push(e);
     const v = e.node.marks?.[e.row] ? 0xffb000e8 : pixel(state.look, drawing.palette, e.node, e.row, e.z), X = Math.round(e.x), Y = Math.round(e.y);
     for (let a = 0; a < wide; a += 1) for (let b = 0; b < wide; b += 1) if (X + a >= 0 && X + a < c.width && Y + b >= 0 && Y + b < c.height) px[(Y + b) * c.width + X + a] = v;
-  }
-  line.echoes = echoes; line.picture = picture; line.view = { left, k, low, over, bottom: c.height - 8 }; sketch(line);
-  $('cut-says').textContent = `${scenes.length > 1 ? `${scenes[0].run}: ` : ''}${counted(echoes.length)}, ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high`;
+  } });
+  line.panes = n > 1 ? scenes.map((s, of) => ({ name: s.run, x: beside ? of * w : 0, y: beside ? 0 : of * h, w, h })) : [];
+  line.picture = picture; line.view = { left, k, low, over, bottom }; sketch(line);
 }
-// The section's picture, and over it what is being drawn.
-function sketch(line) { const g = $('cut').getContext('2d'); g.putImageData(line.picture, 0, 0); relabel?.inSection(g); }
+// The section's picture, and over it the runs' names, the echo that was asked for, and what is being drawn.
+function sketch(line) {
+  const g = $('cut').getContext('2d'); g.putImageData(line.picture, 0, 0);
+  g.font = '600 12px system-ui, "DejaVu Sans", sans-serif'; g.fillStyle = '#1d2a35'; g.strokeStyle = '#b9c4cb'; g.lineWidth = 1;
+  for (const p of line.panes) { g.fillText(p.name, p.x + 6, p.y + 13, p.w - 12); if (p.x || p.y) g.strokeRect(p.x - 0.5, p.y - 0.5, p.w + 9, p.h + 9); }
+  const mine = state.selected && line.echoes.find((e) => e.node === state.selected.node && e.row === state.selected.row);
+  if (mine) { g.beginPath(); g.arc(mine.x + 1, mine.y + 1, 8, 0, 7); g.strokeStyle = '#c2410c'; g.lineWidth = 2; g.stroke(); }
+  relabel?.inSection(g);
+}
 $('cut').onpointerdown = (e) => { if (e.button === 0 && state.section?.view && relabel?.draws('section')) { $('cut').setPointerCapture(e.pointerId); relabel.down('section', e.offsetX, e.offsetY); } };
-$('cut').onpointermove = (e) => { if (relabel?.stroke.length && relabel.where === 'section') relabel.move(e.offsetX, e.offsetY); };
+$('cut').onpointermove = (e) => { if (e.buttons && relabel?.stroke.length && relabel.where === 'section') relabel.move(e.offsetX, e.offsetY); };
 $('cut').onpointerup = () => { if (relabel?.stroke.length && relabel.where === 'section') relabel.up(); };
 $('cut').onpointercancel = () => relabel?.cancel();
-$('cut').onclick = (e) => {
-  if (relabel?.draws('section')) return;
-  const x = e.offsetX, y = e.offsetY; let best = null;
+$('cut').onclick = (e) => { if (!relabel?.draws('section')) clickSection(e.offsetX, e.offsetY); };
+function clickSection(x, y) {
+  let best = null;
   for (const one of state.section?.echoes || []) { const d = (one.x - x) ** 2 + (one.y - y) ** 2; if (d < 100 && (!best || d < best.d)) best = { d, one }; }
-  if (best) { const { node, row, s, z } = best.one, { A, B } = state.section, L = Math.hypot(B[0] - A[0], B[1] - A[1]); show(0, { node, row, place: [A[0] + (B[0] - A[0]) * s / L, A[1] + (B[1] - A[1]) * s / L, z] }); }
-};
+  if (best) { const { node, row, s, z, of } = best.one, { A, B } = state.section, L = Math.hypot(B[0] - A[0], B[1] - A[1]); show(of, { node, row, place: [A[0] + (B[0] - A[0]) * s / L, A[1] + (B[1] - A[1]) * s / L, z] }); }
+}
 $('width').onchange = () => { if (state.section) { state.section.half = Number($('width').value) / 2 || 1; redraw(); } };
 $('exaggeration').onchange = redraw;
 $('close-profile').onclick = () => cutAlong(null);
@@ -199,7 +213,7 @@ async function alone(kind, path, late) {
 }
 async function show(number_, hit) {
   state.selected = hit; overlay();
-  const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), began = performance.now(), late = () => mine !== show.turn;
+  const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), began = performance.now(), late = () => mine !== show.turn || state.selected !== hit;
   try {
     const about = s.folder ? await kept(s, hit) : await alone('echo', `${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`, late), v = about?.values; if (late()) return;
     stats.echo = about;
@@ -263,11 +277,23 @@ canvas.addEventListener('wheel', (e) => { e.preventDefault(); nearer(Math.exp(Ma
 const fromAbove = () => { cam.tilt = 1.5707; cam.azimuth = 0; moved(); };
 const sized = (by) => { $('brush-size').value = Number($('brush-size').value) + by; overlay(); };
 const relabelling = { l: () => relabel.use('lasso'), b: () => relabel.use('brush'), a: () => relabel.use('above'), u: () => relabel.use('below'), Enter: () => relabel.apply(), z: () => relabel.undo(), y: () => relabel.redo(), '[': () => sized(-4), ']': () => sized(4) };
-const keys = { r: () => edit(), ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.last) { relabel.drop(); relabel.hint(); } else if (state.tool || relabel?.mode) { if (relabel?.along || !state.tool) relabel.use(''); if (state.tool) tool(''); } else { state.measured = state.selected = null; says(''); cutAlong(null); } } };
-addEventListener('keydown', (e) => { if (e.ctrlKey || e.metaKey || e.altKey || /INPUT|SELECT/.test(e.target.tagName) || (e.key === 'Enter' && /BUTTON|SUMMARY/.test(e.target.tagName))) return; const act = keys[e.key] || (relabel?.open && relabelling[e.key]); if (act) { e.preventDefault(); act(); } });
+const keys = { r: () => edit(), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), c: crosshair, '?': () => { $('help').open = !$('help').open; if ($('help').open) inSight('help'); }, n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.stroke.length) relabel.cancel(); else if (relabel?.last) { relabel.drop(); relabel.hint(); } else if (state.tool || relabel?.mode) { if (relabel?.along || !state.tool) relabel.use(''); if (state.tool) tool(''); } else if (cross.over) { cross.away(); says(''); relabel?.hint(); } else { state.measured = state.selected = null; says(''); cutAlong(null); } } };
+cross = new Crosshair({
+  canvases: [canvas, $('cut')], halves: () => scenes.length, led: (x, y) => relabel?.lead(x, y),
+  press: (over, x, y) => { const where = over === canvas ? 'cloud' : 'section'; if (relabel?.draws(where) && !state.tool) relabel.corner(where, x, y); else if (over === canvas) click(x, y); else clickSection(x, y); },
+});
+function crosshair() { cross.next(); canvas.focus(); says(!cross.over ? '' : `Arrows move the crosshair, with shift by one pixel; Enter is a click. c takes it ${cross.over === canvas && state.section ? 'to the section' : 'away'}.`); relabel?.cancel(); relabel?.hint(); }
+function pressed(e) {
+  const { tagName, type } = e.target;
+  if (e.ctrlKey || e.metaKey || e.altKey || (e.key === 'Enter' && /BUTTON|SUMMARY/.test(tagName))) return;
+  if (tagName === 'SELECT' || (tagName === 'INPUT' && type !== 'checkbox')) { if (e.key === 'Escape') canvas.focus(); return; }
+  const arrow = ARROWS[e.key], act = arrow ? () => (cross.over ? cross.move(arrow, e.shiftKey) : shift(-40 * arrow[0], -40 * arrow[1])) : e.key === 'Enter' && cross.over && !relabel?.last ? () => cross.enter() : keys[e.key] || (relabel?.open && relabelling[e.key]);
+  if (act) { e.preventDefault(); act(); }
+}
+addEventListener('keydown', pressed);
 $('whole').onclick = whole; $('top').onclick = fromAbove; $('section').onclick = () => tool('section'); $('measure').onclick = () => tool('measure');
 $('next').onclick = () => step(1); $('previous').onclick = () => step(-1); $('by').onchange = () => colourBy($('by').value);
-addEventListener('resize', () => moved());
+addEventListener('resize', () => { cross.show(); moved(); redraw(); });
 canvas.addEventListener('webglcontextlost', (e) => { e.preventDefault(); fault('The graphics card dropped this page; it is asked again.'); });
 canvas.addEventListener('webglcontextrestored', () => { drawing.start(); fault(''); redraw(); });
 
@@ -279,7 +305,7 @@ function relabels(first) {
   useDelivery(first.delivery);
   if (first.rows) noClass(first);
   const section = () => state.section, wantSection = () => { if (state.tool !== 'section') tool('section'); }, leaveTool = () => { if (state.tool) tool(''); };
-  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, leaveTool, using: () => state.tool, redraw, overlay, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
+  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, leaveTool, using: () => state.tool, keyed: () => cross.over, redraw, overlay, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
   again = new Again({ take, open: () => relabel.open, drawing: () => relabel.last || relabel.stroke.length });
   $('relabel').hidden = false; $('relabel').onclick = edit;
   if (given.get('relabel')) edit();
@@ -301,5 +327,5 @@ async function begin() {
   if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';
   $('work').hidden = false; if (first.goes_through) $('place').textContent = first.goes_through; recall(); relabels(first); classes(); await colourBy(given.get('by') || 'classification'); frame();
 }
-window.fwclass = { cam, stats, traffic, state, click, show, moved, redraw, colourBy, tool, scenes: () => scenes, relabel: () => relabel, again: () => again, edit, shown: () => shown, step };
+window.fwclass = { cam, stats, traffic, state, click, show, moved, redraw, colourBy, tool, scenes: () => scenes, relabel: () => relabel, again: () => again, edit, shown: () => shown, step, cross: () => cross, keys: () => [...Object.keys(keys), ...Object.keys(relabelling)] };
 begin().catch((e) => failed(e.message, e.status));

@@ -8,7 +8,7 @@ const EVERY = 4000; // ms between questions for what others changed
 const MODES = ['lasso', 'brush', 'above', 'below'];
 
 export class Relabel {
-  // `page`: scene, cam, size, hidden, section, wantSection, leaveTool, using, redraw, overlay, pressed, failed.
+  // `page`: scene, cam, size, hidden, section, wantSection, leaveTool, using, keyed, redraw, overlay, pressed, failed.
   constructor(page) {
     Object.assign(this, page);
     this.open = false; this.mode = ''; this.stroke = []; this.selection = null; this.rows = this.scene.rows; this.busy = false; this.turn = 0;
@@ -50,7 +50,8 @@ export class Relabel {
   hint() {
     if (!this.open || !this.may || this.last || this.busy) return;
     const along = this.section() ? 'Draw a line in the section, from one side to the other.' : 'Click both ends of a section; then draw a line in it.';
-    this.count(this.along ? along : !this.mode || this.using() ? '' : this.mode === 'brush' ? 'Draw over echoes.' : 'Draw around echoes.');
+    const words = this.along ? along : !this.mode || this.using() ? '' : this.mode === 'brush' ? 'Draw over echoes.' : 'Draw around echoes.';
+    this.count(words && this.keyed() && !this.using() ? `${words} Enter sets a corner, and the last one twice.` : words);
   }
 
   get along() { return this.mode === 'above' || this.mode === 'below'; }
@@ -78,6 +79,16 @@ export class Relabel {
     if (points.length < (radius ? 1 : 3)) return;
     this.last = { ...this.projection(this.where), points, radius }; this.select();
   }
+
+  // By keys: each Enter a corner, and once more in the same place the end; until then an end goes with the crosshair.
+  corner(where, x, y) {
+    const before = this.stroke.at(-2);
+    if (before && before[0] === x && before[1] === y) { this.stroke.pop(); this.up(); return; }
+    if (!this.stroke.length) this.down(where, x, y);
+    this.stroke.push([x, y]); this.overlay();
+  }
+
+  lead(x, y) { if (this.stroke.length) { this.stroke[this.stroke.length - 1] = [x, y]; this.overlay(); } }
 
   cancel() { if (this.stroke.length) { this.stroke = []; this.overlay(); } }
 

@@ -108,7 +108,8 @@ export class Scene {
     for (const gone of this.loader.keep((job) => job.rank >= 1e5 || wanted.has(job.about.key.split(' ').at(-1)) || job.about.key.includes('level-'))) this.asked.delete(gone.about.key);
     for (const node of this.nodes.values()) {
       if (!wanted.has(node.key) && !this.together.includes(node.level)) continue;
-      if (!near(node.low, [node.low[0] + node.edge, node.low[1] + node.edge, node.low[2] + node.rise * 65535])) continue;
+      const high = [node.low[0] + node.edge, node.low[1] + node.edge, node.low[2] + node.rise * 65535];
+      if (!near(node.low, high) && !full?.(node.low, high)) continue;
       out.push(node);
     }
     if (column) {
