@@ -161,6 +161,22 @@ def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
     return {n: arrow.column(n).to_numpy() for n in there}
 
 
+def table_row(path: Path, names: Sequence[str], row: int) -> dict[str, Any]:
+    """One row of a delivered tile, as `table_columns` has it; only its row group is read."""
+    try:
+        with pq.ParquetFile(path) as file:
+            there = [n for n in names if n in file.schema_arrow.names]
+            group = 0
+            while row >= (rows := file.metadata.row_group(group).num_rows):
+                group, row = group + 1, row - rows
+            arrow = file.read_row_group(group, columns=there, use_threads=False).slice(row, 1)
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as fault:
+        raise _damaged(path, fault) from fault
+    return {n: arrow.column(n).to_numpy()[0] for n in there}
+
+
 def _check_readable(path: Path) -> None:
     """`InputError` where a tile's file cannot be read."""
     try:

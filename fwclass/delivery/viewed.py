@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.delivery.echoes import table_columns, table_fields
+from fwclass.delivery.echoes import table_columns, table_fields, table_row
 from fwclass.delivery.opened import Delivery, open_at
 from fwclass.delivery.places import listed_places
 from fwclass.delivery.viewed_colours import (
@@ -159,7 +159,7 @@ class ViewedRun:
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
         names = [f["name"] for f in self._fields if f["name"] not in MEANING]
-        values = {n: plain_value(v[at]) for n, v in self._columns(tile, names).items()}
+        values = {n: plain_value(v) for n, v in table_row(self._file(tile), names, at).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
         self._asked[tuple(int(values[n]) for n in IDENTITY)] = tile, at

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,12 +17,13 @@ from fwclass.delivery.opened import Delivery
 from fwclass.errors import FwclassError, InputError
 from fwclass.graph.context_training import MERGED as CONTEXT_TRAINING
 from fwclass.graph.learn import load_sample
-from fwclass.graph.sources import chunk_name, pulse_of, waveforms_of
+from fwclass.graph.sources import chunk_name, pulse_of, strip_of, waveforms_of
 from fwclass.model import Contextual
 from fwclass.run.inputs import PartInputs
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
 from fwclass.view.cache import Cache
+from fwclass.waveforms import Waveforms
 
 TELLING = 10
 """Features that are told."""
@@ -40,23 +42,21 @@ class BehindEchoes:
         self._delivery, self._store = delivery, Store(delivery.root, read_only=True)
         self._inputs, self._chunks, self._trained = PartInputs(self._store), Cache(CHUNKS), Cache(1 << 30)
         self._features = Cache(FEATURES)
-        self._firsts: dict[int, list[tuple[int, str]]] = {}
 
     def prepare(self) -> None:
         """Load what the first click would wait for: what fits and draws, the model, the training sample."""
-        for strip in sorted({int(p.split("-")[0]) for s, p in self._store.parts() if s == "read"}):
-            self._parts(strip)
-        begins = next(((strip, parts[0][0]) for strip, parts in self._firsts.items() if parts), None)
-        if begins is not None:
-            self.pulse(*begins)
+        read = (p for s, p in sorted(self._store.parts()) if s == "read")
+        part = next((p for p in read if self._inputs.meta("read", p).get("waveforms")), None)
+        if part is not None:
+            self.pulse(strip_of(part), int(self._chunk(part).pulses["pulse"][0]))
         tile = next((p for s, p in self._store.parts() if s == "tile"), None)
         if tile is not None:
             self.why(tile, 0)
 
     def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
         """Samples, the fitted sum and each echo alone, the residual over the noise, the vendor's returns."""
+        from fwclass.single_file.waveforms.pictured import pulse_picture
         from fwclass.single_file.waveforms.shown import see
-        from fwclass.single_file.waveforms.view import pulse_picture
 
         waves = self._waves(strip, pulse)
         params = DecomposeParams(**self._delivery.report["config"]["decompose"])
@@ -83,10 +83,12 @@ class BehindEchoes:
             ],
         }
 
-    def _waves(self, strip: int, pulse: int) -> Any:
-        part = next((name for first, name in reversed(self._parts(strip)) if first <= pulse), None)
-        if part is not None:
-            waves = self._chunks.get(part, lambda: waveforms_of(part, self._inputs), lambda w: w.samples.nbytes)
+    def _waves(self, strip: int, pulse: int) -> Waveforms:
+        """The chunk of a pulse; which one that is the receipt of the strip's index tells, without opening any."""
+        spans = self._inputs.meta("index", f"{strip:05d}").get("spans", ())
+        part = chunk_name(strip, bisect_right([first for _, _, first, *_ in spans], pulse) - 1)
+        if self._inputs.meta("read", part).get("waveforms"):
+            waves = self._chunk(part)
             if (waves.pulses["pulse"] == pulse).any():
                 return waves
         raise InputError(
@@ -96,18 +98,8 @@ class BehindEchoes:
             do="strips of discrete returns have none, and `fwclass clean` removes them: run again to have them",
         )
 
-    def _parts(self, strip: int) -> list[tuple[int, str]]:
-        """First pulse and name of every chunk with waveforms of a strip."""
-        if strip not in self._firsts:
-            begins = chunk_name(strip, 0).rpartition("-")[0]
-            parts = [p for s, p in self._store.parts() if s == "read" and p.rpartition("-")[0] == begins]
-            out = []
-            for part in sorted(parts):
-                if self._inputs.meta("read", part).get("waveforms"):
-                    numbers = self._inputs.table("read", part, ("pulse",), "pulses.parquet")["pulse"]
-                    out.append((int(numbers.min()), part))
-            self._firsts[strip] = out
-        return self._firsts[strip]
+    def _chunk(self, part: str) -> Waveforms:
+        return self._chunks.get(part, lambda: waveforms_of(part, self._inputs), lambda w: w.samples.nbytes)
 
     @property
     def has_reference(self) -> bool:

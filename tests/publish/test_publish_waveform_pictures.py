@@ -10,7 +10,8 @@ import pytest
 from matplotlib.image import imread
 
 from fwclass.publish import waveform_pictures
-from fwclass.publish.waveform_pictures import WavePicture, draw_pulse, draw_waveforms
+from fwclass.publish.wave_picture import WavePicture
+from fwclass.publish.waveform_pictures import draw_pulse, draw_waveforms
 
 
 def picture(n: int = 60, echoes: int = 2, returns: int = 1, **changed: Any) -> WavePicture:
