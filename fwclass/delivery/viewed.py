@@ -30,13 +30,13 @@ from fwclass.delivery.viewed_colours import (
 )
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
+from fwclass.delivery.viewed_pair import check_same_place, known_by, tiles_of
 from fwclass.delivery.viewed_relabel import Relabelling
 from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import echo_hashes
 from fwclass.publish.palette import colours, css
 from fwclass.schema import IDENTITY, Table
-from fwclass.store.run_location import address_of
 from fwclass.store.run_store import Store
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
@@ -64,7 +64,7 @@ class ViewedRun:
     def __init__(self, delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> None:
         self.delivery, self.params = delivery, params
         if other is not None:
-            _check_same_place(delivery, other)
+            check_same_place(delivery, other)
         self.tiles = {t["tile"]: t for t in delivery.tiles}
         if not self.tiles:
             raise InputError("this delivery has no tile", where=delivery.path, do="run the survey again")
@@ -120,7 +120,7 @@ class ViewedRun:
             "echoes": self.echoes,
             "against": self._other is not None,
             "goes_through": self._listed.name if self._listed is not None else None,
-            "run": _known_by(self.delivery, self._other or self.delivery),
+            "run": known_by(self.delivery, self._other or self.delivery),
             "relabels": self._other is None,
             "origin": self.origin,
             "bounds": [*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 3:5].max(axis=0).tolist()],
@@ -142,7 +142,7 @@ class ViewedRun:
         if (named := kinds(part, self.delivery.report["input"]["files"])) is not None:
             return {**field, "classes": named}
         scale = self._scale(part)
-        return {**field, "low": scale.low, "high": scale.high}
+        return {**field, "low": plain_value(scale.low), "high": plain_value(scale.high)}
 
     def level(self, part: str, level: int) -> bytes:
         if level not in self.pyramid.levels():
@@ -362,13 +362,20 @@ class ViewedRun:
         return self._open.get(("scale", name), lambda: self._measured(name), lambda _: 64)
 
     def _measured(self, name: str) -> Scale:
-        """From one hundredth to 99 of the values of some tiles."""
+        """From one hundredth to 99 of the values of some tiles, of the first with any where those have none; NaN for
+        none at all."""
         self._field(name)
-        keys = list(self.tiles)[:: max(1, len(self.tiles) // 8)]
-        values = np.concatenate([self._column(key, name).astype(np.float64) for key in keys])
-        finite = values[np.isfinite(values)]
-        low, high = np.quantile(finite, (0.01, 0.99)).tolist() if len(finite) else (0.0, 0.0)
-        return Scale(low, high)
+        keys = list(self.tiles)
+        some = keys[:: max(1, len(keys) // 8)]
+        finite = np.concatenate([self._finite(key, name) for key in some])
+        for key in keys if not len(finite) else ():
+            if len(finite := self._finite(key, name)):
+                break
+        return Scale(*np.quantile(finite, (0.01, 0.99)).tolist()) if len(finite) else Scale(math.nan, math.nan)
+
+    def _finite(self, key: str, name: str) -> NDArray[np.float64]:
+        values = self._column(key, name).astype(np.float64)
+        return values[np.isfinite(values)]
 
     def _column(self, key: str, name: str) -> NDArray:
         return self._columns(key, (name,))[name]
@@ -394,7 +401,7 @@ class ViewedRun:
         if name == CORRECTED:
             return self._accepted(self._tile(key), key)
         if name == DIFFERS and self._other is not None:
-            return compare_classes(self._file(key), self._other.table(key))
+            return compare_classes(self._file(key), map(self._other.table, tiles_of(self._other, self.tiles[key])))
         values = self._column(key, name)
         return self._strip_bytes(values) if name == "strip" else self._scale(name).bytes_of(values)
 
@@ -426,33 +433,6 @@ class ViewedRun:
             mine = slice(bounds[number], bounds[number + 1])
             out[mine] = self._tile_bytes(key, name)[row[mine]]
         return out
-
-
-def _check_same_place(one: Delivery, other: Delivery) -> None:
-    """`InputError` for runs whose boxes do not meet: nothing of them would be seen side by side."""
-    a, b = (np.array([t["bounds"] for t in d.tiles]).reshape(-1, 6) for d in (one, other))
-    if not len(a) or not len(b):
-        return
-    (low, high), (left, right) = ((box[:, :2].min(axis=0), box[:, 3:5].max(axis=0)) for box in (a, b))
-    if (low > right).any() or (left > high).any():
-        raise InputError(
-            "the two runs are of places that do not meet",
-            where=f"{address_of(one.root)} and {address_of(other.root)}",
-            expected="two runs of one survey",
-            got=" and ".join(
-                f"x {p[0]:.0f} to {q[0]:.0f}, y {p[1]:.0f} to {q[1]:.0f}" for p, q in ((low, high), (left, right))
-            ),
-            do="name another run with --against, or look at each alone",
-        )
-
-
-def _known_by(one: Delivery, other: Delivery) -> str:
-    """The end of a run's address by which it is known from another's."""
-    mine, others = (str(address_of(d.root)).replace("\\", "/").split("/") for d in (one, other))
-    length = 1
-    while mine != others and mine[-length:] == others[-length:]:
-        length += 1
-    return "/".join(mine[-length:])
 
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:

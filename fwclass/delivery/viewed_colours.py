@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,15 +49,14 @@ def kinds(part: str, files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
     return [_kind(code, *kind) for code, kind in enumerate(_KINDS[part])]
 
 
-def compare_classes(tile: Path, other: Path) -> NDArray[np.uint8]:
-    """0 for an echo that the other run has not in this tile, 1 where the classes are the same, 2 where not."""
+def compare_classes(tile: Path, others: Iterable[Path]) -> NDArray[np.uint8]:
+    """0 for an echo that none of the other run's tiles `others` has, 1 where the classes are the same, 2 where not."""
     mine = table_columns(tile, (*IDENTITY, "classification"))
-    out = np.zeros(len(mine["strip"]), np.uint8)
-    if not other.is_file():
-        return out
-    theirs = table_columns(other, (*IDENTITY, "classification"))
-    _, here, there = np.intersect1d(_key(mine), _key(theirs), assume_unique=True, return_indices=True)
-    out[here] = np.where(mine["classification"][here] == theirs["classification"][there], 1, 2)
+    out, who = np.zeros(len(mine["strip"]), np.uint8), _key(mine)
+    for other in others:
+        theirs = table_columns(other, (*IDENTITY, "classification"))
+        _, here, there = np.intersect1d(who, _key(theirs), assume_unique=True, return_indices=True)
+        out[here] = np.where(mine["classification"][here] == theirs["classification"][there], 1, 2)
     return out
 
 

@@ -244,3 +244,16 @@ def test_two_runs_side_by_side(browser_page: Driven, run: Path) -> None:
         assert browser_page.run(seen) == [1]
         assert browser_page.faults == []
         server.shutdown()
+
+
+@pytest.mark.slow
+def test_what_differs_does_not_depend_on_the_size_of_tiles(small_run: Path) -> None:
+    """The same survey in tiles of another size: no echo is in one run alone, and both runs say the same."""
+    other = small_run.parent / "other"
+    shutil.copytree(small_run, other, symlinks=True)
+    deliver(small_run.parent, "tile.size=70")
+    scenes = scenes_of(small_run, other, conf.section("view", ()))
+    assert set(scenes[0].tiles) != set(scenes[1].tiles)
+    told = [np.concatenate([s._tile_bytes(key, "differs") for key in s.tiles]) for s in scenes]
+    assert np.bincount(told[0], minlength=3).tolist() == np.bincount(told[1], minlength=3).tolist()
+    assert 0 not in told[0] and (told[0] == 1).mean() > 0.9

@@ -276,3 +276,33 @@ def test_strips_have_colours_of_their_own(tmp_path: Path) -> None:
     assert len({k["colour"] for k in told}) == len({k["code"] for k in told}) == 4
     many = kinds("strip", [{"strip": 3 * n, "path": f"{n}.las"} for n in range(24)])
     assert many is not None and len({k["colour"] for k in many}) == 24
+
+
+def test_a_name_from_right_to_left_turns_no_number(browser_page: Driven, small_run: Path) -> None:
+    """The name of a class as a file may bring it, with a mark that turns what follows."""
+    with served(small_run, None, "view.unsure=1") as server:
+        page = opened(browser_page, server)
+        page.run("for (const c of fwclass.scenes()[0].classes) c.name = 'מבנה\\u202e'")
+        assert page.run(PICK)
+        page.until("!document.getElementById('picked').hidden")
+        seen = """(() => { const node = document.getElementById('what').firstChild, part = (text) => {
+            const at = node.textContent.indexOf(text), r = document.createRange();
+            r.setStart(node, at); r.setEnd(node, at + text.length); return r.getBoundingClientRect(); };
+            return [part('מבנה').right, part(' sure').left, part('%').left]; })()"""
+        name, sure, percent = page.run(seen)
+        assert name < percent < sure
+        key(page, "n")
+        page.until("/ of /.test(document.getElementById('place').textContent)")
+        assert "\u2068מבנה\u202e\u2069 " in text(page, "place")
+
+
+def test_a_colour_of_which_no_echo_has_a_value_says_so(browser_page: Driven, small_run: Path) -> None:
+    with served(small_run) as server:
+        page = opened(browser_page, server)
+        columns = page.run("fwclass.scenes()[0].columns.map((c) => c.name)")
+        assert "width" in columns  # of discrete returns
+        page.run("fwclass.colourBy('width')")
+        page.until("fwclass.stats.settled")
+        assert text(page, "legend").startswith("no echo has a value")
+        assert page.run("[...new Set(fwclass.shown()[0].nodes.flatMap((n) => [...n.extra]))]") == [255]
+        assert page.faults == []

@@ -2,7 +2,7 @@ import { fit, matrix, onHeight, project, axes, start, FIELD } from './camera.js'
 import { BUDGET, Scene } from './scene.js';
 import { Drawing, MODES, pixel, rampColours } from './draw.js';
 import { cut, pick, touches } from './pick.js';
-import { $, counted, element, number, values, wave, why } from './panel.js';
+import { $, apart, counted, element, number, values, wave, why } from './panel.js';
 import { json, traffic, useDelivery, useToken } from './net.js';
 import { kept, LITTLE } from './folder.js';
 import { Again } from './again.js';
@@ -218,7 +218,7 @@ async function show(number_, hit) {
     const about = s.folder ? await kept(s, hit) : await alone('echo', `${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`, late), v = about?.values; if (late()) return;
     stats.echo = about;
     const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
-    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
+    $('picked').hidden = false; $('what').textContent = `${apart(called)}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
     says(`${scenes.length > 1 ? `${s.run}: ` : ''}${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number}${v.number_of_echoes ? ` of ${v.number_of_echoes}` : ''}`);
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? `${LITTLE}${s.rows ? ' Classes are as corrected up to the export.' : ''}` : ''; reveal();
     if (about.little) return;
@@ -248,7 +248,7 @@ async function go(step) {
   at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;
   cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
-  const called = new Map(scenes[0].classes.map((c) => [c.code, c.name])), classes_ = p.classes.slice(0, 3).map(([code, n]) => `${called.get(code) || `code ${code}`} ${n.toLocaleString('en')}`).join(', ');
+  const called = new Map(scenes[0].classes.map((c) => [c.code, c.name])), classes_ = p.classes.slice(0, 3).map(([code, n]) => `${apart(called.get(code) || `code ${code}`)} ${n.toLocaleString('en')}`).join(', ');
   $('place').textContent = `${at + 1} of ${works.length}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${classes_}`; moved();
   const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
@@ -320,6 +320,7 @@ async function begin() {
     scenes.push(await Scene.open(1, redraw, failed));
     scenes[1].moveTo(first.origin);
   }
+  for (const s of scenes) Object.assign(s, { name: apart(s.name), run: apart(s.run) });
   const names = scenes.map((s) => (scenes.length > 1 ? `${s.name}: ${s.run}` : s.name)); $('name').textContent = names.join(' | ');
   if (scenes.length > 1) $('halves').replaceChildren(...names.map((n) => element('span', n))); document.title = `${names.join(' | ')} – fwclass view`;
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);

@@ -4,6 +4,10 @@ export function element(kind, text = '', className = '') { const e = document.cr
 export const counted = (n, one = 'echo', more = 'es') => `${n.toLocaleString('en')} ${one}${n === 1 ? '' : more}`;
 export const number = (v) => (v === null || v === undefined ? '–' : typeof v !== 'number' ? String(v) : Number.isInteger(v) ? String(v) : Math.abs(v) >= 1000 ? v.toFixed(3) : Number(v.toPrecision(4)).toString());
 
+// A name in a sentence: letters from right to left turn no number beside it, nor do marks that a file brought.
+const TURNS = /[\u0590-\u08ff\u200e\u200f\u202a-\u202e\u2066-\u2069\ufb1d-\ufdff\ufe70-\ufeff]/;
+export const apart = (name) => (TURNS.test(name) ? `\u2068${name}\u2069` : name);
+
 export function row(table, ...cells) { const r = element('tr'); cells.forEach((c) => r.append(c instanceof Node ? c : element('td', c))); table.append(r); }
 
 export function values(about, fields) {
@@ -26,7 +30,7 @@ export function why(answer, colours) {
   if (!answer.features?.length) return;
   const t = element('table'); row(t, element('th', 'feature'), element('th', 'value'), element('th', '90 % of either class'), element('th', 'turns'));
   for (const f of answer.features.slice(0, 10)) row(t, breakable(f.name), number(f.value), span(f, answer, colours), `${Math.round(100 * f.effect)} %`);
-  box.append(element('h2', 'why'), element('p', `The share of ${answer.given} that is lost where the feature has the median of ${answer.other}${answer.of}. Bars: where 90 % of ${answer.given} (above) and of ${answer.other} (below) lie${answer.of}; the line is this echo.`), t);
+  box.append(element('h2', 'why'), element('p', `The share of ${apart(answer.given)} that is lost where the feature has the median of ${apart(answer.other)}${answer.of}. Bars: where 90 % of ${apart(answer.given)} (above) and of ${apart(answer.other)} (below) lie${answer.of}; the line is this echo.`), t);
 }
 
 // A cell whose text may go on in the next line behind every `_`.
@@ -47,7 +51,7 @@ function span(f, answer, colours) {
     bars.append(bar);
   }
   if (f.value !== null) { const line = element('i'); line.style.left = at(f.value); bars.append(line); }
-  cell.title = `${answer.given}: ${number(f.own_low)} to ${number(f.own_high)}, median ${number(f.own)}; ${answer.other}: ${number(f.others_low)} to ${number(f.others_high)}, median ${number(f.others)}`;
+  cell.title = `${apart(answer.given)}: ${number(f.own_low)} to ${number(f.own_high)}, median ${number(f.own)}; ${apart(answer.other)}: ${number(f.others_low)} to ${number(f.others_high)}, median ${number(f.others)}`;
   cell.append(bars);
   return cell;
 }

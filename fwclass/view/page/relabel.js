@@ -1,7 +1,7 @@
 // Relabelling: what is drawn is selected by the server among all delivered echoes, counted, and only then written.
 import { matrix } from './camera.js';
 import { json, marked } from './net.js';
-import { $, counted } from './panel.js';
+import { $, apart, counted } from './panel.js';
 
 const MOST = 1500; // points of a stroke that are sent
 const EVERY = 4000; // ms between questions for what others changed
@@ -60,7 +60,7 @@ export class Relabel {
 
   classes() {
     const before = $('give').value;
-    $('give').replaceChildren(new Option('choose one', '?'), ...this.scene.classes.filter((c) => c.code).map((c) => new Option(`${c.name} (${c.code})`, c.code)), new Option('no class (0)', '0'), new Option('as delivered', ''));
+    $('give').replaceChildren(new Option('choose one', '?'), ...this.scene.classes.filter((c) => c.code).map((c) => new Option(`${apart(c.name)} (${c.code})`, c.code)), new Option('no class (0)', '0'), new Option('as delivered', ''));
     if (before) $('give').value = before;
   }
 
@@ -162,7 +162,7 @@ export class Relabel {
     return `${counted(told.echoes)} in ${counted(told.tiles, 'tile', 's')}: ${of.join(', ')}`;
   }
 
-  called(code) { return Number(code) === 0 ? 'no class' : this.scene.classes.find((c) => c.code === Number(code))?.name || `code ${code}`; }
+  called(code) { return Number(code) === 0 ? 'no class' : apart(this.scene.classes.find((c) => c.code === Number(code))?.name || `code ${code}`); }
 
   drop() { this.turn += 1; this.selection = null; this.last = null; this.scene.choose([]); this.count(''); this.steps(); }
 
