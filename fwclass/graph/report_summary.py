@@ -53,8 +53,6 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             + (f", kappa {kappa:.3f}" if kappa is not None else "")
             + f" on {accuracy['area']}"
         )
-        if told := report.get("reliability"):
-            rows.append(f"confidence  {describe_reliability(told)}")
     elif report["training"]:
         none = (
             "unknown: no labelled echo lies in a test area (areas.test, areas.gap; with areas.train: all none is left)"
@@ -63,6 +61,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
+    if told := report.get("reliability"):
+        rows.append(f"confidence  {describe_reliability(told)}")
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
     if report["water"]:
         flat = sum(body["level_enough"] for body in report["water"])
