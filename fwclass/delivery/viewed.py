@@ -158,6 +158,7 @@ class ViewedRun:
 
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
+        self._pool.submit(self._behind.waves, *self._pulse_of(node, row))  # which is asked for next
         names = [f["name"] for f in self._fields if f["name"] not in MEANING]
         values = {n: plain_value(v) for n, v in table_row(self._file(tile), names, at).items()}
         if len(self._asked) >= REMEMBERED:
@@ -325,6 +326,12 @@ class ViewedRun:
         if "row" in opened.columns:
             return list(self.tiles)[int(opened.columns["tile"][at])], int(opened.columns["row"][at])
         return "{}_{}".format(*self.pyramid.tile_of(node)), at
+
+    def _pulse_of(self, node: Node, row: int) -> tuple[int, int]:
+        """Strip and pulse of an echo of a block."""
+        opened = self._holder(node)
+        at = opened.order[opened.nodes[node][0] + row]
+        return int(opened.columns["strip"][at]), int(opened.columns["pulse"][at])
 
     # ------------------------------------------------------------------ columns
 

@@ -58,7 +58,7 @@ class BehindEchoes:
         from fwclass.single_file.waveforms.pictured import pulse_picture
         from fwclass.single_file.waveforms.shown import see
 
-        waves = self._waves(strip, pulse)
+        waves = self.waves(strip, pulse)
         params = DecomposeParams(**self._delivery.report["config"]["decompose"])
         view = see(waves, params, pulse_of(strip, self._inputs), (pulse,))
         picture, facts = pulse_picture(view, 0, pulse_of(strip, self._inputs))
@@ -83,8 +83,14 @@ class BehindEchoes:
             ],
         }
 
-    def _waves(self, strip: int, pulse: int) -> Waveforms:
-        """The chunk of a pulse; which one that is the receipt of the strip's index tells, without opening any."""
+    def waves(self, strip: int, pulse: int) -> Waveforms:
+        """The chunk of a pulse; which one that is the receipt of the strip's index tells, without opening any.
+
+        Raises
+        ------
+        InputError
+            None has it.
+        """
         spans = self._inputs.meta("index", f"{strip:05d}").get("spans", ())
         part = chunk_name(strip, bisect_right([first for _, _, first, *_ in spans], pulse) - 1)
         if self._inputs.meta("read", part).get("waveforms"):

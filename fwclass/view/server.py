@@ -164,6 +164,7 @@ class Server(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True  # an answer's head waited 40 ms for the browser's word that it came
     server_version, sys_version = "fwclass", ""
     server: Server
     connection: socket.socket

@@ -223,7 +223,7 @@ async function show(number_, hit) {
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? `${LITTLE}${s.rows ? ' Classes are as corrected up to the export.' : ''}` : ''; reveal();
     if (about.little) return;
     if (!s.waveforms.strips.includes(v.strip)) $('wave-says').textContent = s.waveforms.says;
-    else alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
+    else await alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
     alone('why', `${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`, late).then((a) => { if (late()) return; stats.why = a; stats.why_ms = performance.now() - began; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); reveal(); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
   } catch (e) { if (!late()) failed(e.message, e.status); }
 }
