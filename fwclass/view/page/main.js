@@ -167,7 +167,7 @@ function profile() {
   const cuts = scenes.map((s) => cut(s.nodes.values(), line.A, line.B, line.half, hidden)), { length } = cuts[0];
   let low = Infinity, high = -Infinity; for (const { echoes } of cuts) for (const e of echoes) { low = Math.min(low, e.z); high = Math.max(high, e.z); }
   line.echoes = []; line.picture = line.view = null;
-  $('cut-says').textContent = low > high ? 'no echo lies here' : `${cuts.map(({ echoes }, of) => `${n > 1 ? `${scenes[of].run}: ` : ''}${counted(echoes.length)}`).join('; ')}; ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high`;
+  $('cut-says').textContent = low > high ? 'no echo lies here' : `${cuts.map(({ echoes }, of) => `${n > 1 ? `${scenes[of].run}: ` : ''}${counted(echoes.length)}`).join('; ')}; ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high${scenes.some((s) => s.short) ? '; thinned: along a shorter or narrower one all are drawn' : ''}`;
   c.width = c.clientWidth; c.height = c.clientHeight; // which the words have left
   if (low > high) return;
   const over = Number($('exaggeration').value) || 1, scale = (w, h) => Math.min((w - 20) / length, (h - 16) / Math.max((high - low) * over, 1));

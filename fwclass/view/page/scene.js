@@ -95,14 +95,15 @@ export class Scene {
           const low = [tile.low[0] + a * edge, tile.low[1] + b * edge, tile.low[2]], high = [low[0] + edge, low[1] + edge, tile.high[2]];
           const cell = cells > 1 ? near(low, high) : pixels, inside = full && full(low, high);
           if (!cell && !inside) continue;
-          ranked.push({ rank: inside ? 1e5 - level : (spacing * cell) / (pixels || cell), count: (tile.echoes * (this.share(level) - this.share(level === first ? this.together.at(-1) ?? -Infinity : level - 1))) / cells ** 2, key: `${level}-${(tile.i << down) + a}-${(tile.j << down) + b}` });
+          ranked.push({ inside, rank: inside ? 1e5 - level : (spacing * cell) / (pixels || cell), count: (tile.echoes * (this.share(level) - this.share(level === first ? this.together.at(-1) ?? -Infinity : level - 1))) / cells ** 2, key: `${level}-${(tile.i << down) + a}-${(tile.j << down) + b}` });
         }
       }
     }
     ranked.sort((a, b) => b.rank - a.rank);
     let sum = 0;
+    this.short = false; // echoes of the section are left out
     for (const r of ranked) {
-      if ((sum += r.count) > budget) break;
+      if ((sum += r.count) > budget) { this.short = Boolean(r.inside); break; }
       wanted.add(r.key); this.want(r.key, `echoes/${r.key}`, r.rank, '');
     }
     for (const gone of this.loader.keep((job) => job.rank >= 1e5 || wanted.has(job.about.key.split(' ').at(-1)) || job.about.key.includes('level-'))) this.asked.delete(gone.about.key);
