@@ -30,7 +30,7 @@ from fwclass.delivery.viewed_colours import (
 )
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
-from fwclass.delivery.viewed_pair import check_same_place, known_by, tiles_of
+from fwclass.delivery.viewed_pair import check_same_place, known_by, span_of, tiles_of
 from fwclass.delivery.viewed_relabel import Relabelling
 from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
@@ -369,20 +369,10 @@ class ViewedRun:
         return self._open.get(("scale", name), lambda: self._measured(name), lambda _: 64)
 
     def _measured(self, name: str) -> Scale:
-        """From one hundredth to 99 of the values of some tiles, of the first with any where those have none; NaN for
-        none at all."""
+        """Of both runs where two are compared: the same colour is the same value in either."""
         self._field(name)
-        keys = list(self.tiles)
-        some = keys[:: max(1, len(keys) // 8)]
-        finite = np.concatenate([self._finite(key, name) for key in some])
-        for key in keys if not len(finite) else ():
-            if len(finite := self._finite(key, name)):
-                break
-        return Scale(*np.quantile(finite, (0.01, 0.99)).tolist()) if len(finite) else Scale(math.nan, math.nan)
-
-    def _finite(self, key: str, name: str) -> NDArray[np.float64]:
-        values = self._column(key, name).astype(np.float64)
-        return values[np.isfinite(values)]
+        spans = [span_of(d, name) for d in (self.delivery, self._other) if d is not None]
+        return Scale(float(np.fmin.reduce([s[0] for s in spans])), float(np.fmax.reduce([s[1] for s in spans])))
 
     def _column(self, key: str, name: str) -> NDArray:
         return self._columns(key, (name,))[name]

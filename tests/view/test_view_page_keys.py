@@ -9,11 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 from pagedriver import Driven, driven
+from smallsurvey import deliver
 from viewedpage import PIXELS, SECTION, opened, served, text
 
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_pair import span_of
 
 pytestmark = pytest.mark.slow
 
@@ -211,3 +216,44 @@ def test_a_section_that_is_thinned_says_so(browser_page: Driven, small_run: Path
         )
         page.until("fwclass.stats.settled && !fwclass.state.section.stale")
         assert "thinned" in text(page, "cut-says") and page.faults == []
+
+
+def test_two_runs_have_one_scale_of_colours_whatever_their_columns(browser_page: Driven, small_run: Path) -> None:
+    """One of the runs has a feature that the other has not, and of another values three times as large."""
+    other, shared = small_run.parent / "other", "zc"
+    shutil.copytree(small_run, other, symlinks=True)
+    deliver(small_run.parent, "survey.features=[zc, echo_number, height_range_c200]")
+    with served(small_run, other) as server:
+        one, two = server.scenes
+        for path in (other / "current").resolve().glob("parquet/*.parquet"):
+            table = pq.read_table(path)
+            at = table.schema.get_field_index(shared)
+            threefold = pc.multiply(table[shared], pa.scalar(3, table.schema.field(at).type))
+            path.unlink()
+            pq.write_table(table.set_column(at, table.schema.field(at), threefold), path)
+        own = {f["name"] for f in one.index()["columns"]} - {f["name"] for f in two.index()["columns"]}
+        assert own and span_of(one.delivery, shared) != span_of(two.delivery, shared)
+        assert one.scale(shared) == two.scale(shared)
+        low, high = one.scale(shared)["low"], one.scale(shared)["high"]
+        ends = [span_of(s.delivery, shared) for s in (one, two)]
+        assert (low, high) == (min(e[0] for e in ends), max(e[1] for e in ends))
+        page, name = opened(browser_page, server), min(own)
+        page.run("fwclass.colourBy('zc')")
+        page.until("fwclass.stats.settled && fwclass.shown()[1].nodes.every((n) => n.extra)")
+        page.run(f"fwclass.colourBy('{name}')")
+        page.until("fwclass.stats.settled && fwclass.shown()[0].nodes.every((n) => n.extra)")
+        assert page.run("fwclass.shown()[1].nodes.every((n) => !n.extra)")  # not zc under another name
+        assert text(page, "legend").rstrip().endswith("has no such column.") and page.faults == []
+
+
+@pytest.mark.parametrize(("typed", "used"), [("", 2.0), ("-5", 0.2), ("1e9", 100.0), ("7", 7.0)])
+def test_the_width_of_a_section_is_what_its_field_shows(
+    browser_page: Driven, small_run: Path, typed: str, used: float
+) -> None:
+    with served(small_run) as server:
+        page = opened(browser_page, server)
+        page.run(f"document.getElementById('width').value = '{typed}'; {SECTION}")
+        page.until("fwclass.state.section && fwclass.stats.settled")
+        assert (
+            page.run("[2 * fwclass.state.section.half, Number(document.getElementById('width').value)]") == [used] * 2
+        )

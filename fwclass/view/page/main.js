@@ -91,9 +91,10 @@ async function colourBy(name) {
   } catch (e) { failed(e.message, e.status); return; }
   if (state.by !== name) return;
   if (about.classes) { state.look.mode = 6; categories(about.classes); } else Object.assign(state.look, { mode: mode ?? 5, low: mode === undefined ? 0 : range[0], high: mode === undefined ? 1 : range[1] });
-  for (const s of scenes) s.by(mode === undefined ? name : '');
+  const lacks = scenes.filter((s) => !s.columns.some((c) => c.name === name) && mode === undefined);
+  for (const s of scenes) s.by(mode === undefined && !lacks.includes(s) ? name : '');
   const o = name === 'height' ? scenes[0].origin[2] : 0;
-  legend(name, about, about.low === null ? null : [range[0] + o, range[1] + o]); redraw(); remember();
+  legend(name, about, about.low === null ? null : [range[0] + o, range[1] + o]); for (const s of lacks) $('legend').append(element('p', `${s.run} has no such column.`)); redraw(); remember();
 }
 function categories(list) { drawing.palette.fill(255, 4 * 256); for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
 const rgb = (css) => [1, 3, 5].map((k) => parseInt(css.slice(k, k + 2), 16));
@@ -149,7 +150,7 @@ function chosen(hit, x, y) {
     const p = hit?.place || onHeight(cam, x % w, y, w, h);
     if (!p) { says('There is nothing but sky: click an echo, or the ground.'); return; }
     state.points.push(p); says('Click the other end.');
-    if (state.points.length === 2) { cutAlong({ A: state.points[0], B: state.points[1], half: Number($('width').value) / 2, stale: true }); tool(''); }
+    if (state.points.length === 2) { cutAlong({ A: state.points[0], B: state.points[1], half: held('width') / 2, stale: true }); tool(''); }
   } else if (!hit) says('No echo is there: click two echoes.'); else {
     state.points.push(hit.place); says('Click the other echo.');
     if (state.points.length === 2) {
@@ -161,6 +162,8 @@ function chosen(hit, x, y) {
 }
 // The cloud is drawn in what its section leaves, so that the line stays in sight.
 function cutAlong(line) { state.section = line; $('profile').hidden = !line; $('stage').classList.toggle('cut', Boolean(line)); if (!line && relabel?.along) relabel.use(''); cross.show(); redraw(); }
+// A number as its field allows it, which then shows what is used.
+function held(id) { const e = $(id), v = Number(e.value) || Number(e.defaultValue); e.value = Math.min(Number(e.max), Math.max(Number(e.min), v)); return Number(e.value); }
 // Of two runs the same strip of ground, at one scale: side by side, or one above the other where that shows them larger.
 function profile() {
   const c = $('cut'), g = c.getContext('2d'), line = state.section, n = scenes.length; line.stale = false;
@@ -170,7 +173,7 @@ function profile() {
   $('cut-says').textContent = low > high ? 'no echo lies here' : `${cuts.map(({ echoes }, of) => `${n > 1 ? `${scenes[of].run}: ` : ''}${counted(echoes.length)}`).join('; ')}; ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high${scenes.some((s) => s.short) ? '; thinned: along a shorter or narrower one all are drawn' : ''}`;
   c.width = c.clientWidth; c.height = c.clientHeight; // which the words have left
   if (low > high) return;
-  const over = Number($('exaggeration').value) || 1, scale = (w, h) => Math.min((w - 20) / length, (h - 16) / Math.max((high - low) * over, 1));
+  const over = held('exaggeration'), scale = (w, h) => Math.min((w - 20) / length, (h - 16) / Math.max((high - low) * over, 1));
   const beside = scale(c.width / n, c.height) > scale(c.width, c.height / n), w = Math.floor(beside ? c.width / n : c.width), h = Math.floor(beside ? c.height : c.height / n), k = scale(w, h), left = (w - k * length) / 2, bottom = h - 8;
   const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), wide = cuts.reduce((sum, one) => sum + one.echoes.length, 0) < FEW * n ? 3 : 2;
   cuts.forEach(({ echoes }, of) => { for (const e of echoes) {
@@ -200,7 +203,7 @@ function clickSection(x, y) {
   for (const one of state.section?.echoes || []) { const d = (one.x - x) ** 2 + (one.y - y) ** 2; if (d < 100 && (!best || d < best.d)) best = { d, one }; }
   if (best) { const { node, row, s, z, of } = best.one, { A, B } = state.section, L = Math.hypot(B[0] - A[0], B[1] - A[1]); show(of, { node, row, place: [A[0] + (B[0] - A[0]) * s / L, A[1] + (B[1] - A[1]) * s / L, z] }); }
 }
-$('width').onchange = () => { if (state.section) { state.section.half = Number($('width').value) / 2 || 1; redraw(); } };
+$('width').onchange = () => { if (state.section) { state.section.half = held('width') / 2; redraw(); } };
 $('exaggeration').onchange = redraw;
 $('close-profile').onclick = () => cutAlong(null);
 

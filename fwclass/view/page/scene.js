@@ -170,6 +170,7 @@ export class Scene {
 
   by(column) {
     for (const key of [...this.asked]) if (key.includes(' ')) this.asked.delete(key);
+    for (const n of this.nodes.values()) Object.assign(n, { extra: null, extraOf: '', stale: true }); // until the new ones are here
     this.column = column; this.early.clear(); this.changed();
   }
 }
