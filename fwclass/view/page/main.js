@@ -109,7 +109,7 @@ function legend(name, about, range) {
   box.append(c, ends); if (about.meaning) box.append(element('p', about.meaning));
 }
 function classes() {
-  const known = new Map(scenes.flatMap((s) => s.classes).map((c) => [c.code, c]));
+  const known = new Map(); for (const c of scenes.flatMap((s) => s.classes)) { const same = known.get(c.code); known.set(c.code, same && same.name !== c.name ? { ...same, name: `${apart(same.name)} | ${apart(c.name)}` } : same || c); }
   for (let code = 0; code < 256; code += 1) drawing.palette.set([...rgb(known.get(code)?.colour || '#9aa0a6'), hidden.has(code) ? 0 : 255], 4 * code);
   drawing.setPalette();
   const box = $('classes'); box.replaceChildren();
@@ -129,20 +129,20 @@ function tool(name) {
 }
 const svg = (kind, attributes, text) => { const e = document.createElementNS('http://www.w3.org/2000/svg', kind); for (const [k, v] of Object.entries(attributes)) e.setAttribute(k, v); if (text) e.textContent = text; return e; };
 function marks(m, w, h) {
-  const out = [], at2 = (p) => project(m, p, w, h), halves = (put) => scenes.forEach((_, k) => put(k * w));
-  const line = (a, b) => { const A = at2(a), B = at2(b); if (A[2] > 0 && B[2] > 0) halves((x) => { for (const name of ['under', 'over']) out.push(svg('line', { class: name, x1: A[0] + x, y1: A[1], x2: B[0] + x, y2: B[1] })); }); return [A, B]; };
-  const circle = (p, r) => { const [x, y, d] = at2(p); if (d > 0) halves((by) => out.push(svg('circle', { cx: x + by, cy: y, r }))); };
+  const out = [], left = [], at2 = (p) => project(m, p, w, h);
+  const line = (a, b) => { const A = at2(a), B = at2(b); if (A[2] > 0 && B[2] > 0) for (const name of ['under', 'over']) out.push(svg('line', { class: name, x1: A[0], y1: A[1], x2: B[0], y2: B[1] })); return [A, B]; };
+  const circle = (p, r) => { const [x, y, d] = at2(p); if (d > 0) out.push(svg('circle', { cx: x, cy: y, r })); };
   if (state.section) line(state.section.A, state.section.B);
   for (const p of state.points) circle(p, 5);
-  if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); if (A[2] > 0 && B[2] > 0) halves((x) => out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6 + x, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`))); }
+  if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); if (A[2] > 0 && B[2] > 0) out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`)); }
   if (works?.[at]) { // the squares of the unsure place
     const [x0, y0, x1, y1] = works[at].box, o = scenes[0].origin, corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map(([x, y]) => at2([x - o[0], y - o[1], works[at].z - o[2]]));
-    if (corners.every((c) => c[2] > 0)) halves((x) => out.push(svg('path', { class: 'frame', d: `M${corners.map((c) => `${c[0] + x} ${c[1]}`).join('L')}Z` })));
+    if (corners.every((c) => c[2] > 0)) out.push(svg('path', { class: 'frame', d: `M${corners.map((c) => `${c[0]} ${c[1]}`).join('L')}Z` }));
   }
-  for (const t of marked()) { t.at = at2(t.place); if (t.at[2] > 0) out.push(svg('circle', { cx: t.at[0], cy: t.at[1], r: 4 })); }
+  for (const t of marked()) { t.at = at2(t.place); if (t.at[2] > 0) left.push(svg('circle', { cx: t.at[0], cy: t.at[1], r: 4 })); }
   if (state.selected) circle(state.selected.place, 8);
   const shape = relabel?.shape(); if (shape) out.push(svg('path', shape));
-  $('marks').replaceChildren(...out);
+  $('marks').replaceChildren(...scenes.map((_, k) => { const half = svg('svg', { x: k * w, y: 0, width: w, height: h }); half.append(...(k ? out.map((e) => e.cloneNode(true)) : [...out, ...left])); return half; }));
 }
 function chosen(hit, x, y) {
   const [w, h] = size();
