@@ -128,7 +128,7 @@ class Server:
         self._seen |= new
         code = os.waitstatus_to_exitcode(status)
         return {
-            "ended": "wrong" if wrong else "done" if code == 0 else "refused",
+            "ended": "wrong" if wrong else "done" if code in (0, 4) else "refused",
             "told": wrong,
             "code": code,
             "seconds": cpu,
