@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 
 import laspy
@@ -109,3 +110,15 @@ def test_deliveries_without_a_common_echo_are_told() -> None:
     """As where the later one is of the survey's quality alone, and has no tiles."""
     nothing = {"common": 0, "only_first": 6000, "only_second": 0, "changed": 0, "classes": [], "matrix": []}
     assert list(_echo_lines(nothing))[1].split() == ["6,000", "in", "the", "first", "alone"]
+
+
+def test_a_tile_that_is_damaged_is_not_compared(runs, tmp_path):
+    """One bit of one value, which Parquet cannot tell."""
+    shutil.copytree(runs / "s", tmp_path / "s", symlinks=True)
+    tile = min((tmp_path / "s" / "current").resolve().glob("parquet/*.parquet"))
+    data = bytearray(tile.read_bytes())
+    data[len(data) // 3] ^= 1
+    tile.chmod(0o644)
+    tile.write_bytes(data)
+    ended = fwclass("diff", "s", "s", cwd=tmp_path)
+    assert ended.returncode == 1 and tile.name in ended.stderr and "the delivery is damaged" in ended.stderr

@@ -139,7 +139,7 @@ def _copy_tile(delivery: Delivery, source: Path, tile: str, directory: Path) -> 
             got="others",
             do="run the survey again with --verify: what is damaged is made anew",
         )
-    columns = table_columns(delivery.path / "parquet" / f"{tile}.parquet", (*IDENTITY, *PLACE, "classification"))
+    columns = table_columns(delivery.table(tile), (*IDENTITY, *PLACE, "classification"))
     labels = EchoLabels.of(columns, columns["classification"], 0, "")
     write_bytes(labels_file(directory, tile), echo_labels_bytes(labels))
     return file_digest(labels_file(directory, tile))

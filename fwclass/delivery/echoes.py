@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,7 @@ class Echoes:
 
     def __init__(self, files: Sequence[Path], box: Bounds | None, columns: Sequence[str] | None, where: Any) -> None:
         self._files = [str(f) for f in files]
-        self._data = ds.dataset(self._files, format="parquet")
+        self._data = self._read(lambda: ds.dataset(self._files, format="parquet"))
         names = self._data.schema.names
         for name in columns or ():
             if name not in names:
@@ -150,41 +151,39 @@ def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
     `InputError` where the file is damaged: it was sound when the delivery was opened. One that is gone (the run
     delivered anew) is the system's error.
     """
-    try:
-        with pq.ParquetFile(path) as file:
-            there = [n for n in names if n in file.schema_arrow.names]
-            arrow = file.read(columns=there, use_threads=False)
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError) as fault:  # Arrow's own are both
-        raise _damaged(path, fault) from fault
-    return {n: arrow.column(n).to_numpy() for n in there}
+    with _sound(path), pq.ParquetFile(path) as file:
+        there = [n for n in names if n in file.schema_arrow.names]
+        arrow = file.read(columns=there, use_threads=False)
+        return {n: arrow.column(n).to_numpy() for n in there}
 
 
 def table_row(path: Path, names: Sequence[str], row: int) -> dict[str, Any]:
     """One row of a delivered tile, as `table_columns` has it; only its row group is read."""
+    with _sound(path), pq.ParquetFile(path) as file:
+        there = [n for n in names if n in file.schema_arrow.names]
+        group = 0
+        while row >= (rows := file.metadata.row_group(group).num_rows):
+            group, row = group + 1, row - rows
+        arrow = file.read_row_group(group, columns=there, use_threads=False).slice(row, 1)
+        return {n: arrow.column(n).to_numpy()[0] for n in there}
+
+
+@contextmanager
+def _sound(path: Path) -> Iterator[None]:
+    """`InputError` where a delivered tile is damaged; one that is gone is the system's error."""
     try:
-        with pq.ParquetFile(path) as file:
-            there = [n for n in names if n in file.schema_arrow.names]
-            group = 0
-            while row >= (rows := file.metadata.row_group(group).num_rows):
-                group, row = group + 1, row - rows
-            arrow = file.read_row_group(group, columns=there, use_threads=False).slice(row, 1)
+        yield
     except FileNotFoundError:
         raise
-    except (OSError, ValueError) as fault:
+    except (OSError, ValueError, LookupError, pa.ArrowException) as fault:
         raise _damaged(path, fault) from fault
-    return {n: arrow.column(n).to_numpy()[0] for n in there}
 
 
 def _check_readable(path: Path) -> None:
     """`InputError` where a tile's file cannot be read."""
-    try:
-        with pq.ParquetFile(path) as file:
-            for group in range(file.num_row_groups):
-                file.read_row_group(group, use_threads=False)
-    except (OSError, ValueError) as fault:
-        raise _damaged(path, fault) from fault
+    with _sound(path), pq.ParquetFile(path) as file:
+        for group in range(file.num_row_groups):
+            file.read_row_group(group, use_threads=False)
 
 
 def _damaged(path: Path, fault: Exception) -> InputError:
@@ -199,11 +198,10 @@ def _damaged(path: Path, fault: Exception) -> InputError:
 
 def table_fields(path: Path) -> list[dict[str, str]]:
     """Name, unit and meaning of the columns of numbers of a delivered tile."""
-    with pq.ParquetFile(path) as file:
-        schema = file.schema_arrow
     out = []
-    for field in schema:
-        if field.name not in GEOMETRY:
-            about = {k.decode(): v.decode() for k, v in (field.metadata or {}).items()}
-            out.append({"name": field.name, "unit": about.get("unit", ""), "meaning": about.get("meaning", "")})
+    with _sound(path), pq.ParquetFile(path) as file:
+        for field in file.schema_arrow:
+            if field.name not in GEOMETRY:
+                about = {k.decode(): v.decode() for k, v in (field.metadata or {}).items()}
+                out.append({"name": field.name, "unit": about.get("unit", ""), "meaning": about.get("meaning", "")})
     return out

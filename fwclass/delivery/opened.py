@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from fwclass.formats.geoparquet import header as geoparquet_header
 from fwclass.schema import IDENTITY
 from fwclass.store.atomic import read_json
 from fwclass.store.bucket import Remote
+from fwclass.store.digests import digest_now
 from fwclass.store.directory import CURRENT, MANIFEST
 from fwclass.store.generations import Generation, Generations, Manifest
 from fwclass.store.history import is_run
@@ -36,8 +37,8 @@ class Delivery:
     `InputError` when it is asked for.
     """
 
-    def __init__(self, root: RunLocation, generation: Path, names: Iterable[str], far: Far | None = None) -> None:
-        self.root, self.path, self._names, self._far = root, generation, frozenset(names), far
+    def __init__(self, root: RunLocation, generation: Path, listed: Manifest, far: Far | None = None) -> None:
+        self.root, self.path, self._listed, self._far = root, generation, listed, far
 
     def __repr__(self) -> str:
         return f"Delivery({str(self.root)!r}, {self.path.name})"
@@ -57,7 +58,7 @@ class Delivery:
             There is no such column, or the box is none.
         """
         self._part("parquet")
-        tables = sorted(n for n in self._names if n.startswith("parquet/") and n.endswith(".parquet"))
+        tables = sorted(n for n in self._listed if n.startswith("parquet/") and n.endswith(".parquet"))
         return Echoes([self._there(name) for name in tables], box, columns, where)
 
     def table(self, tile: str) -> Path:
@@ -65,15 +66,33 @@ class Delivery:
         return self.file(f"parquet/{tile}.parquet")
 
     def file(self, name: str) -> Path:
-        """A file on this host, whether or not the delivery has it; `InputError` where it has, and it is gone."""
+        """A file on this host, whether or not the delivery has it; `InputError` where it has, and the file is gone or
+        has other bytes."""
         if self._far is not None:
             self._far([name])
-        return self._there(name)
+        path = self._there(name)
+        if name in self._listed:
+            self._check(path, str(self._listed[name]["digest"]))
+        return path
+
+    def _check(self, path: Path, digest: str) -> None:
+        try:
+            got = digest_now(path)
+        except FileNotFoundError:
+            raise self._gone(path.relative_to(self.path).as_posix()) from None
+        if got != digest:
+            raise InputError(
+                "a file of this delivery is damaged",
+                where=path,
+                expected=f"bytes of digest {digest}",
+                got=f"bytes of digest {got}",
+                do=REPAIR,
+            )
 
     def _there(self, name: str) -> Path:
         """A file, which is there if the delivery has it."""
         path = self.path / name
-        if name in self._names and not path.is_file():
+        if name in self._listed and not path.is_file():
             raise self._gone(name)
         return path
 
@@ -95,7 +114,7 @@ class Delivery:
             There is no such raster.
         """
         directory = self._part("rasters")
-        self._there(f"rasters/{name}.tif")
+        self.file(f"rasters/{name}.tif")
         return read_raster(directory, name)
 
     def waveform(self, strip: int, pulse: int) -> Waveform:
@@ -244,7 +263,7 @@ def open_delivery(run: str | os.PathLike[str]) -> Delivery:
     copy = copy.resolve()
     try:
         facts = json.loads((copy / MANIFEST).read_bytes())["files"]
-        listed = {str(n): int(f["bytes"]) for n, f in facts.items()}
+        listed = {str(n): {"bytes": int(f["bytes"]), "digest": str(f["digest"])} for n, f in facts.items()}
     except (OSError, RecursionError, ValueError, KeyError, TypeError, AttributeError) as fault:
         raise InputError(
             "the manifest of a copied delivery cannot be read",
@@ -252,7 +271,7 @@ def open_delivery(run: str | os.PathLike[str]) -> Delivery:
             got=f"{type(fault).__name__}: {fault}"[:200],
             do="copy the delivery again",
         ) from fault
-    gone = [n for n, size in listed.items() if not (copy / n).is_file() or (copy / n).stat().st_size != size]
+    gone = [n for n, f in listed.items() if not (copy / n).is_file() or (copy / n).stat().st_size != f["bytes"]]
     if gone:
         raise _damaged(copy, gone, "copy it again")
     return Delivery(copy, copy, listed)

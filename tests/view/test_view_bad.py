@@ -67,9 +67,24 @@ def test_a_tile_that_is_gone_or_cut_is_said_before_the_page_opens(small_run: Pat
 def test_a_tile_that_is_cut_under_an_open_page_is_said(small_run: Path) -> None:
     scene = opened(small_run)
     replaced(small_run, b"PAR1")
-    with pytest.raises(InputError, match=r"cannot be read any more(.|\n)*--verify"):
+    with pytest.raises(InputError, match=r"is damaged(.|\n)*--verify"):
         for level in scene.pyramid.levels():
             scene.level(ECHOES, level)
+
+
+def test_a_tile_with_one_bit_flipped_is_said_and_not_shown(small_run: Path) -> None:
+    """A size as before, and a file that Parquet reads: the digest alone tells."""
+    path = sorted((small_run / "current" / "parquet").resolve().iterdir())[0]
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 1
+    replaced(small_run, bytes(data))
+    with pytest.raises(InputError, match=r"is damaged(.|\n)*digest(.|\n)*--verify"):
+        scene = opened(small_run)
+        for level in scene.pyramid.levels():
+            scene.level(ECHOES, level)
+    with pytest.raises(InputError, match="is damaged"):
+        for tile in open_run(small_run).tiles:
+            open_run(small_run).table(tile["tile"])
 
 
 def test_sources_that_moved_change_nothing(run: Path, tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from fwclass.formats.geopackage import rectangles, write_layer
 from fwclass.formats.geoparquet import header
 from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
-from fwclass.store.atomic import file_digest, move_into_place, read_json, staged
+from fwclass.store.atomic import move_into_place, read_json, staged
+from fwclass.store.digests import digest_now
 from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
 
@@ -93,14 +94,15 @@ def _delivery(run: Path, number: int | None) -> Delivery:
             do="fwclass history lists what was delivered; run.keep_generations says how many stay",
         )
     report, listed = chosen.path / "report.json", generations.manifest(chosen) or {}
-    if file_digest(report) != listed.get("report.json", {}).get("digest"):
-        raise InputError(
-            "the delivery is damaged",
-            where=report,
-            expected="the bytes of its manifest",
-            got="others",
-            do="run the survey again with --verify: what is damaged is made anew",
-        )
+    for name in ("report.json", *(n for n in listed if n.startswith("parquet/"))):
+        if listed.get(name, {}).get("digest") != digest_now(chosen.path / name):
+            raise InputError(
+                "the delivery is damaged",
+                where=chosen.path / name,
+                expected="the bytes of its manifest",
+                got="others",
+                do="run the survey again with --verify: what is damaged is made anew",
+            )
     return Delivery(run, chosen, read_json(report))
 
 
