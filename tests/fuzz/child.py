@@ -16,7 +16,9 @@ import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 sys.path[:0] = [str(Path(__file__).parents[k]) for k in (0, 1, 2)]
 
@@ -43,13 +45,15 @@ def drawn(reader: str, number: int) -> tuple[str, str]:
     return seed.name, recipe(seed.files, seed.fields, seed.texts, rng)
 
 
-def laid(folder: Path, files: dict[str, bytes]) -> None:
-    """Write `files` below the emptied `folder`."""
+def laid(folder: Path, files: dict[str, bytes], links: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Write `files` below the emptied `folder`, and `links` to what each names."""
     shutil.rmtree(folder, ignore_errors=True)
     for name, data in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
+    for name, target in links.items():
+        (folder / name).symlink_to(target)
 
 
 def tried(reader: str, seed: str, recipe: str, folder: Path) -> dict[str, object]:

@@ -3,94 +3,26 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import lasmaker
 import modelmaker
 import numpy as np
+import run_cases
 import seeds
-from mutate import Field, Files
+import street_cases
+from cases import SURVEY, Case, Command, both, given, patch
+from mutate import Field
 from seeds import Seed
 
-SURVEY = """survey:
-  name: small
-  directory: .
-  sources: [a.las]
-  reference: {kind: source}
-  crs: EPSG:32633
-  features: [zc, height_range_c100]
-  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 5, codes: [5]}]
-areas: {train: [[500000, 5400000, 500005, 5400010]], gap: 0.5}
-tile: {size: 20.0}
-train: {trees: 5}
-publish: {figure_pixels: 200}
-"""
 RADIANS = np.pi / 180
 STEEP = 1
 """A seed whose beams are steep enough to come from right above."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """Words after `fwclass`, given where the files of `seed` lie; those of `fixed` lie there too and are left whole."""
-
-    seed: Seed
-    words: tuple[str, ...]
-    fixed: Files = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Command:
-    """`cases` makes them in a directory; `share`: of a long run's inputs, relative to the others."""
-
-    cases: Callable[[Path], list[Case]]
-    share: float = 1.0
-
-
-def patch(folder: Path, name: str = "a.las", point_format: int = 6, seed: int = 0) -> Seed:
-    """A slope of 10 m × 10 m with bushes: 300 points of classes 2 and 5."""
-    folder.mkdir(parents=True, exist_ok=True)
-    r = np.random.default_rng(seed)
-    x, y, bush = *r.uniform(0, 10, (2, 300)), r.random(300) < 0.3
-    z = 200 + 0.1 * x + r.normal(0, 0.02, 300) + bush * r.uniform(0.5, 6, 300)
-    path = folder / name.replace(".laz", ".las")
-    xyz = np.c_[500000 + x, 5400000 + y, z]
-    classes, times = np.where(bush, 5, 2), 1000 + np.arange(300) * 1e-3
-    lasmaker.write_las(path, xyz, point_format=point_format, classification=classes, gps_time=times)
-    if name.endswith(".laz"):
-        lasmaker.to_laz(path, folder / name)
-        path.unlink()
-        return seeds._taken(folder, f"patch{point_format}z", name, seeds._laz_numbers(folder / name))
-    return seeds._taken(folder, f"patch{point_format}", name, seeds._las_numbers(path))
-
-
-def moved(seed: Seed, folder: str) -> Seed:
-    """The seed with its files in a directory."""
-    return replace(
-        seed,
-        main=f"{folder}/{seed.main}",
-        files={f"{folder}/{n}": d for n, d in seed.files.items()},
-        fields=tuple(Field(f"{folder}/{f.name}", f.at, f.size) for f in seed.fields),
-        texts=tuple(f"{folder}/{n}" for n in seed.texts),
-    )
-
-
-def both(first: Seed, second: Seed) -> Seed:
-    """Two seeds side by side, in `a` and `b`; both are damaged."""
-    one, two = moved(first, "a"), moved(second, "b")
-    name = f"{first.name}+{second.name}"
-    return Seed(name, one.main, {**one.files, **two.files}, one.fields + two.fields, one.texts + two.texts)
-
-
-def given(some: list[Seed], *words: str, fixed: Files | None = None, mark: str = "") -> list[Case]:
-    """A case of each; `{}` among the words is its main file."""
-    return [Case(replace(s, name=s.name + mark), tuple(w.format(s.main) for w in words), fixed or {}) for s in some]
 
 
 def _clouds(folder: Path) -> list[Seed]:
@@ -286,44 +218,6 @@ def _labelled(folder: Path) -> list[Case]:
     return cases
 
 
-@cache
-def _ran() -> Files:
-    """The small survey, run into `r`; links of the run directory are left out."""
-    from commandline import fwclass
-
-    from fwclass.store.seal import seal, unseal
-
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "c.yaml").write_text(SURVEY.replace("size: 20.0", "size: 5.0"))
-        patch(folder)
-        ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 0, cwd=folder)
-        assert ended.returncode == 0, ended.stderr
-        request = folder / "r" / "store" / "run.json"
-        words = unseal(json.loads(request.read_text()))
-        request.write_text(json.dumps(seal({**words, "conf": "c.yaml"})))
-        found = {}
-        for base, _, names in os.walk(folder):
-            for path in (Path(base) / n for n in names):
-                below = path.relative_to(folder).as_posix()
-                if below.startswith(("r/store/", "a.", "c.")) and not path.name.endswith("lock"):
-                    found[below] = path.read_bytes()
-        return found
-
-
-def _on_run(*words: str) -> Callable[[Path], list[Case]]:
-    """A command on a run directory whose JSON files are damaged."""
-
-    def cases(folder: Path) -> list[Case]:
-        files = _ran()
-        plain = [n for n in files if n.startswith("r/store/") and n.endswith((".json", ".jsonl"))]
-        few = [n for n in plain if n.count("/") == 2] + plain[:: max(1, len(plain) // 40)]
-        seed = Seed("run", "r", {n: files[n] for n in dict.fromkeys(few)}, (), tuple(few))
-        return [Case(seed, words, {n: d for n, d in files.items() if n not in seed.files})]
-
-    return cases
-
-
 def _shapes(folder: Path) -> list[Case]:
     """Water, breaklines and check points of a small survey."""
     source, words = patch(folder / "p"), ("run", "c.yaml", "--out", "r", "--workers", "0", "--workflow")
@@ -373,11 +267,23 @@ COMMANDS = {
     "plan": Command(_plan, 5),
     "labels": Command(_labelled, 1),
     "export": Command(_export, 3),
-    "status": Command(_on_run("status", "r"), 3),
-    "verify": Command(_on_run("status", "c.yaml", "--out", "r", "--verify"), 1.5),
-    "history": Command(_on_run("history", "r"), 3),
-    "seams": Command(_on_run("seams", "r", "--share", "1"), 0.5),
-    "rerun": Command(_on_run("run", "c.yaml", "--out", "r", "--workers", "0"), 0.5),
+    "status": Command(run_cases.documents("status", "r"), 3),
+    "verify": Command(run_cases.documents("status", "c.yaml", "--out", "r", "--verify"), 1.5),
+    "history": Command(run_cases.documents("history", "r"), 3),
+    "seams": Command(run_cases.documents("seams", "r", "--share", "1"), 0.5),
+    "rerun": Command(run_cases.documents("run", "c.yaml", "--out", "r", "--workers", "0"), 0.5),
+    "stored-run": Command(
+        run_cases.parts("run", "c.yaml", "--out", "r", "--workers", "0", "--set", "train.trees=6"), 0.5
+    ),
+    "stored-seams": Command(run_cases.parts("seams", "r", "--share", "1"), 0.5),
+    "stored-verify": Command(run_cases.parts("status", "r", "--verify"), 1),
+    "view-export": Command(run_cases.delivery("view", "r", "--export", "d"), 1),
+    "view-large": Command(run_cases.delivery("view", "r", "--export", "d", "--set", "view.whole=1000"), 1),
+    "view-worklist": Command(run_cases.delivery("view", "r", "--worklist", "w.gpkg"), 1),
+    "suggest": Command(run_cases.delivery("suggest", "r", "w.gpkg"), 1),
+    "diff": Command(run_cases.delivery("diff", "r", "r"), 1),
+    "street-stream": Command(street_cases.stream, 2),
+    "street": Command(street_cases.recordings, 2),
     "run": Command(_on_survey("run", "c.yaml", "--out", "r", "--workers", "0"), 1),
     "train": Command(_on_survey("train", "c.yaml", "--model", "m", "--out", "r", "--workers", "0"), 1),
     "select": Command(

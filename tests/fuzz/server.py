@@ -2,8 +2,8 @@
 words, as a user would. What is loaded and compiled is so once.
 
 Reads lines ``COMMAND CASE RECIPE`` or ``COMMAND * NUMBER`` (a drawn one) and answers with a line of JSON each. An input
-may take `CPU_FIXED` s + `CPU_EACH` s a byte of the processor (`CPU_EACH_OF_RUNS` of a run) and grow by `MEMORY_FIXED` +
-`MEMORY_EACH` bytes a byte beyond what its command takes for the sound files.
+may take `CPU_FIXED` s + `CPU_EACH` s a byte of the processor (`CPU_EACH_OF_RUNS` of a run) and grow by `MEMORY_FIXED`
+(`MEMORY_FIXED_OF_RUNS`) + `MEMORY_EACH` bytes a byte beyond what its command takes for the sound files.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[k]) for k in (0, 1, 2)]
 
-from child import _status, laid  # noqa: E402 - the path comes first
+from cases import Case  # noqa: E402 - the path comes first
+from child import _status, laid  # noqa: E402
 
 CPU_FIXED, CPU_EACH = float(os.environ.get("FUZZ_CPU_SECONDS", "10")), 10e-6
 RUNS = {"run", "train", "select"}
@@ -34,6 +35,9 @@ CPU_EACH_OF_RUNS = 10e-3
 """A damaged record of 30 bytes may be a point by itself, with a tile and nine blocks of its own: 0.3 s."""
 
 MEMORY_FIXED, MEMORY_EACH = 64 << 20, 200
+MEMORY_FIXED_OF_RUNS = 160 << 20
+"""A point that damage has sent elsewhere is a second place with rasters of its own; twelve take no more than two."""
+
 WALL = 600.0
 CODES = {0, 1, 2, 3, 4}
 HELD = 8
@@ -80,8 +84,8 @@ class Server:
             (*every[:4], every[-1], *(c for c in every if "compressed" in c.seed.name)) if len(every) > 2 else every[:1]
         )
         for case in {c.seed.name: c for c in some}.values():
-            laid(self._folder, {**case.fixed, **case.seed.files})
-            self._main(case.words, self._folder.parent)
+            laid(self._folder, {**case.fixed, **case.seed.files}, case.links)
+            self._main(case, self._folder.parent)
 
     def answer(self, command: str, name: str, recipe: str) -> dict[str, object]:
         from commands import case_of, cases_of
@@ -94,7 +98,7 @@ class Server:
                 self._own[command, sound] = 0
                 answer = self._forked(command, sound, case_of(command, sound).seed.files)
                 self._own[command, sound] = int(answer["grown"])
-        files = applied(case.seed.files, recipe)
+        files = case.sealed(applied(case.seed.files, recipe))
         own = max(n for (c, case), n in self._own.items() if c == command and (case == known or "~" in name))
         return {"seed": name, "recipe": recipe, **self._forked(command, known, files, own)}
 
@@ -103,15 +107,16 @@ class Server:
         from commands import cases_of
 
         case = cases_of(command)[name]
-        laid(self._folder, {**case.fixed, **files})
+        laid(self._folder, {**case.fixed, **files}, case.links)
         size = sum(map(len, files.values())) + sum(map(len, case.fixed.values()))
-        allowed = MEMORY_FIXED + MEMORY_EACH * size + own
-        seconds = CPU_FIXED + (CPU_EACH_OF_RUNS if case.words[0] in RUNS else CPU_EACH) * size
+        runs = case.words[0] in RUNS
+        allowed = (MEMORY_FIXED_OF_RUNS if runs else MEMORY_FIXED) + MEMORY_EACH * size + own
+        seconds = CPU_FIXED + (CPU_EACH_OF_RUNS if runs else CPU_EACH) * size
         measured = self._folder.parent / "figures"  # a pipe would hold 64 KiB, and the child wait for its reader
         measured.unlink(missing_ok=True)
         pid = os.fork()
         if pid == 0:
-            self._child(case.words, measured, allowed, seconds)
+            self._child(case, measured, allowed, seconds)
         status, used = _waited(pid)
         figures = json.loads(measured.read_text()) if measured.exists() else {}
         grown = int(figures.get("grown", 0))
@@ -139,7 +144,7 @@ class Server:
             "err": err[-400:],
         }
 
-    def _child(self, words: tuple[str, ...], measured: Path, allowed: int, seconds: float) -> None:
+    def _child(self, case: Case, measured: Path, allowed: int, seconds: float) -> None:
         before, modules = _status("VmSize"), set(sys.modules)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_STACK, (1 << 20, resource.RLIM_INFINITY))  # of threads: they count
@@ -149,7 +154,7 @@ class Server:
         lines: set[int] = set()
         if self._covers:
             sys.settrace(_tracer(lines))
-        code = self._main(words, self._folder.parent)
+        code = self._main(case, self._folder.parent)
         sys.settrace(None)
         signal.setitimer(signal.ITIMER_PROF, 0)
         resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
@@ -164,16 +169,19 @@ class Server:
         beside.rename(measured)
         os._exit(code)
 
-    def _main(self, words: tuple[str, ...], beside: Path) -> int:
+    def _main(self, case: Case, beside: Path) -> int:
         """The command in this process, its outputs in files `beside`; its exit code."""
-        main = _harm if words[0] == "harm" else _command()
-        kept = os.dup(1), os.dup(2)
+        main = _harm if case.words[0] == "harm" else _command()
+        kept = os.dup(0), os.dup(1), os.dup(2)
+        handle = os.open(self._folder / case.stdin if case.stdin else os.devnull, os.O_RDONLY)
+        os.dup2(handle, 0)
+        os.close(handle)
         for number, name in ((1, "out"), (2, "err")):
             handle = os.open(beside / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(handle, number)
             os.close(handle)
         os.chdir(self._folder)
-        sys.argv, code = ["fwclass", *words], 0
+        sys.argv, code = ["fwclass", *case.words], 0
         try:
             main()
         except SystemExit as end:
@@ -187,7 +195,7 @@ class Server:
             os.chdir(self._folder.parent)
             sys.stdout.flush()
             sys.stderr.flush()
-            for number, handle in zip((1, 2), kept, strict=True):
+            for number, handle in enumerate(kept):
                 os.dup2(handle, number)
                 os.close(handle)
         return code

@@ -26,6 +26,8 @@ QUICK = {
     "history": 15,
     "status": 12,
     "plan": 6,
+    "street-stream": 4,
+    "street": 8,
 }
 """Drawn inputs of the commands that do not run a survey, for the fast suite: some 50 s of the processor with all else
 that it does here. The slow one has all commands, and 2 000 inputs."""

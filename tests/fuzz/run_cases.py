@@ -1,0 +1,93 @@
+"""Run directories that are damaged: their JSON, what their stages made, what was delivered."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+from cases import SURVEY, Case, patch
+from mutate import Field, Files
+from seeds import Seed
+
+Made = Callable[[Path], list[Case]]
+LINKS = {"r/current": "generations/0001"}
+FOOT = 300
+"""Bytes at the end of a Parquet file in which its counts, sizes and places stand."""
+
+
+@cache
+def _ran() -> Files:
+    """The small survey, run into `r`; links of the run directory are left out."""
+    from commandline import fwclass
+
+    from fwclass.store.seal import seal, unseal
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "c.yaml").write_text(SURVEY.replace("size: 20.0", "size: 5.0"))
+        patch(folder)
+        ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 0, cwd=folder)
+        assert ended.returncode == 0, ended.stderr
+        request = folder / "r" / "store" / "run.json"
+        words = unseal(json.loads(request.read_text()))
+        request.write_text(json.dumps(seal({**words, "conf": "c.yaml"})))
+        kept = {}
+        for base, _, names in os.walk(folder):
+            for path in (Path(base) / n for n in names):
+                below = path.relative_to(folder).as_posix()
+                if below.startswith(("r/store/", "r/generations", "a.", "c.")) and not path.name.endswith("lock"):
+                    kept[below] = path.read_bytes()
+        return kept
+
+
+def _cases(files: Files, damaged: list[str], texts: list[str], words: tuple[str, ...]) -> list[Case]:
+    fields = tuple(
+        Field(n, len(files[n]) - k, w)
+        for n in damaged
+        if n.endswith(".parquet")
+        for k in (8, *range(12, min(FOOT, len(files[n])), 5))
+        for w in (1, 4)
+    )
+    seed = Seed("run", "r", {n: files[n] for n in dict.fromkeys(damaged)}, fields, tuple(texts))
+    return [Case(seed, words, {n: d for n, d in files.items() if n not in seed.files}, links=LINKS)]
+
+
+def documents(*words: str) -> Made:
+    """A command on a run directory whose JSON files are damaged."""
+
+    def cases(folder: Path) -> list[Case]:
+        files = {n: d for n, d in _ran().items() if "generations" not in n}
+        plain = [n for n in files if n.startswith("r/store/") and n.endswith((".json", ".jsonl"))]
+        few = [n for n in plain if n.count("/") == 2] + plain[:: max(1, len(plain) // 40)]
+        made = _cases(files, few, few, words)
+        return [Case(c.seed, c.words, c.fixed) for c in made]
+
+    return cases
+
+
+def parts(*words: str) -> Made:
+    """A command on a run directory in which what stages made is damaged."""
+
+    def cases(folder: Path) -> list[Case]:
+        files = _ran()
+        return _cases(
+            files, [n for n in files if n.startswith("r/store/") and n.endswith((".parquet", ".npy"))], [], words
+        )
+
+    return cases
+
+
+def delivery(*words: str) -> Made:
+    """A command on a run directory in which what was delivered is damaged."""
+
+    def cases(folder: Path) -> list[Case]:
+        files = _ran()
+        endings = (".parquet", ".copc.laz", ".json", ".gpkg", ".npy", ".tif")
+        some = [n for n in files if n.startswith("r/generations/") and n.endswith(endings)]
+        return _cases(files, some, [n for n in some if n.endswith(".json")], words)
+
+    return cases
