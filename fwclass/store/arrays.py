@@ -4,6 +4,7 @@ a usual size together as one Parquet file, for Zarr takes two files and ten mill
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.cost import counted
-from fwclass.errors import StoreError
 from fwclass.formats.arrow import numpy_values
 from fwclass.lazy_module import LazyModule
+from fwclass.store.legible import legible
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -84,9 +85,10 @@ def _planes(array: NDArray) -> bytes:
 
 def _array(planes: Any, dtype: np.dtype, shape: Sequence[int]) -> NDArray:
     """What `_planes` made bytes of."""
+    here = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, math.prod(shape))
     array = np.empty(shape, dtype)
     values = array.reshape(-1, 1).view(np.uint8)
-    for k, plane in enumerate(np.frombuffer(planes, np.uint8, array.nbytes).reshape(dtype.itemsize, -1)):
+    for k, plane in enumerate(here):
         values[:, k] = plane
     return array
 
@@ -167,17 +169,13 @@ def arrays_at(place: Path) -> Path | None:
 @counted("reading")
 def read_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[dict[str, NDArray], dict[str, Any]]:
     """The named arrays (all) of what `write_arrays` made, and its attributes."""
-    return _read_small(path, names) if path.suffix == PARQUET else _read_group(path, names)
+    with legible(path, "arrays"):
+        return _read_small(path, names) if path.suffix == PARQUET else _read_group(path, names)
 
 
 def _read_small(path: Path, names: Iterable[str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    try:
-        with pq.ParquetFile(path) as file:
-            arrow = file.read(None if names is None else list(names), use_threads=False)
-    except (OSError, pa.ArrowInvalid) as fault:
-        raise StoreError(
-            "arrays of the store cannot be read", where=path, got=fault, do="remove its part's directory and run again"
-        ) from fault
+    with pq.ParquetFile(path) as file:
+        arrow = file.read(None if names is None else list(names), use_threads=False)
     schema = arrow.schema
     wanted = sorted(schema.names) if names is None else list(names)
     about = {name: schema.field(name).metadata for name in wanted}

@@ -20,6 +20,7 @@ from fwclass.formats.arrow import arrow_array, numpy_values
 from fwclass.grid import Box
 from fwclass.lazy_module import LazyModule
 from fwclass.schema import Table, column
+from fwclass.store.legible import legible
 from fwclass.units import QUANTUM
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ else:
 
 ROW_GROUP = 65_536
 
+_TABLE = "a table"
 _QUANTUM, _MILLIMETRES = b"quantum", str(QUANTUM).encode()
 """Metadata of a field: its whole numbers times this are the values."""
 
@@ -101,7 +103,7 @@ class Group:
 @counted("reading")
 def groups_of(path: Path) -> tuple[Group, ...]:
     """The row groups of the table at `path`."""
-    with open_parquet(path) as file:
+    with legible(path, _TABLE), open_parquet(path) as file:
         return tuple(_group(file, g) for g in range(file.metadata.num_row_groups))
 
 
@@ -133,7 +135,7 @@ def _values(column: pa.ChunkedArray, field: pa.Field) -> NDArray:
 
 def open_parquet(path: Path) -> pq.ParquetFile:
     """A Parquet file; the footer of one with many row groups is kept in memory while the file stays as it is."""
-    try:
+    with legible(path, _TABLE):
         now, known = _looks(path), _footers.get(str(path))
         if known is not None and known[0] == now:
             return pq.ParquetFile(path, metadata=known[1])
@@ -141,10 +143,6 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         if file.metadata.num_row_groups >= MANY_GROUPS:
             _keep_footer(str(path), now, file.metadata)
         return file
-    except (OSError, pa.ArrowInvalid) as fault:
-        raise StoreError(
-            "a table of the store cannot be read", where=path, got=fault, do="remove its part's directory and run again"
-        ) from fault
 
 
 def _looks(path: Path) -> tuple[int, ...]:
@@ -166,7 +164,7 @@ def row_groups(path: Path, box: Box | None) -> list[int]:
 @counted("reading")
 def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[int] | None = None) -> Table:
     """The table at `path`: chosen columns (all), chosen row groups (all)."""
-    with open_parquet(path) as file:
+    with legible(path, _TABLE), open_parquet(path) as file:
         there = file.schema_arrow.names
         names = list(columns) if columns is not None else there
         lacking = [n for n in names if n not in there]
@@ -181,7 +179,7 @@ def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[in
         if not wanted:
             return Table.empty(names)
         arrow = file.read_row_groups(wanted, columns=names, use_threads=False)
-    return Table({n: _values(arrow.column(n), arrow.schema.field(n)) for n in names})
+        return Table({n: _values(arrow.column(n), arrow.schema.field(n)) for n in names})
 
 
 @counted("writing")

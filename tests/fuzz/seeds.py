@@ -366,6 +366,36 @@ def store_seeds(folder: Path) -> list[Seed]:
     return [Seed("store", "store", seed.files, (), tuple(n for n in seed.files if n.startswith("store/")))]
 
 
+def kept_seeds(folder: Path) -> list[Seed]:
+    """A table and arrays as stages leave them: few ones in Parquet, many in Zarr, of which the documents alone are
+    here: Blosc reads where a damaged chunk tells it to, and the digests of chunks are all that keeps one from it."""
+    from fwclass.schema import Table
+    from fwclass.store import arrays, tables
+
+    rng, made = np.random.default_rng(2), []
+    columns = {n: rng.uniform(0, 50, 400) for n in "xyz"} | {"classification": np.arange(400, dtype=np.uint8) % 7}
+    height = {"height": rng.normal(size=(30, 40)).astype(np.float32), "count": np.arange(9)}
+    for name, file, write in (
+        ("table", "table.parquet", lambda path: tables.write_groups(path, Table(columns), (0, 150, 400))),
+        ("small", "a.parquet", lambda path: arrays._write_small(path, height, {"edge": 1.0})),
+        ("group", "a.zarr", lambda path: arrays._write_group(path, height, {"edge": 1.0})),
+    ):
+        own = folder / name
+        own.mkdir(parents=True)
+        write(own / file)
+        files = _taken(own, name, file).files
+        seed = Seed(name, file, {n: d for n, d in files.items() if n.endswith((".json", ".parquet"))})
+        fields = tuple(
+            Field(n, len(data) - k, w)
+            for n, data in seed.files.items()
+            if n.endswith(".parquet")
+            for k in (8, *range(12, min(len(data), 900), 5))
+            for w in (1, 4)
+        )
+        made.append(Seed(name, file, seed.files, fields, tuple(n for n in seed.files if n.endswith(".json"))))
+    return made
+
+
 def _frames(count: int = 6) -> list:
     from fwclass.street.frames import Frame, Scan
 

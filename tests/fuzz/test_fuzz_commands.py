@@ -26,6 +26,10 @@ QUICK = {
     "history": 15,
     "status": 12,
     "plan": 6,
+    "view-export": 12,
+    "suggest": 6,
+    "diff": 6,
+    "stored-verify": 4,
     "street-stream": 4,
     "street": 8,
 }
