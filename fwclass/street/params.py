@@ -70,8 +70,8 @@ class StreamParams(Params):
 
     Attributes
     ----------
-    most_beams : of a frame. queue : frames that wait at most; older ones are dropped then. stall : silence after which
-    a stream has ended [s].
+    most_beams : of a frame. queue : frames that wait at most; older ones are dropped then. stall : time without
+    a whole frame after which a stream has ended [s].
     """
 
     most_beams: int = Field(ge=2, le=30_000)

@@ -104,11 +104,14 @@ def las_seeds(folder: Path) -> list[Seed]:
                     path, pulses=8, point_format=number, where=where, bits=16 if number == 5 else 8, n_samples=40
                 )
             made.append(_taken(own, own.name, "a.las", _las_numbers(path)))
-    own = folder / "f4compressed"
-    own.mkdir()
-    told = {1: lasmaker.Descriptor(8, 40, 1000, compression=1)}
-    lasmaker.survey(own / "a.las", pulses=8, point_format=4, n_samples=40, descriptors=told)
-    made.append(_taken(own, own.name, "a.las", _las_numbers(own / "a.las")))
+    for number, where, bits in ((4, "external", 8), (5, "internal", 16), (9, "external", 16), (10, "external", 8)):
+        own = folder / f"f{number}compressed"
+        own.mkdir()
+        told = {1: lasmaker.Descriptor(bits, 40, 1000, compression=1)}
+        lasmaker.survey(
+            own / "a.las", pulses=8, point_format=number, where=where, bits=bits, n_samples=40, descriptors=told
+        )
+        made.append(_taken(own, own.name, "a.las", _las_numbers(own / "a.las")))
     return made
 
 

@@ -165,7 +165,7 @@ def test_a_sender_that_falls_silent(tmp_path):
         with contextlib.suppress(OSError):
             there.recv(1)
 
-    with pytest.raises(InputError, match="nothing came for 1 s"):
+    with pytest.raises(InputError, match="no frame came for 1 s"):
         served(tmp_path, send, name="silent", **{"stream.stall": 1.0})
     assert len(list(read_answers(tmp_path / "silent" / ANSWERS))) == 30
 

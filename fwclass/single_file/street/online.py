@@ -176,9 +176,9 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         raise broken
     if stream is not None and stream.stalled:
         raise InputError(
-            f"nothing came for {params.stream.stall:g} s",
+            f"no frame came for {params.stream.stall:g} s",
             where=job.source,
-            got=f"{summary['frames']} frames before",
+            got=f"{summary['frames']} frames before" + "".join(f", {n} {name}" for name, n in stream.faults.items()),
             do="what was answered stays; look at the sender, or give --set street.stream.stall=SECONDS",
         )
     if interrupted:

@@ -46,7 +46,10 @@ def from_recording(recording: Recording, paced: bool, ended: Callable[[], bool])
 
 
 class Stream:
-    """Frames of a stream of bytes, read by a thread of its own; what waits is bounded, the oldest is dropped."""
+    """Frames of a stream of bytes, read by a thread of its own; what waits is bounded, the oldest is dropped.
+
+    Bytes that are no frame are silence: who sends nothing else for `stall` seconds has stalled.
+    """
 
     def __init__(self, read: Callable[[], bytes | None], params: StreamParams, ended: Callable[[], bool]) -> None:
         """`read`: some bytes, b"" at the end, None if there are none for now."""
@@ -78,16 +81,14 @@ class Stream:
             except OSError:
                 self.faults["broken connection"] += 1
                 break
-            if data is None:
-                if time.monotonic() - heard > self.params.stall:
-                    self.stalled = True
-                    break
-                continue
-            heard = time.monotonic()
-            if not data:
+            if data == b"":
                 break
-            for frame in self._decoder.feed(data):
+            for frame in self._decoder.feed(data or b""):
+                heard = time.monotonic()
                 self._put((frame, time.perf_counter()))
+            if time.monotonic() - heard > self.params.stall:
+                self.stalled = True
+                break
         self._decoder.end()
         self._waiting.put(None)
 
