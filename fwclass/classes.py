@@ -99,6 +99,26 @@ def code_index(codes: NDArray[np.uint8], classes: Sequence[ClassDef]) -> NDArray
     return np.where(table >= 0, table, reference)[np.asarray(codes, np.uint8)]
 
 
+SEVERAL = -2
+
+
+def counterparts(theirs: Sequence[ClassDef], ours: Sequence[ClassDef]) -> NDArray[np.int16]:
+    """int16 (theirs,): of every class of another list, which of `ours` its code and its reference codes mean; -1 where
+    none, `SEVERAL` where more than one. Names decide nothing: they are words of any language."""
+    index = np.full(len(theirs), -1, np.int16)
+    for k, one in enumerate(theirs):
+        means = code_index(np.array([one.code, *one.codes], np.uint8), ours)
+        several = np.unique(means[means >= 0])
+        if len(several):
+            index[k] = several[0] if len(several) == 1 else SEVERAL
+    return index
+
+
+def one_to_one(theirs: Sequence[ClassDef], ours: Sequence[ClassDef]) -> bool:
+    """Whether every class of the one list means one of the other, and all are meant."""
+    return sorted(counterparts(theirs, ours).tolist()) == list(range(len(ours)))
+
+
 def _claim(table: NDArray[np.int16], code: int, index: int, classes: Sequence[ClassDef]) -> None:
     if not 0 <= code <= 255:
         raise ConfigError(

@@ -35,7 +35,7 @@ def two_clouds(rng: np.random.Generator, n: int, shift: float, noise: float) -> 
 
 def learned(X: np.ndarray, y: np.ndarray):
     """A forest of rows, and these as a base."""
-    base = kept_sample(("a", "b", "c"), X, np.array([2, 5], np.uint8)[y], CLASSES, 1)
+    base = kept_sample(("a", "b", "c"), X, np.array([2, 5], np.uint8)[y], CLASSES, CLASSES, 1)
     return train(base, grow_trees(base, CLASSES, 0, TRAINING.trees, TRAINING), TRAINING, CLASSES), base
 
 

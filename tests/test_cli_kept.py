@@ -87,6 +87,12 @@ def test_kept_points_stay_in_a_run_and_in_a_file_and_others_are_answered_as_befo
     assert json.loads(ended.stdout)["kept"] == report["kept"]
     written = classes(tmp_path / "f.las")
     assert (written[kept] == own[kept]).all() and set(written[~kept]) <= {2, 5}
+    las = laspy.read(tmp_path / "f.las")
+    assert ((las.points.array["confidence"] == 255) == kept).all(), "its value of no data"
+    rows = {c["code"]: c for c in report["sureness"]["classes"]}
+    assert rows[WATER]["echoes"] and rows[WATER]["confidence"] is None
+    of_ground = (written == 2) & ~kept
+    assert abs(rows[2]["confidence"] - np.asarray(las["confidence"])[of_ground].mean()) < 0.003, "of those classified"
 
 
 @pytest.mark.slow
@@ -136,6 +142,7 @@ def test_a_file_whose_every_point_stays(place: Path, tmp_path: Path) -> None:
     ended = fwclass("classify", "a.las", tmp_path / "f.las", "--model", "r/model", "--only", "40", cwd=place)
     assert ended.returncode == 0 and "mean confidence" not in ended.stderr, ended.stderr
     assert (classes(tmp_path / "f.las") == classes(place / "a.las")).all()
+    assert "no points were classified: all have a class that is kept" in ended.stderr
 
 
 def test_returns_of_waveforms_keep_their_own_class(shared_data: Path, tmp_path: Path) -> None:

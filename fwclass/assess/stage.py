@@ -47,5 +47,5 @@ def judge(result: dict[str, Any], params: AssessParams) -> None:
             )
 
 
-CONFUSION_VERSION, ASSESS_VERSION = 7, 8
+CONFUSION_VERSION, ASSESS_VERSION = 7, 9
 """Raised when the same classes and labels of a tile would give other counts, and the same counts other figures."""

@@ -84,7 +84,7 @@ class ContextParams(Params):
         return cells
 
 
-Code = Annotated[int, Field(ge=0, le=255)]
+Code = Annotated[int, Field(strict=True, ge=0, le=255)]
 
 
 class ClassifyParams(Params):
@@ -95,7 +95,8 @@ class ClassifyParams(Params):
     ``probability_<code>``. `max_outside`: share of the echoes whose value of a feature lies outside of what the model
     has seen, above which a command ends with exit code 4, unless `accept_drift`; `unsure`: confidence below which an
     echo is unsure; `max_unsure`: share of unsure echoes above which it does so too, by a given model. None of these
-    changes a class; `leave` does: the code that unsure echoes get instead of one, None: they have their class.
+    changes a class; `leave` does: the code that echoes with a confidence below `leave_below` get instead of one, None:
+    they have their class.
     """
 
     only: tuple[Code, ...] = Field(max_length=256)
@@ -105,6 +106,7 @@ class ClassifyParams(Params):
     unsure: float = Field(ge=0.0, le=1.0)
     max_unsure: float = Field(ge=0.0, le=1.0)
     leave: Code | None
+    leave_below: float = Field(gt=0.0, le=1.0)
     accept_drift: bool
     refine: RefineParams
     context: ContextParams

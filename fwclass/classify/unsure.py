@@ -15,7 +15,7 @@ from fwclass.schema import Table
 PERCENT = 101
 
 SAID_FROM = 0.055
-"""Share from which it is said: below it models that had left home had 92 to 98 % right, above it 73 to 97 %
+"""Share from which it is said: below it models that had left home had 92 to 98 % right, above it 73 to 96 %
 (docs/models.md)."""
 
 
@@ -29,7 +29,7 @@ class Left:
     @classmethod
     def of(cls, params: ClassifyParams) -> Left | None:
         """None where every echo gets a class."""
-        return None if params.leave is None else cls(params.unsure, params.leave)
+        return None if params.leave is None else cls(params.leave_below, params.leave)
 
 
 def with_left(answered: Table, left: Left | None) -> Table:
@@ -54,7 +54,8 @@ def by_percent(confidence: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def unsure_facts(counts: NDArray[np.int64], params: ClassifyParams, given: bool) -> dict[str, Any] | None:
-    """``share`` of the classified echoes with a confidence ``below`` that of `params`, and ``remarks``; None for none.
+    """``share`` of the classified echoes with a confidence ``below`` that of `params`, ``left``, the share that got no
+    class, and ``remarks``; None for none.
 
     Parameters
     ----------
@@ -65,16 +66,21 @@ def unsure_facts(counts: NDArray[np.int64], params: ClassifyParams, given: bool)
     if not total:
         return None
     share = int(counts[: round(100 * params.unsure)].sum()) / total
-    said = given and share > SAID_FROM
-    left = f"{100 * share:.1f} % of the echoes have no class but code {params.leave}: their confidence is below "
-    remark = (
-        f"the model is unsure of {100 * share:.1f} % of the echoes (confidence below {params.unsure:g}): where models "
-        f"that left home were unsure of more than {100 * SAID_FROM:g} %, up to a quarter of the classes were wrong: "
-        "look at the least sure places (`fwclass view`), and label some (`fwclass suggest`)"
-    )
-    remarks = [f"{left}{params.unsure:g}"] if params.leave is not None and share else []
-    remarks += [remark] if said else []
-    return {"share": share, "below": params.unsure, "given": given, "remarks": remarks}
+    left = int(counts[: round(100 * params.leave_below)].sum()) / total if params.leave is not None else 0.0
+    remarks = []
+    if left:
+        remarks.append(
+            f"{100 * left:.1f} % of the classified echoes got no class but code {params.leave}: their confidence is "
+            f"below {params.leave_below:g} (classify.leave_below)"
+        )
+    if given and share > SAID_FROM:
+        remarks.append(
+            f"the model is unsure of {100 * share:.1f} % of the classified echoes (confidence below "
+            f"{params.unsure:g}): where models that left home were unsure of more than {100 * SAID_FROM:g} %, 4 to "
+            "27 % of the classes were wrong: look at the least sure places (`fwclass view`), and label some "
+            "(`fwclass suggest`)"
+        )
+    return {"share": share, "below": params.unsure, "left": left, "given": given, "remarks": remarks}
 
 
 def judge_unsure(facts: dict[str, Any] | None, params: ClassifyParams, where: object) -> None:
@@ -84,8 +90,8 @@ def judge_unsure(facts: dict[str, Any] | None, params: ClassifyParams, where: ob
     raise QualityError(
         "the model is unsure of too much",
         where=where,
-        expected=f"at most {100 * params.max_unsure:g} % of the echoes with a confidence below {params.unsure:g} "
-        "(classify.max_unsure)",
+        expected=f"at most {100 * params.max_unsure:g} % of the classified echoes with a confidence below "
+        f"{params.unsure:g} (classify.max_unsure)",
         got=f"{100 * facts['share']:.1f} %",
         do="take a model of like data, or label some places (`fwclass suggest`) and learn from them "
         "(survey.base_model); --accept-drift (classify.accept_drift=true) takes the classes as they are",

@@ -46,7 +46,7 @@ def adapt_model(
             got=f"{len(delivery.report['model']['features'])}",
             do=f"run the survey with --set survey.model={named} first",
         )
-    base = kept_sample(first.features, rows.X, rows.codes, first.classes, training.seed)
+    base = kept_sample(first.features, rows.X, rows.codes, first.classes, first.classes, training.seed)
     seen = draw_seen(_echoes(delivery, first), params.pool, training.seed)
     adapted = adapt(model, base, seen, params, training)
     write_model(adapted, target, overwrite, rows)

@@ -101,11 +101,12 @@ def _summary(useful: int, places: Sequence[Place], size: float, path: Path) -> s
 
 @dataclass(frozen=True)
 class Confirmed:
-    """What was confirmed: `echoes` by class code, `corrected` echoes that had been corrected before, all in `places`
-    places; `where` it was written."""
+    """What was confirmed: `echoes` by class code, `corrected` echoes that had been corrected before, and how many were
+    `passed_over`, as they have no class by the model, all in `places` places; `where` it was written."""
 
     echoes: Mapping[int, int]
     corrected: int
+    passed_over: int
     places: int
     names: Mapping[int, str]
     where: str
@@ -113,9 +114,10 @@ class Confirmed:
     def __str__(self) -> str:
         total = sum(self.echoes.values())
         listed = ", ".join(f"{self.names.get(c, f'code {c}')} {n:,}" for c, n in sorted(self.echoes.items()))
+        without = f", {self.passed_over:,} have no class to confirm" if self.passed_over else ""
         return (
             f"{several(self.places, 'place')}: {total:,} echoes keep their class ({listed or 'none'}), "
-            f"{self.corrected:,} had been corrected; {self.where}"
+            f"{self.corrected:,} had been corrected{without}; {self.where}"
         )
 
 
@@ -154,4 +156,5 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     codes, counts = np.unique(added.code, return_counts=True)
     names = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
     by_code = dict(zip(codes.tolist(), counts.tolist(), strict=True))
-    return Confirmed(by_code, corrected, places.parts, names, str(place_of(delivery.root)))
+    passed_over = int((~classified).sum())
+    return Confirmed(by_code, corrected, passed_over, places.parts, names, str(place_of(delivery.root)))

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.context import with_context
-from fwclass.graph.context_layer import base_has_context, context_layer
+from fwclass.graph.base_model import base_has_context, base_layer, base_remarks
+from fwclass.graph.context_layer import ContextLayer, context_layer
 from fwclass.graph.learn import BASE_ROWS, SAMPLE, forest_learns, learning_arguments, survey_sample
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, Contextual
@@ -21,8 +22,8 @@ from fwclass.train.stage import TRAIN_SAMPLE
 
 
 def _arguments(plan: Plan) -> Mapping[str, Any]:
-    layer = context_layer(plan) if base_has_context(plan) else None
-    return {**learning_arguments(plan), **({"context": layer.names} if layer else {})}
+    more = {"layer": context_layer(plan)} if base_has_context(plan) else {}
+    return {**learning_arguments(plan), "remarks": tuple(base_remarks(plan)), **more}
 
 
 def choose_base_rows(
@@ -30,17 +31,19 @@ def choose_base_rows(
     names: tuple[str, ...],
     params: TrainParams,
     classes: tuple[ClassDef, ...],
-    context: tuple[str, ...] = (),
+    remarks: tuple[str, ...],
+    layer: ContextLayer | None = None,
 ) -> Result:
     """Of every class as many of the base model's rows as the survey has, `base_rows` at least, by the smallest hash;
-    with their `context`."""
+    with their context where the run's second `layer` has the same."""
     model, rows_kept = load_rows(here.file())
-    X, wanted = rows_kept.X, (*names, *context)
-    there = model.features
+    X, there, theirs = rows_kept.X, model.features, base_layer(model, classes, layer)
     if isinstance(model, Contextual):
         X, there = with_context(X, rows_kept.context), model.deciding
-    columns = [there.index(name) for name in wanted]
-    kept = kept_sample(wanted, np.ascontiguousarray(X[:, columns]), rows_kept.codes, classes, params.seed)
+    columns = [there.index(name) for name in (*names, *(theirs.names if theirs else ()))]
+    wanted = (*names, *(layer.names if layer else ()))
+    values = np.ascontiguousarray(X[:, columns])
+    kept = kept_sample(wanted, values, rows_kept.codes, model.classes, classes, params.seed)
     own, rows = survey_sample(here.inputs, names).counts, []
     for k, count in enumerate(own.tolist()):
         mine = np.flatnonzero(kept.y == k)
@@ -48,12 +51,12 @@ def choose_base_rows(
         rows.append(mine[np.argsort(kept.hash[mine], kind="stable")[:most]])
     sample = kept.take(np.sort(np.concatenate(rows)))
     write_arrays(here.directory / SAMPLE, sample.arrays())
-    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+    return {"rows": sample.rows, "counts": sample.counts.tolist(), "remarks": list(remarks)}
 
 
 CHOOSE_BASE_ROWS = Stage(
     BASE_ROWS,
-    TRAIN_SAMPLE.version,
+    10 * TRAIN_SAMPLE.version + 1,
     "survey",
     "row",
     choose_base_rows,

@@ -53,13 +53,6 @@ def layer_of(plan: Plan) -> ContextLayer:
     return layer
 
 
-def base_has_context(plan: Plan) -> bool:
-    """Whether the rows of the base model have the context that the run's second layer decides by."""
-    layer = context_layer(plan)
-    has = _of_model(str(local(plan.base[0])), plan.base[1]) if plan.base else None
-    return layer is not None and has is not None and set(layer.names) == set(has.names)
-
-
 @lru_cache(maxsize=4)
 def _of_model(path: str, digest: str) -> ContextLayer | None:
     model = load_model(Path(path))

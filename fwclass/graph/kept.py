@@ -14,6 +14,7 @@ from fwclass.classify.params import ClassifyParams
 from fwclass.classify.unsure import Left, with_left
 from fwclass.errors import ConfigError, first_few
 from fwclass.graph.stage import Plan, StageInputs
+from fwclass.publish.strips import LEGACY_MAX
 from fwclass.schema import Table
 
 UNNAMED = frozenset({0, 1})
@@ -21,6 +22,8 @@ UNNAMED = frozenset({0, 1})
 
 SHOWN = 6
 """Codes that are named."""
+
+UNSURE_ECHOES = "unsure echoes (classify.leave)"
 
 NO_SOURCE = np.empty(0, np.uint8)
 
@@ -47,6 +50,40 @@ def check_left(code: int | None, classes: Iterable[ClassDef], where: str) -> Non
             got=f"{code}, which is {taken[0]}",
             do="--set classify.leave=1, or another code that no class is written as",
         )
+
+
+def check_written(written: Mapping[str, int], leave: int | None, legacy: bool, where: object, way: str) -> None:
+    """`ConfigError` where points cannot hold the codes that are written, or one would mean two things.
+
+    Parameters
+    ----------
+    written : code of every class in the points, by its name.
+    leave : code of echoes that are left without a class; None: all have one.
+    legacy : the points have one of the formats 0 to 5.
+    way : how another code is set for a class, for the message.
+    """
+    every = {**written, **({UNSURE_ECHOES: leave} if leave is not None else {})}
+    beyond = [name for name, code in every.items() if legacy and code > LEGACY_MAX]
+    if beyond:
+        ways = ["--set classify.leave=1"] if UNSURE_ECHOES in beyond else []
+        ways += [way] if len(beyond) > len(ways) else []
+        raise ConfigError(
+            "the points cannot hold all codes that are to be written",
+            where=where,
+            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5",
+            got=", ".join(f"{name} {every[name]}" for name in beyond),
+            do=f"{', and '.join(ways)}; or convert to LAS 1.4",
+        )
+    for code in sorted(set(every.values())):
+        same = [name for name, other in every.items() if other == code]
+        if len(same) > 1:
+            raise ConfigError(
+                f"{' and '.join(same)} would both be written as code {code}",
+                where=where,
+                expected="another code for each",
+                got=", ".join(f"{n} {c}" for n, c in every.items()),
+                do=f"{way}, or another classify.leave" if UNSURE_ECHOES in same else way,
+            )
 
 
 def written(answered: Table, source: NDArray[np.uint8], kept: Kept | None, left: Left | None) -> Table:
@@ -94,7 +131,9 @@ def class_remarks(
     stay = kept_codes(by_code, kept)
     lost = {c: by_code[c] for c in sorted(by_code) if c not in known | UNNAMED | stay.keys()}
     sentences = []
-    if stay:
+    if stay and len(stay) == len(by_code):
+        sentences.append(f"no {what} were classified: all have a class that is kept (classify.only, classify.keep)")
+    elif stay:
         sentences.append(
             f"{sum(stay.values()):,} {what} keep the class of their source ({_listing(stay)}): they are not classified"
             ", have no confidence, and no accuracy counts them"

@@ -181,8 +181,9 @@ def deliver_forest(
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
     forest = with_feature_parameters(train(learned_sample(here, names), trees, params, classes, lost), computed)
     if here.parts(BASE_ROWS):
-        note = f"{here.inputs.meta(BASE_ROWS, 'all')['rows']:,} of the training rows are the base model's"
-        forest = replace(forest, card={**forest.card, "notes": [*forest.card["notes"], note]})
+        base = here.inputs.meta(BASE_ROWS, "all")
+        notes = [f"{base['rows']:,} of the training rows are the base model's", *base["remarks"]]
+        forest = replace(forest, card={**forest.card, "notes": [*forest.card["notes"], *notes]})
     save_model(here.directory / MODEL, forest)
     return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
 

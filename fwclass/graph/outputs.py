@@ -13,9 +13,9 @@ from pyproj import CRS
 from fwclass.classify.kept import Kept
 from fwclass.classify.unsure import by_percent
 from fwclass.conf import Config
-from fwclass.errors import ConfigError, StoreError, several
+from fwclass.errors import StoreError, first_few
 from fwclass.graph.classify import classes_written
-from fwclass.graph.kept import deciding_column, kept_argument, other_names
+from fwclass.graph.kept import check_written, deciding_column, kept_argument, other_names
 from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
@@ -183,21 +183,17 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
 
 
 def check_class_codes(formats: Mapping[str, int], config: Config) -> None:
-    """`ConfigError` where the points of a strip cannot hold the code of a class: told before anything is computed.
+    """`ConfigError` where the points of a strip cannot hold the code of a class, or two would have one: told before
+    anything is computed.
 
     `formats`: the point format of every strip by its file's name.
     """
-    beyond = [c for c in config.survey.classes if (c.code if c.legacy_code is None else c.legacy_code) > LEGACY_MAX]
     legacy = [name for name, number in formats.items() if 0 <= number <= 5]
-    if beyond and legacy:
-        raise ConfigError(
-            f"the points of {several(len(legacy), 'strip')}, as {legacy[0]}, cannot hold the codes of all classes",
-            where=f"{config.path}: survey.classes",
-            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5 (this one has {formats[legacy[0]]})",
-            got=", ".join(f"{c.name} {c.code}" for c in beyond),
-            do=f"give {'it' if len(beyond) == 1 else 'each'} a legacy_code up to {LEGACY_MAX}, which is written there "
-            "instead, or convert the files to LAS 1.4",
-        )
+    if legacy:
+        written = {c.name: c.code if c.legacy_code is None else c.legacy_code for c in config.survey.classes}
+        where = f"{config.path}: survey.classes; {first_few(legacy, 3)} of point format {formats[legacy[0]]}"
+        way = f"give a class a legacy_code up to {LEGACY_MAX}, which is written there instead"
+        check_written(written, config.classify.leave, True, where, way)
 
 
 def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
@@ -223,7 +219,7 @@ def class_names(plan: Plan) -> dict[str, str]:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    7,
+    8,
     "tile",
     "echo",
     deliver_tile,

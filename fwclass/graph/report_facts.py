@@ -72,7 +72,8 @@ def unsure_of_run(tiles: Sequence[Receipt], config: Config) -> dict[str, Any] | 
 
 
 def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-    """Echoes and mean confidence of every class, and the tiles whose classes are least sure."""
+    """Echoes of every class, the mean confidence of those that were classified, and the tiles whose classes are least
+    sure."""
     facts = {r.part: r.meta["facts"] for r in tiles if r.meta["facts"]["confidence"] is not None}
     if not facts:
         return None
@@ -80,9 +81,9 @@ def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> 
     for one in classes:
         code = str(one["code"])
         count = sum(f["classes"].get(code, 0) for f in facts.values())
-        total = sum(f["sure"].get(code, 0.0) for f in facts.values())
+        known, total = np.sum([f["sure"].get(code, (0, 0.0)) for f in facts.values()], axis=0).tolist()
         rows.append(
-            {"name": one["name"], "code": one["code"], "echoes": count, "confidence": total / count if count else None}
+            {"name": one["name"], "code": one["code"], "echoes": count, "confidence": total / known if known else None}
         )
     order = least_sure_first(facts)
     least = ([key for key in order if facts[key]["points"] >= WORTH] or order)[:LEAST_SURE]

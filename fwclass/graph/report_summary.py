@@ -22,7 +22,8 @@ SHOWN = 4
 def describe_reliability(told: Mapping[str, Any]) -> str:
     """What `assess.reliability` says, in a sentence."""
     mean, right, error = (100 * told[n] for n in ("confidence", "right", "error"))
-    return f"{mean:.1f} % on average where {right:.1f} % are right; expected calibration error {error:.1f} %"
+    left = f"; without the {told['without_class']:,} test echoes that got no class" if told["without_class"] else ""
+    return f"{mean:.1f} % on average where {right:.1f} % are right; expected calibration error {error:.1f} %{left}"
 
 
 def summary(report: Mapping[str, Any], root: Path | Url) -> str:

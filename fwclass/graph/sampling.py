@@ -10,7 +10,8 @@ import numpy as np
 from fwclass.conf.model import AreasSection
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test, training_tiles
-from fwclass.graph.context_layer import base_has_context, context_layer
+from fwclass.graph.base_model import base_has_context, classes_of_base
+from fwclass.graph.context_layer import context_layer
 from fwclass.graph.corrections import (
     CORRECTIONS,
     corrected_training_rows,
@@ -60,14 +61,20 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     train = config.areas.boxes("train")
     whole = total((receipt.meta for receipt in counted.values()), len(train), len(config.classes))
     layers = context_layer(plan) is None or base_has_context(plan)
-    few = plan.base is not None and layers and any(whole["labelled"])  # base rows stand in for a class without labels
-    sentences = [] if few else lacking(whole, config.classes, train)
+    stands = layers and any(whole["labelled"])  # base rows stand in for a class without labels
+    sentences = lacking(whole, config.classes, train, classes_of_base(plan) if stands else frozenset())
     if sentences:
+        by_hand = config.survey.reference.kind == "corrections"
+        how = (
+            "correct or confirm echoes of it (docs/labels.md)"
+            if by_hand
+            else "draw training areas where every class is labelled"
+        )
         raise ConfigError(
             "the labels do not suffice to train on",
-            where=f"{config.path}: areas.train, survey.classes",
+            where=f"{config.path}: {'' if by_hand else 'areas.train, '}survey.classes",
             got=" ".join(sentences),
-            do="draw training areas where every class is labelled, or leave the class out of survey.classes",
+            do=f"{how}, or leave the class out of survey.classes",
         )
     return dict(whole)
 

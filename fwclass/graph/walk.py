@@ -6,10 +6,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from fwclass.classes import counterparts, one_to_one
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection
 from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
+from fwclass.graph.base_model import base_remarks
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, label_parts
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import check_left
@@ -72,7 +74,7 @@ def with_model(config: Config) -> Config:
     one_layer = config.classify.refine.between or config.thin.rate < 1.0 or config.train.method != "forest"
     if config.classify.context.cells is not None or not isinstance(model, Contextual) or one_layer:
         return config
-    if {c.code for c in model.classes} != {c.code for c in config.classes}:
+    if not one_to_one(model.classes, config.classes):
         return config
     context = config.classify.context.model_copy(update={"cells": model.cells})
     return replace(config, classify=config.classify.model_copy(update={"context": context}))
@@ -117,8 +119,7 @@ def base_model(config: Config) -> tuple[Location, str] | None:
     path = local(place)
     model, _ = load_rows(path)
     check_computed(model, config.features, path)
-    own = {c.code for c in config.classes}
-    if not any(c.code in own for c in model.classes):
+    if not (counterparts(model.classes, config.classes) >= 0).any():
         raise ConfigError(
             "the base model knows none of the survey's classes",
             where=f"{config.path}: survey.classes",
@@ -155,7 +156,8 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
         check_class_codes({s.path.name: s.point_format for s in survey.strips}, config)
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
     quantities = joint_quantities(survey.quantities, plan.names, f"{config.path}: survey.sources")
-    for note in check_learned(learned, survey.quantities, config.survey.model) if learned else ():
+    notes = check_learned(learned, survey.quantities, config.survey.model) if learned else ()
+    for note in (*notes, *base_remarks(plan)):
         runner.display.say(f"note: {note}")
     plan = replace(plan, files=survey)
     polygons = require_all(runner, READ_POLYGONS.tasks(plan))

@@ -156,9 +156,9 @@ def label_remarks(
     ]
 
 
-def _about_codes(whole: Census, classes: Sequence[ClassDef]) -> list[str]:
-    """Classes that no echo of the survey has, with the codes that are there instead."""
-    lacking = [c for c, n in zip(classes, whole["labelled"], strict=True) if n == 0]
+def _about_codes(whole: Census, classes: Sequence[ClassDef], others: frozenset[int] = frozenset()) -> list[str]:
+    """Classes that no echo of the survey has, but for `others`, with the codes that are there instead."""
+    lacking = [c for c, n in zip(classes, whole["labelled"], strict=True) if n == 0 and c.code not in others]
     if not lacking:
         return []
     wanted = ", ".join(f"{c.name!r} (codes {', '.join(map(str, c.codes))})" for c in lacking)
@@ -167,15 +167,18 @@ def _about_codes(whole: Census, classes: Sequence[ClassDef]) -> list[str]:
     return [f"No echo is labelled {wanted}{instead}: check survey.classes and survey.reference."]
 
 
-def lacking(whole: Census, classes: Sequence[ClassDef], train: Sequence[Box]) -> list[str]:
+def lacking(
+    whole: Census, classes: Sequence[ClassDef], train: Sequence[Box], others: frozenset[int] = frozenset()
+) -> list[str]:
     """Why nothing can be learned from the labels, as sentences: classes and training areas without a labelled echo.
 
     Parameters
     ----------
     whole : `total` of the survey.
+    others : codes of classes that other rows teach. Where there are any, training areas may be without labels.
     """
-    without = [c for c, n in zip(classes, whole["train"], strict=True) if n == 0]
-    sentences = _about_codes(whole, classes) + _about_boxes(whole, train)
+    without = [c for c, n in zip(classes, whole["train"], strict=True) if n == 0 and c.code not in others]
+    sentences = _about_codes(whole, classes, others) + ([] if others else _about_boxes(whole, train))
     if without:
         has = ", ".join(f"{c.name} {n:,}" for c, n in zip(classes, whole["train"], strict=True) if n) or "none"
         named = ", ".join(f"{c.name!r}" for c in without)

@@ -86,7 +86,7 @@ def verdict(report: Mapping[str, Any]) -> list[str]:
         least = min(unsure, key=lambda c: c["confidence"])
         learned = "" if (report.get("model") or {}).get("path") else ", those that it learned from among them"
         share = percent(least["confidence"])
-        sentences.append(f"The model is least sure of {least['name']}: {share} % on average of all echoes{learned}.")
+        sentences.append(f"The model is least sure of {least['name']}: {share} % on average of its echoes{learned}.")
     return sentences
 
 
@@ -189,9 +189,10 @@ def reliability_rows(told: Mapping[str, Any] | None) -> dict[str, Any] | None:
         {"confidence": percent(c), "share": percent(s), "right": percent(r)} for c, s, r in told["steps"] if s >= SEEN
     ]
     mean, right, error = (percent(told[n]) for n in ("confidence", "right", "error"))
+    with_class = " that have a class" if told["without_class"] else ""
     text = (
-        f"The confidence of the test echoes is {mean} % on average, and {right} % of them are right; over steps of a "
-        f"tenth both differ by {error} % (expected calibration error)."
+        f"The confidence of the test echoes{with_class} is {mean} % on average, and {right} % of them are right; over "
+        f"steps of a tenth both differ by {error} % (expected calibration error)."
     )
     return {"text": text, "rows": rows}
 

@@ -37,7 +37,7 @@ def tile_facts(table: Table) -> dict[str, Any]:
 
     Returns
     -------
-    dict with ``points``; ``sure`` (sum of the confidence by code as text);
+    dict with ``points``; ``sure`` (echoes that have a confidence, and its sum, by code as text);
     ``bounds`` (xmin, ymin, zmin, xmax, ymax, zmax [m]); ``classes`` (echoes by code as text);
     ``confidence`` (its mean, None where no echo has one); ``times`` (first and last GPS time [s], None without any);
     ``figures`` (by name in the file: count, least, greatest, mean, standard deviation; without NaN).
@@ -57,11 +57,13 @@ def tile_facts(table: Table) -> dict[str, Any]:
     }
 
 
-def _sure(table: Table) -> dict[str, float]:
+def _sure(table: Table) -> dict[str, tuple[int, float]]:
     if "confidence" not in table:
         return {}
-    total = np.bincount(table["classification"], weights=np.nan_to_num(table["confidence"].astype(np.float64)))
-    return {str(code): float(total[code]) for code in np.unique(table["classification"]).tolist()}
+    sure = table["confidence"].astype(np.float64)
+    codes, sure = table["classification"][known := np.isfinite(sure)], sure[known]
+    count, total = np.bincount(codes, minlength=256), np.bincount(codes, weights=sure, minlength=256)
+    return {str(code): (int(count[code]), float(total[code])) for code in np.flatnonzero(count).tolist()}
 
 
 def _field(name: str) -> str:

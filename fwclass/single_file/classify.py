@@ -20,11 +20,11 @@ from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.graph.drift import drift
-from fwclass.graph.kept import check_left, class_remarks, kept_codes, known_codes, other_names, written
+from fwclass.graph.kept import check_left, check_written, class_remarks, kept_codes, known_codes, other_names, written
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
-from fwclass.model import ClassDef, Contextual, Layered, Model, TwoLayer
+from fwclass.model import Contextual, Layered, Model, TwoLayer
 from fwclass.model.ranges import RangeCounter
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
@@ -118,7 +118,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     check_output(job.source, job.output, job.overwrite)
     check_computed(model, conf.section("features", job.settings), job.model)
     notes = check_learned(model.card, {source.path.name: quantities_of(source)}, job.model)
-    codes = legal_codes(job, model, source)
+    codes = legal_codes(job, model, source, params.leave)
     asked = Asked.of(n for n in model.features if is_feature(n))
     echoes = _echoes(job, model, asked, tell)
     first = model.coarse if isinstance(model, Layered) else model
@@ -209,8 +209,9 @@ def _checked_source(job: ClassifyJob) -> LasSource:
     return source
 
 
-def legal_codes(job: ClassifyJob, model: Model, source: LasSource) -> NDArray[np.uint8]:
-    """What every class code is written as; `ConfigError` where the file's points cannot hold one."""
+def legal_codes(job: ClassifyJob, model: Model, source: LasSource, leave: int | None = None) -> NDArray[np.uint8]:
+    """What every class code is written as; `ConfigError` where the file's points cannot hold one, or two would be the
+    same, or that of echoes that are left (`leave`)."""
     table = np.arange(256, dtype=np.uint8)
     if source.point_format <= 5:
         for one in model.classes:
@@ -225,32 +226,13 @@ def legal_codes(job: ClassifyJob, model: Model, source: LasSource) -> NDArray[np
                 do="check the code",
             )
         table[code] = other
-    _check_merged(table, model)
+    written = {c.name: int(table[c.code]) for c in model.classes}
+    way = f"--legacy-code CODE=OTHER, for example {model.classes[-1].code}=20"
     beyond = [c for c in model.classes if table[c.code] > LEGACY_MAX]
-    if source.point_format <= 5 and beyond:
-        raise ConfigError(
-            f"class {beyond[0].name!r} has code {table[beyond[0].code]}, which point format {source.point_format} "
-            "cannot hold",
-            where=job.source,
-            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5",
-            do=f"--legacy-code {beyond[0].code}=CODE, for example {beyond[0].code}=1, or convert the file to LAS 1.4",
-        )
+    if beyond:
+        way = f"--legacy-code {beyond[0].code}=CODE, for example {beyond[0].code}=20"
+    check_written(written, leave, source.point_format <= 5, job.source, way)
     return table
-
-
-def _check_merged(table: NDArray[np.uint8], model: Model) -> None:
-    """`ConfigError` if two classes would be written as one code."""
-    first: dict[int, ClassDef] = {}
-    for one in model.classes:
-        other = first.setdefault(int(table[one.code]), one)
-        if other is not one:
-            raise ConfigError(
-                f"classes {other.name!r} and {one.name!r} would both be written as code {table[one.code]}",
-                where="--legacy-code",
-                expected="another code for every class",
-                got=", ".join(f"{c.name} {c.code} as {table[c.code]}" for c in (other, one)),
-                do="choose a code that no class of the model has",
-            )
 
 
 def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEchoes:

@@ -14,7 +14,7 @@ from typing import Any
 from fwclass.errors import ConfigError
 from fwclass.model import Model
 from fwclass.store.atomic import files_below, sync
-from fwclass.store.model_rows import ROWS, ModelRows, rows_fact, save_rows
+from fwclass.store.model_rows import ModelRows, rows_facts, save_rows
 from fwclass.store.models import CARD, load_model, save_model
 
 
@@ -64,7 +64,7 @@ def deliver(
         facts = {"measured": measured} if measured is not None else {}
         if rows is not None:
             save_rows(beside, rows)
-            facts |= {ROWS: rows_fact(rows.codes)}
+            facts |= rows_facts(rows)
         if facts:
             card = {**json.loads((beside / CARD).read_text(encoding="utf-8")), **facts}
             (beside / CARD).write_text(json.dumps(card, sort_keys=True, indent=1) + "\n", encoding="utf-8")

@@ -5,6 +5,7 @@ A model that decides in context keeps with them what its second layer has learne
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from fwclass.model import Contextual, Model
 from fwclass.store.atomic import digest_of, file_digest
 from fwclass.store.models import load_array, load_model, model_digest
 
-ROWS = "rows"
+ROWS, ROWS_DIGEST = "rows", "rows_digest"
 _VALUES, _CODES, _CONTEXT = "X", "codes", "context"
 _LAYOUT = {_VALUES: ("<f4", 2), _CODES: ("|u1", 1), _CONTEXT: ("|u1", 2)}
 
@@ -46,8 +47,16 @@ def save_rows(directory: Path, rows: ModelRows) -> None:
         np.save(place / f"{name}.npy", np.ascontiguousarray(array, _LAYOUT[name][0]), allow_pickle=False)
 
 
-def rows_fact(codes: NDArray[np.uint8]) -> Mapping[str, int]:
-    """How many rows of every class code a model keeps, for its card."""
+def rows_facts(rows: ModelRows) -> Mapping[str, Any]:
+    """How many rows of every class code a model keeps, and the SHA-256 of their values, for its card."""
+    sha = hashlib.sha256()
+    for name, array in ((_VALUES, rows.X), (_CODES, rows.codes), (_CONTEXT, rows.context)):
+        sha.update(f"{name} {array.shape}\n".encode())
+        sha.update(np.ascontiguousarray(array, _LAYOUT[name][0]).tobytes())
+    return {ROWS: _counts(rows.codes), ROWS_DIGEST: sha.hexdigest()}
+
+
+def _counts(codes: NDArray[np.uint8]) -> dict[str, int]:
     return {str(c): int(n) for c, n in zip(*np.unique(codes, return_counts=True), strict=True)}
 
 
@@ -56,7 +65,7 @@ def load_rows(directory: Path) -> tuple[Model, ModelRows]:
 
     Raises
     ------
-    InputError : it is no model, it keeps none, or they do not fit its card.
+    InputError : it is no model, it keeps none, or they do not fit its card (which may be without their digest).
     """
     model = load_model(directory)
     _require_rows(directory, model.card)
@@ -76,15 +85,29 @@ def load_rows(directory: Path) -> tuple[Model, ModelRows]:
     context = arrays.get(_CONTEXT, np.empty((len(codes), 0), np.uint8))
     features = len(model.deciding) if isinstance(model, Contextual) else len(model.features)
     fits = X.shape == (len(codes), len(model.features)) and context.shape == (len(codes), features - X.shape[1])
-    if not fits or np.isinf(X).any() or rows_fact(codes) != model.card[ROWS]:
+    rows = ModelRows(X, codes, context)
+    facts = rows_facts(rows)
+    wanted, has = "", ""
+    if not fits or facts[ROWS] != model.card[ROWS]:
+        wanted = f"{_listed(model.card[ROWS])} of {features} features"
+        has = f"{_listed(facts[ROWS])} of {X.shape[1]} features and {context.shape[1]} of context, {X.shape[0]} rows"
+    elif facts[ROWS_DIGEST] != model.card.get(ROWS_DIGEST, facts[ROWS_DIGEST]):
+        wanted, has = f"values of the digest that its card has, {model.card[ROWS_DIGEST]}", facts[ROWS_DIGEST]
+    elif np.isinf(X).any():
+        wanted, has = "finite values, or none (NaN)", "an infinite one"
+    if wanted:
         raise InputError(
             "the rows that a model keeps do not fit its card",
             where=directory / ROWS,
-            expected=f"{sum(model.card[ROWS].values())} rows of {features} features",
-            got=f"{X.shape[0]} rows of {X.shape[1]} features and {context.shape[1]} of context, {len(codes)} classes",
+            expected=wanted,
+            got=has,
             do="copy the whole model directory, or train it again",
         )
-    return model, ModelRows(X, codes, context)
+    return model, rows
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{n} rows of code {code}" for code, n in counts.items()) or "no row"
 
 
 def rows_digest(directory: Path) -> str:

@@ -125,6 +125,6 @@ def describe(card: dict[str, Any]) -> str:
     first, last = facts["rounds"][0], facts["rounds"][-1]
     return (
         f"after {len(facts['rounds']) - 1} rounds {100 * facts['changed']:.1f} % of the echoes looked at have another "
-        f"class; {100 * first['unsure']:.1f} % were unsure, {100 * last['unsure']:.1f} % are: a model that is surer is "
-        "not right more often for that"
+        f"class; {100 * first['unsure']:.1f} % of them were unsure to its first layer, "
+        f"{100 * last['unsure']:.1f} % are: a model that is surer is not right more often for that"
     )

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.classes import counterparts
 from fwclass.errors import InputError
 from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, class_index, sample_matrix
@@ -116,16 +117,21 @@ def draw(
 
 
 def kept_sample(
-    features: Sequence[str], X: NDArray[np.float32], codes: NDArray[np.uint8], classes: Sequence[ClassDef], seed: int
+    features: Sequence[str],
+    X: NDArray[np.float32],
+    codes: NDArray[np.uint8],
+    theirs: Sequence[ClassDef],
+    classes: Sequence[ClassDef],
+    seed: int,
 ) -> Sample:
-    """The rows that a model keeps, X (rows, features) and class codes (rows,), as a sample beside a survey's own: those
-    of `classes`, by keys that no echo has, at no place."""
-    y = np.full(256, len(classes), np.int64)
-    y[[one.code for one in classes]] = np.arange(len(classes))
-    rows = np.flatnonzero(y[codes] < len(classes))
+    """The rows that a model of classes `theirs` keeps, X (rows, features) and its codes (rows,), as a sample beside a
+    survey's own: those that mean one of `classes` (`counterparts`), by keys that no echo has, at no place."""
+    means = np.full(256, -1, np.int64)
+    means[[one.code for one in theirs]] = counterparts(theirs, classes)
+    rows = np.flatnonzero(means[codes] >= 0)
     key = rows.astype(np.uint64) + np.uint64(FIRST_BASE_KEY)
     none = np.zeros(len(classes), np.int64)
-    own, drawn = y[codes[rows]].astype(np.uint8), hash_keys(seed, key)
+    own, drawn = means[codes[rows]].astype(np.uint8), hash_keys(seed, key)
     return Sample(tuple(features), X[rows], own, key, drawn, none, none, np.zeros((len(rows), 2), np.int64))
 
 

@@ -71,7 +71,7 @@ def test_the_commands_say_it_and_end_with_4(tmp_path):
 # ------------------------------------------------------------------ left without a class
 
 KEYS = ["strip", "pulse", "echo_number"]
-LEAVE = ("--set", "classify.leave=1", "--set", "classify.unsure=1")
+LEAVE = ("--set", "classify.leave=1", "--set", "classify.leave_below=1")
 
 
 def echoes(root):
@@ -87,7 +87,7 @@ def test_unsure_echoes_are_left_and_nothing_else_changes(way, tmp_path):
     for name, settings in (("a", ()), ("b", LEAVE), ("c", (*LEAVE, "--set", "tile.size=40"))):
         ended = fwclass("run", survey, "--out", tmp_path / name, "--workers", 0, *words, *settings)
         assert ended.returncode == 0, ended.stderr
-        assert ("have no class but code 1: their confidence is below 1" in ended.stderr) == (name != "a")
+        assert ("got no class but code 1: their confidence is below 1" in ended.stderr) == (name != "a")
     a, b, c = (echoes(tmp_path / name) for name in "abc")
     unsure = a.confidence < 1 - 1e-6
     assert unsure.any() and (b.classification == a.classification.where(~unsure, 1)).all()
@@ -97,6 +97,53 @@ def test_unsure_echoes_are_left_and_nothing_else_changes(way, tmp_path):
     assert sum(report["accuracy"]["unclassified"]) > 0, "they are nobody's success"
     strip = laspy.read(tmp_path / "b/laz/strips/a.laz")
     assert np.bincount(strip.classification)[1] == unsure.sum()
+
+
+def test_how_many_are_left_has_a_bound_of_its_own(tmp_path):
+    """Who wants to look at more echoes does not judge the model by them: 0.6 is what the bound was measured with."""
+    strict = PARAMS.model_copy(update={"leave": 1, "leave_below": 0.9})
+    counts = np.zeros(101, np.int64)
+    counts[[40, 80, 99]] = 50, 300, 650
+    told = unsure_facts(counts, strict, given=True)
+    assert (told["share"], told["left"]) == (0.05, 0.35) and len(told["remarks"]) == 1
+    judge_unsure(told, strict, "m")
+
+
+OLD = """
+survey: {name: old, directory: ., sources: [a.las], crs: "EPSG:25832", reference: {kind: source}, features: [intensity],
+  classes: [{name: ground, code: 2}, {name: plants, code: 64, codes: [5], legacy_code: 20}]}
+areas: {train: [[500000, 5400000, 500020, 5400040]], gap: 0}
+"""
+
+
+@pytest.mark.parametrize(
+    ("leave", "said"),
+    [
+        (20, "plants and unsure echoes (classify.leave) would both be written as code 20"),
+        (64, "unsure echoes would get the code of a class"),
+        (40, "unsure echoes (classify.leave) 40"),
+        ("true", "a whole number is wanted"),
+    ],
+)
+def test_unsure_echoes_never_share_a_code_in_old_points(leave, said, tmp_path):
+    small_survey(tmp_path)
+    las = laspy.convert(laspy.read(tmp_path / "a.las"), point_format_id=3)
+    las.write(tmp_path / "a.las")
+    (tmp_path / "old.yaml").write_text(OLD)
+    for command in ("run", "plan"):
+        ended = fwclass(command, tmp_path / "old.yaml", "--out", tmp_path / "r", "--set", f"classify.leave={leave}")
+        assert ended.returncode == 2 and said in ended.stderr, ended.stderr
+        assert not list(tmp_path.glob("r/store/*/*/receipt.json"))
+
+
+def test_a_file_of_old_points_is_refused_alike(tmp_path):
+    survey = small_survey(tmp_path)
+    words = ("--model", tmp_path / "m", "--no-assess", "--out", tmp_path / "t", "--workers", 0)
+    assert fwclass("train", survey, *words).returncode == 0
+    words = ("classify", tmp_path / "a.las", tmp_path / "o.las", "--model", tmp_path / "m", "--legacy-code", "5=1")
+    ended = fwclass(*words, "--set", "classify.leave=1")
+    assert ended.returncode == 2 and "bush and unsure echoes (classify.leave) would both" in ended.stderr
+    assert not (tmp_path / "o.las").exists()
 
 
 def test_a_code_that_is_a_class_is_refused(tmp_path):

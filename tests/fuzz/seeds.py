@@ -236,19 +236,20 @@ def model_seeds(folder: Path) -> list[Seed]:
     """A model of every kind that keeps rows, without its digest: a stranger can make one that fits."""
     from modelmaker import models
 
-    from fwclass.store.model_rows import ROWS, ModelRows, rows_fact, save_rows
+    from fwclass.store.model_rows import ROWS, ModelRows, rows_facts, save_rows
     from fwclass.store.models import save_model
 
     made = []
     for kind, model in models().items():
         own = folder / kind
         codes = np.repeat(model.codes, 3).astype(np.uint8)
-        save_model(
-            own / "m",
-            type(model)(**{n: getattr(model, n) for n in model.layout}, card={**model.card, ROWS: rows_fact(codes)}),
-        )
         values, none = np.ones((len(codes), len(model.features)), np.float32), np.empty((len(codes), 0), np.uint8)
-        save_rows(own / "m", ModelRows(values, codes, none))
+        kept = ModelRows(values, codes, none)
+        counts = rows_facts(kept)[ROWS]
+        save_model(
+            own / "m", type(model)(**{n: getattr(model, n) for n in model.layout}, card={**model.card, ROWS: counts})
+        )
+        save_rows(own / "m", kept)
         fields = [(f"m/{n}.npy", at, w) for n in model.layout for at in range(0, 12, 2) for w in (1, 2)]
         fields += [(f"m/{n}.npy", 128 + at, 4) for n in model.layout for at in range(0, 24, 4)]
         rows = [f"m/{ROWS}/{n}.npy" for n in ("X", "codes")]

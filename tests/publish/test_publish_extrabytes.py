@@ -132,7 +132,7 @@ def test_a_column_without_any_value_has_no_extremes() -> None:
     assert (extra.low, extra.high, extra.beyond) == (None, None, 0)
     assert descriptor(extra)[3] == 1 | 8
     empty = Table.empty(["reflectance", "confidence", "radiometry_flags"])
-    assert [descriptor(e)[3] for e in extra_bytes(published_columns(empty), empty)] == [1 | 8, 8, 0]
+    assert [descriptor(e)[3] for e in extra_bytes(published_columns(empty), empty)] == [1 | 8, 1 | 8, 0]
 
 
 def test_every_published_column_can_be_stored() -> None:

@@ -86,6 +86,7 @@ def full(survey: str = "city") -> dict[str, Any]:
             "right": 0.93,
             "error": 0.025,
             "steps": [[0.55, 0.1, 0.6], [0.97, 0.9, 0.97]],
+            "without_class": 0,
         },
         "waves": [
             {

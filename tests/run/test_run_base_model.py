@@ -192,6 +192,42 @@ def test_the_context_of_a_base_model_may_be_left_out_or_be_another(contextual, t
     assert "features" not in ended.stderr.split("do not suffice")[0], "before anything dear is computed"
 
 
+RENAMED = "survey.classes=[{name: Boden, code: 20, codes: [2]}, {name: Busch, code: 5, codes: [1, 5]}]"
+
+
+def test_rows_are_matched_by_what_codes_mean(contextual, tmp_path):
+    """The same model, whatever the classes are called and written as."""
+    roots = {}
+    for name, settings in (("own", ()), ("renamed", (RENAMED,))):
+        shutil.copytree(contextual[1] / "labels", tmp_path / name / "labels")
+        ended = learn(contextual, tmp_path / name, *settings)
+        assert ended.returncode == 0, ended.stderr
+        roots[name] = tmp_path / name
+        said = "note: the base model's rows are learned by the codes that they count: ground (2) as Boden (20), bush"
+        assert (said in ended.stderr) == (name == "renamed")
+    for part in (("base-rows", "all"), ("context-training", "all")):
+        own, renamed = sample(roots["own"], part), sample(roots["renamed"], part)
+        assert all((own[n] == renamed[n]).all() for n in ("y", "key")) and np.array_equal(
+            own["X"], renamed["X"], equal_nan=True
+        )
+    keys = ["strip", "pulse", "echo_number", "classification", "confidence"]
+    a, b = (package.open(r).echoes(columns=keys).to_pandas().sort_values(keys[:3]) for r in roots.values())
+    assert (np.where(a.classification == 2, 20, a.classification) == b.classification.to_numpy()).all()
+    assert (a.confidence.to_numpy() == b.confidence.to_numpy()).all()
+    assert any("Boden (20)" in n for n in package.open(roots["renamed"]).report["training"]["notes"])
+
+
+def test_a_class_that_is_several_here_teaches_nothing_and_is_told(contextual, tmp_path):
+    shutil.copytree(contextual[1] / "labels", tmp_path / "run" / "labels")
+    several = "survey.classes=[{name: a, code: 2, codes: [2]}, {name: b, code: 5, codes: [4]}, {name: c, code: 6}]"
+    ended = learn(contextual, tmp_path / "run", several)
+    assert ended.returncode == 2 and "No labelled echo of 'c'" in ended.stderr, ended.stderr
+    assert "the base model has no rows of c (6): learned from this survey's labels alone" in ended.stderr
+    assert "decides in context, but its classes are others: this run does without" in ended.stderr
+    assert "correct or confirm echoes of it" in ended.stderr, "labels are by hand"
+    assert "features" not in ended.stderr.split("do not suffice")[0], "before anything dear is computed"
+
+
 def test_what_compares_on_labels_alone_refuses_a_base_model(made, tmp_path):
     words = ("--set", f"survey.base_model={made[2]}", "--set", "survey.classes=[]")
     for command in (("train", made[0], "--compare", "forest,boosting"), ("select", made[0], "--method", "rffs")):
@@ -249,6 +285,8 @@ def damage(model, how):
         X = np.load(rows / "X.npy")
         X[3] = np.inf
         np.save(rows / "X.npy", X)
+    elif how == "reversed":
+        np.save(rows / "X.npy", np.load(rows / "X.npy")[::-1])
     elif how == "objects":
         np.save(rows / "codes.npy", np.array([{}] * 600, object), allow_pickle=True)
 
@@ -264,7 +302,7 @@ def test_rows_of_a_model_in_context_have_theirs(contextual, tmp_path):
         assert ("are not there" if how == "gone" else "do not fit its card") in ended.stderr, ended.stderr
 
 
-@pytest.mark.parametrize("how", ["none", "gone", "cut", "others", "infinite", "objects"])
+@pytest.mark.parametrize("how", ["none", "gone", "cut", "others", "infinite", "reversed", "objects"])
 def test_rows_that_are_not_whole_are_refused(how, made, model, tmp_path):
     damage(model, how)
     shutil.copytree(made[1] / "labels", tmp_path / "run" / "labels")

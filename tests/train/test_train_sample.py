@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from fwclass.classes import SEVERAL, counterparts, one_to_one
 from fwclass.classify.stage import votes
 from fwclass.errors import ConfigError, InputError
 from fwclass.model import ClassDef, class_index, code_index
@@ -209,6 +210,17 @@ def test_classes_by_their_reference_codes():
 def test_a_predicted_code_means_its_class_before_it_means_a_reference_code():
     classes = (ClassDef("low", 5, (3,)), ClassDef("high", 6, (5, 6)))
     np.testing.assert_array_equal(code_index(np.array([5, 6, 3, 0], np.uint8), classes), [0, 1, 0, -1])
+
+
+def test_classes_of_two_lists_are_the_same_by_their_codes_whatever_they_are_called():
+    theirs = (ClassDef("ground", 2, (2, 11)), ClassDef("plants", 5, (3, 4, 5)), ClassDef("roof", 6, (6,)))
+    ours = (ClassDef("Dach", 6, (6, 26)), ClassDef("Boden", 20, (2,)), ClassDef("Busch", 5, (1,)))
+    assert counterparts(theirs, ours).tolist() == [1, 2, 0] and one_to_one(theirs, ours)
+    finer = (ClassDef("low", 3, (3,)), ClassDef("tall", 5, (4, 5)), ClassDef("water", 9, (9,)))
+    assert counterparts(theirs, finer).tolist() == [-1, SEVERAL, -1] and not one_to_one(theirs, finer)
+    coarser = (ClassDef("bare", 2, (2, 6)), ClassDef("plants", 5, (5,)))
+    assert counterparts(theirs, coarser).tolist() == [0, 1, 0] and not one_to_one(theirs, coarser)
+    assert counterparts(coarser, theirs).tolist() == [SEVERAL, 1]
 
 
 def test_many_of_one_class_and_few_of_another_are_told():
