@@ -12,6 +12,7 @@ from commandline import fwclass
 from modelmaker import models
 from smallsurvey import small_survey
 
+import fwclass as package
 from fwclass.store.installed_models import installed_models, model_place
 from fwclass.store.models import load_model, save_model
 
@@ -49,6 +50,9 @@ def test_every_source_is_judged_by_a_model_of_the_others(place: Path) -> None:
     assert ended.returncode in (0, 4), ended.stderr
     same = json.loads((place / "alone" / "report.json").read_text())["accuracy"]
     assert same["confusion"] == told["left_out"][0]["confusion"], "as a run that trains on the others says"
+    answers = package.open(place / "alone").echoes(columns=["x", "confidence"]).to_pandas()
+    unsure = (answers.confidence[answers.x < 500_020] < 0.6 - 1e-6).mean()
+    assert abs(told["left_out"][0]["unsure"] - unsure) < 1e-12
 
 
 def test_a_model_is_used_by_its_name(place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -57,11 +61,16 @@ def test_a_model_is_used_by_its_name(place: Path, monkeypatch: pytest.MonkeyPatc
     (tmp_path / "more" / "town" / "card.json").write_text("{}")
     listed = fwclass("models")
     assert listed.returncode == 0 and "p1.las" in listed.stdout and "% right" in listed.stdout
+    assert listed.stdout.count("by all others, unsure of") == 3
     by_name = fwclass("classify", place / "p0.las", tmp_path / "a.laz", "--model", "town", "--accept-drift")
     by_path = fwclass(
         "classify", place / "p0.las", tmp_path / "b.laz", "--model", place / "shelf" / "town", "--accept-drift"
     )
     assert by_name.returncode == by_path.returncode == 0, by_name.stderr
+    assert "on what it had not seen it was unsure of" in by_name.stderr and "% on p2.las" in by_name.stderr
+    run = ("run", place / "s.yaml", "--out", tmp_path / "r", "--workers", "0", "--set", "survey.classes=[]")
+    ended = fwclass(*run, "--set", "areas.train=[]", "--set", "survey.model=town", "--accept-drift")
+    assert ended.returncode == 0 and "% on p2.las" in ended.stderr, ended.stderr
     assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
     planned = fwclass("plan", place / "s.yaml", "--out", tmp_path / "plan", "--set", "survey.model=town")
     assert planned.returncode == 0, planned.stderr

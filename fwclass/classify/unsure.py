@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,10 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.classify.params import ClassifyParams
-from fwclass.errors import QualityError
+from fwclass.errors import QualityError, first_few, visible
 from fwclass.schema import Table
 
 PERCENT = 101
+
+MEASURED_BELOW = 0.6
+"""Confidence below which echoes are counted as unsure in a model's card, as `classify.unsure` is by default."""
+
+SHOWN = 5
+"""Sources that are named."""
 
 SAID_FROM = 0.055
 """Share from which it is said: below it models that had left home had 92 to 98 % right, above it 73 to 96 %
@@ -53,14 +60,22 @@ def by_percent(confidence: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.bincount(percent_of(confidence[known]), minlength=PERCENT).astype(np.int64)
 
 
-def unsure_facts(counts: NDArray[np.int64], params: ClassifyParams, given: bool) -> dict[str, Any] | None:
+def share_below(automation: Sequence[Sequence[float]], bound: float) -> float:
+    """Share of the test echoes with a confidence below `bound`, by the curve that ``assess`` keeps: (confidence, share
+    that is as sure or surer, …), by ascending confidence."""
+    return 1.0 - next((share for least, share, _ in automation if least >= bound - 1e-9), 0.0)
+
+
+def unsure_facts(
+    counts: NDArray[np.int64], params: ClassifyParams, given: Mapping[str, Any] | None
+) -> dict[str, Any] | None:
     """``share`` of the classified echoes with a confidence ``below`` that of `params`, ``left``, the share that got no
     class, and ``remarks``; None for none.
 
     Parameters
     ----------
     counts : int64 (101,), `by_percent` of all echoes.
-    given : the model was not trained in this run; of one that was, the test areas tell more.
+    given : the card of a model that was not trained in this run; None: of one that was, the test areas tell more.
     """
     total = int(counts.sum())
     if not total:
@@ -73,14 +88,29 @@ def unsure_facts(counts: NDArray[np.int64], params: ClassifyParams, given: bool)
             f"{100 * left:.1f} % of the classified echoes got no class but code {params.leave}: their confidence is "
             f"below {params.leave_below:g} (classify.leave_below)"
         )
-    if given and share > SAID_FROM:
+    before = _as_a_stranger(given) if given is not None and params.unsure == MEASURED_BELOW else ""
+    if given is not None and (before or share > SAID_FROM):
+        many = (
+            f". Where models that left home were unsure of more than {100 * SAID_FROM:g} %, 4 to 27 % of the classes "
+            "were wrong: look at the least sure places (`fwclass view`), and label some (`fwclass suggest`)"
+        )
         remarks.append(
             f"the model is unsure of {100 * share:.1f} % of the classified echoes (confidence below "
-            f"{params.unsure:g}): where models that left home were unsure of more than {100 * SAID_FROM:g} %, 4 to "
-            "27 % of the classes were wrong: look at the least sure places (`fwclass view`), and label some "
-            "(`fwclass suggest`)"
+            f"{params.unsure:g}){before}{many if share > SAID_FROM else ''}"
         )
-    return {"share": share, "below": params.unsure, "left": left, "given": given, "remarks": remarks}
+    return {"share": share, "below": params.unsure, "left": left, "given": given is not None, "remarks": remarks}
+
+
+def _as_a_stranger(card: Mapping[str, Any]) -> str:
+    """What the model's card tells of surveys that a model of the others had not seen: how unsure, how often right."""
+    measured = card.get("measured")
+    judged = measured.get("left_out") if isinstance(measured, Mapping) else None
+    try:
+        rows = sorted((float(o["unsure"]), float(o["overall_accuracy"]), str(o["source"])) for o in judged or ())
+    except (KeyError, TypeError, ValueError):
+        return ""
+    each = [f"{100 * share:.1f} % on {visible(name)} ({100 * right:.1f} % right)" for share, right, name in rows]
+    return f"; on what it had not seen it was unsure of {first_few(each, SHOWN)}" if each else ""
 
 
 def judge_unsure(facts: dict[str, Any] | None, params: ClassifyParams, where: object) -> None:

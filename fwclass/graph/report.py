@@ -49,10 +49,12 @@ def write_report(
     layout: Layout,
     names: tuple[str, ...],
     graph: Sequence[Mapping[str, Any]],
+    card: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Gather the figures from receipts, write `report.json` and `report.html`, return the dict.
 
-    `graph`: name, kind of part and sources of every stage, as `stages.graph_of` gives them.
+    `graph`: name, kind of part and sources of every stage, as `stages.graph_of` gives them; `card` that of the model
+    that was given, None where one was trained.
 
     Both are written beside, to be published with the rest. Where this run made nothing new, the report of the run that
     did is left as it is.
@@ -76,7 +78,7 @@ def write_report(
     if accuracy is not None:
         accuracy["remarks"] = on_accuracy
     drifted, plausible = drift_of_run(runner), plausibility_of_run(runner, survey, config)
-    unsure = unsure_of_run(tiles, config) if classified else None
+    unsure = unsure_of_run(tiles, config, card) if classified else None
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,

@@ -64,10 +64,9 @@ def _date(seconds: float) -> str:
     return (GPS_EPOCH + timedelta(seconds=seconds + ADJUSTED - LEAP_SECONDS)).strftime("%Y-%m-%d")
 
 
-def unsure_of_run(tiles: Sequence[Receipt], config: Config) -> dict[str, Any] | None:
+def unsure_of_run(tiles: Sequence[Receipt], config: Config, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """How much the model is unsure of (`unsure_facts`); None where nothing was classified."""
     counts = [np.array(r.meta["percent"], np.int64) for r in tiles if r.meta["percent"]]
-    given = config.survey.model is not None
     return unsure_facts(np.sum(counts, axis=0), config.classify, given) if counts else None
 
 

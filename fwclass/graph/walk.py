@@ -238,7 +238,8 @@ def until_report(
         tasks = tasks_of(plan, [stage for stage in stages if stage not in first])
     runner.do(tasks)
     runner.finish(whole=keys is None)
-    return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph))
+    card = load_model(local(plan.model[0])).card if plan.model else None
+    return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph, card))
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:

@@ -144,7 +144,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     by_code = dict(zip(*(n.tolist() for n in np.unique(own, return_counts=True)), strict=True))
     stay = kept_codes(by_code, kept)
     sure = answered["confidence"][np.isfinite(answered["confidence"])]
-    unsure = unsure_facts(by_percent(answered["confidence"]), params, given=True)
+    unsure = unsure_facts(by_percent(answered["confidence"]), params, model.card)
     return {
         "input": str(job.source),
         "output": str(job.output),

@@ -19,7 +19,8 @@ def leave_out(config: Config, runner: Runner) -> list[dict[str, Any]]:
     """For each of ``survey.sources`` what a model of all others has right there; plain data.
 
     `source` is the file or pattern, ``overall_accuracy``, ``kappa`` and ``mean_iou`` as in `figures`, ``echoes`` how
-    many were judged, ``confusion`` the matrix. Features are computed once: only what trains and tests differs.
+    many were judged, ``confusion`` the matrix, ``unsure`` the share of them with a confidence below 0.6. Features are
+    computed once: only what trains and tests differs.
 
     Raises
     ------
@@ -41,12 +42,12 @@ def leave_out(config: Config, runner: Runner) -> list[dict[str, Any]]:
         areas = config.areas.model_copy(update={"train": (), "test": (), "gap": 0.0, **by})
         runner.display.say(f"without {source}")
         try:
-            accuracy = training(with_areas(replace(config, areas=areas)), runner, assess=True)["accuracy"]
+            result = training(with_areas(replace(config, areas=areas)), runner, assess=True)
         except InputError as fault:
             runner.display.say(f"note: {fault.what}: {source} tells nothing")
-            accuracy = None
-        if accuracy:
-            judged = sum(map(sum, accuracy["confusion"]))
-            figures = {n: accuracy[n] for n in FIGURES}
-            results.append({"source": source, **figures, "echoes": judged, "confusion": accuracy["confusion"]})
+            continue
+        if accuracy := result["accuracy"]:
+            matrix = accuracy["confusion"]
+            facts = {"source": source, "echoes": sum(map(sum, matrix)), "confusion": matrix, "unsure": result["unsure"]}
+            results.append(facts | {n: accuracy[n] for n in FIGURES})
     return results

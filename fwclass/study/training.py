@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.context import context_from
+from fwclass.classify.unsure import MEASURED_BELOW, share_below
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.accuracy_remarks import accuracy_remarks
@@ -42,9 +43,10 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     """Train the model of `config` on `runner`, and with `assess` judge it on the test areas; plain data.
 
     ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged, and then
-    ``cross_validation`` what `cross_validate` gives of a forest; ``ambiguous`` how
-    many echoes of the tiles that were looked at lie in polygons of different classes; ``remarks`` what is to be said
-    beside the accuracy, or why there is none. The parts are those of
+    ``cross_validation`` what `cross_validate` gives of a forest; ``ambiguous`` how many echoes of the tiles that were
+    looked at lie in polygons of different classes; ``unsure`` the share of the test echoes with a confidence below
+    `MEASURED_BELOW`, None where nothing was judged; ``remarks`` what is to be said beside the accuracy, or why there is
+    none. The parts are those of
     `classification`: a run in the same directory takes them over.
     """
     _check_labelled(config)
@@ -54,7 +56,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
     plain: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
-    plain |= {"ambiguous": 0, "remarks": [], "cross_validation": None}
+    plain |= {"ambiguous": 0, "remarks": [], "cross_validation": None, "unsure": None}
     if assess:
         names, layout = config.features_asked, tested_layout(plan.layout)
         tasks += tasks_of(plan, CLASSIFYING) + tasks_of(replace(plan, tiled=layout), JUDGING)
@@ -63,6 +65,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
         accuracy = judged.meta["accuracy"] if judged else None
         sentences = accuracy_remarks(accuracy, config, names, plan.layout.echoes) if accuracy else [NOTHING_TESTED]
         plain |= {"accuracy": accuracy, "remarks": sentences}
+        plain |= {"unsure": share_below(judged.meta["automation"], MEASURED_BELOW) if judged and accuracy else None}
     if plain["accuracy"] is None and plan.base is not None:
         plain["remarks"] += [OF_A_BASE]
     elif (

@@ -66,6 +66,7 @@ def left_out_lines(judged: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
         f"{one['source']}: {100 * one['overall_accuracy']:.1f} % right, kappa {one['kappa'] or 0:.3f}, "
         f"mean IoU {100 * one['mean_iou']:.1f} % of {one['echoes']:,} echoes, by all others"
+        + (f", unsure of {100 * unsure:.1f} %" if (unsure := one.get("unsure")) is not None else "")
         for one in judged
     ]
 

@@ -100,7 +100,7 @@ def judged(model: object, survey: Survey) -> NDArray[np.float64]:
     rows = np.flatnonzero(known)[::EVERY]
     table = classify(sample_matrix(survey.features.take(rows), model.features), model)
     answers = table["classification"]
-    unsure = unsure_facts(by_percent(table["confidence"]), conf.section("classify", ()), given=True)
+    unsure = unsure_facts(by_percent(table["confidence"]), conf.section("classify", ()), given={})
     matrix = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
     of = {code: k for k, c in enumerate(CLASSES) for code in c.codes}
     truth = np.array([of[int(code)] for code in survey.reference[rows]])

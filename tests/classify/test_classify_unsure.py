@@ -12,13 +12,16 @@ from smallsurvey import small_survey
 
 import fwclass as package
 from fwclass import conf
-from fwclass.classify.unsure import SAID_FROM, by_percent, judge_unsure, unsure_facts
+from fwclass.classify.unsure import SAID_FROM, by_percent, judge_unsure, share_below, unsure_facts
 from fwclass.errors import QualityError
+from fwclass.graph.assess import automation
 
 PARAMS = conf.section("classify", ())
+CARD: dict = {}
+"""Of a given model, of which nothing is known elsewhere."""
 
 
-def facts(unsure, of=1000, given=True):
+def facts(unsure, of=1000, given=CARD):
     counts = np.zeros(101, np.int64)
     counts[40], counts[99] = unsure, of - unsure
     return unsure_facts(counts, PARAMS, given)
@@ -30,9 +33,9 @@ def test_parts_add_up_and_the_bound_itself_is_sure():
     parts = np.array_split(confidence, 13)
     assert (np.sum([by_percent(p) for p in parts], axis=0) == by_percent(confidence)).all()
     known = confidence[np.isfinite(confidence)]
-    share = unsure_facts(by_percent(confidence), PARAMS, True)["share"]
+    share = unsure_facts(by_percent(confidence), PARAMS, CARD)["share"]
     assert share == (np.rint(known.astype(float) * 300) < 180).mean()
-    assert unsure_facts(by_percent(np.full(3, np.nan, np.float32)), PARAMS, True) is None
+    assert unsure_facts(by_percent(np.full(3, np.nan, np.float32)), PARAMS, CARD) is None
 
 
 def test_it_is_said_and_judged_of_given_models_alone():
@@ -43,9 +46,34 @@ def test_it_is_said_and_judged_of_given_models_alone():
         judge_unsure(facts(many), PARAMS, "m")
     assert "9.1 %" in str(fault.value) and "suggest" in str(fault.value)
     judge_unsure(facts(many), PARAMS.model_copy(update={"accept_drift": True}), "m")
-    judge_unsure(facts(many, given=False), PARAMS, "m")
-    assert not facts(many, given=False)["remarks"]
+    judge_unsure(facts(many, given=None), PARAMS, "m")
+    assert not facts(many, given=None)["remarks"]
     judge_unsure(None, PARAMS, "m")
+
+
+def judged(unsure, right, source):
+    return {"unsure": unsure, "overall_accuracy": right, "source": source}
+
+
+def test_what_the_card_knows_of_other_surveys_stands_beside_it():
+    card = {"measured": {"left_out": [judged(0.071, 0.911, "town_*.laz"), judged(0.02, 0.96, "hills.laz")]}}
+    (remark,) = facts(10, given=card)["remarks"]
+    assert "unsure of 1.0 %" in remark and "2.0 % on hills.laz (96.0 % right), 7.1 % on town_*.laz" in remark
+    assert "4 to 27 %" not in remark and "4 to 27 %" in facts(80, given=card)["remarks"][0]
+    for odd in ({"measured": 3}, {"measured": {"left_out": 7}}, {"measured": {"left_out": [{"source": "a"}]}}):
+        assert not facts(10, given=odd)["remarks"]
+    other = PARAMS.model_copy(update={"unsure": 0.5})
+    assert not unsure_facts(by_percent(np.array([0.4] + 99 * [0.9], np.float32)), other, card)["remarks"]
+
+
+def test_the_share_that_is_unsure_by_the_curve_that_is_kept():
+    rng = np.random.default_rng(5)
+    percent = rng.integers(30, 101, 500)
+    counts = np.zeros((3, 101), np.int64)
+    np.add.at(counts[1], percent, 1)
+    for bound in (0.29, 0.6, 1.0):
+        assert abs(share_below(automation(counts), bound) - (percent < round(100 * bound)).mean()) < 1e-12
+    assert share_below([], 0.6) == 1.0
 
 
 def test_the_commands_say_it_and_end_with_4(tmp_path):
@@ -104,7 +132,7 @@ def test_how_many_are_left_has_a_bound_of_its_own(tmp_path):
     strict = PARAMS.model_copy(update={"leave": 1, "leave_below": 0.9})
     counts = np.zeros(101, np.int64)
     counts[[40, 80, 99]] = 50, 300, 650
-    told = unsure_facts(counts, strict, given=True)
+    told = unsure_facts(counts, strict, given=CARD)
     assert (told["share"], told["left"]) == (0.05, 0.35) and len(told["remarks"]) == 1
     judge_unsure(told, strict, "m")
 
