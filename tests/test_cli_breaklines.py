@@ -53,6 +53,23 @@ def dtm(run: Path) -> np.ndarray:
         return file.read(1)[::-1]
 
 
+@pytest.mark.parametrize(("lift", "side"), [(0.0, ""), (47.6, "above"), (-2.5, "below")])
+def test_heights_of_another_kind_are_told(survey: Path, tmp_path: Path, lift: float, side: str) -> None:
+    """Along both edges of the gap, where echoes of the terraces lie within 3 m."""
+    edges = [[(X + at, y, z + lift) for y in (Y - 5.0, Y + 45.0)] for at, z in ((35.5, 200.0), (44.5, 203.0))]
+    gpkg(tmp_path / "edges.gpkg", "LineString Z", *map(wkb, edges))
+    words = ("--set", f"breaklines.file={tmp_path / 'edges.gpkg'}", "--out", tmp_path / "r")
+    ended = fwclass("run", survey, *WORDS, *words)
+    assert ended.returncode == 0, ended.stderr
+    said = f"breaklines lie more than 1 m {side} the ground echoes beside them at "
+    assert (said in ended.stderr) == bool(side) and ("of one kind" in ended.stderr) == bool(side)
+
+
+def test_a_wall_is_no_fault_of_heights(survey: Path, tmp_path: Path) -> None:
+    words = ("--set", "breaklines.file=wall.gpkg", "--out", tmp_path / "r")
+    assert "of one kind" not in fwclass("run", survey, *WORDS, *words).stderr
+
+
 @pytest.mark.slow
 def test_the_terrain_passes_through_breaklines_whatever_the_tiles(survey: Path) -> None:
     made = {}

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS
+from scipy.spatial import cKDTree
 
 from fwclass.graph.shape_files import read_as, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -16,6 +21,14 @@ from fwclass.water.along import knots_along
 
 BREAKLINES = "breaklines"
 FILE = "knots"
+
+BESIDE = 3.0
+"""m, in plan: further away a slope alone makes a metre."""
+
+OFF = 1.0
+"""m; a wall has echoes of its foot and of its crest beside it, so that half of the places may be off."""
+
+Floats = NDArray[np.float64]
 
 
 def read_breaklines(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Result:
@@ -36,6 +49,32 @@ def breaklines_in(here: StageInputs, box: Box) -> list[Points]:
     arrays = here.inputs.arrays(BREAKLINES, "all", FILE)[0]
     rows = np.flatnonzero(box.contains(arrays["x"], arrays["y"]))
     return [(arrays["x"][rows], arrays["y"][rows], arrays["z"][rows])]
+
+
+def beside_ground(knots: Sequence[Points], x: Floats, y: Floats, z: Floats) -> dict[str, int]:
+    """How many places of breaklines have a ground echo (x, y, z) within `BESIDE`, and how many of these lie more than
+    `OFF` above or below the nearest."""
+    if not knots or not len(x):
+        return {"compared": 0, "above": 0, "below": 0}
+    kx, ky, kz = (np.concatenate(v) for v in zip(*knots, strict=True))
+    distance, nearest = cKDTree(np.c_[x, y]).query(np.c_[kx, ky], distance_upper_bound=BESIDE)
+    near = np.isfinite(distance)
+    dz = kz[near] - z[np.asarray(nearest)[near]]
+    return {"compared": int(near.sum()), "above": int((dz > OFF).sum()), "below": int((dz < -OFF).sum())}
+
+
+def breakline_remarks(blocks: Iterable[Mapping[str, int]]) -> list[str]:
+    """That most places of breaklines lie beside the terrain: then their heights are of another kind."""
+    total: Counter[str] = Counter()
+    for counts in blocks:
+        total.update(counts)
+    return [
+        f"breaklines lie more than {OFF:g} m {side} the ground echoes beside them at {total[side]:,} of "
+        f"{total['compared']:,} places, and the terrain follows them: are both heights of one kind (geoid or "
+        "ellipsoid, metres)?"
+        for side in ("above", "below")
+        if total[side] > total["compared"] / 2
+    ]
 
 
 def _is_wanted(plan: Plan) -> bool:

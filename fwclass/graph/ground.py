@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import StoreError
-from fwclass.graph.breaklines import BREAKLINES, breaklines_in, breaklines_needed
+from fwclass.graph.breaklines import BREAKLINES, beside_ground, breaklines_in, breaklines_needed
 from fwclass.graph.ground_auto import AUTO, adapts, halo_of, parameters_at, parts_for, settled, square_edge, squares
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic, write_rasters
@@ -136,6 +136,7 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
         stored["dtm"] = np.where(np.isnan(flat), stored["dtm"], flat).astype(np.float32)
         stored["mask"] = np.where(np.isnan(flat), stored["mask"], np.uint8(FLATTENED))
     write_rasters(here.directory, stored, core)
+    lines = breaklines_in(here, here.tile.box)
     heights = Table({"height_above_ground": height[: len(around.own)]})
     return heights, {
         **around.facts(heights),
@@ -143,6 +144,7 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
         "beyond": int((rasters.support == 2).sum()),
         "without_terrain": int(np.isnan(heights["height_above_ground"]).sum()),
         **({"stacked": sum(table.rows for table in more)} if more else {}),
+        **({"breaklines": beside_ground(lines, *(t[n][ground] for n in "xyz"))} if lines else {}),
     }
 
 

@@ -242,7 +242,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    2,
+    3,
     "survey",
     "cell",
     deliver_quality,

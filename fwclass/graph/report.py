@@ -11,6 +11,7 @@ from fwclass.conf import Config
 from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.layout import Layout, Survey
+from fwclass.graph.repeated import repeated_facts
 from fwclass.graph.report_accuracy import (
     class_accuracy,
     drift_of_run,
@@ -37,7 +38,7 @@ from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.directory import link
-from fwclass.tile.stage import SPLIT
+from fwclass.tile.stage import SPLIT, TILE
 
 REPORT, PAGE = "report.json", "report.html"
 
@@ -78,6 +79,7 @@ def write_report(
     if accuracy is not None:
         accuracy["remarks"] = on_accuracy
     drifted, plausible = drift_of_run(runner), plausibility_of_run(runner, survey, config)
+    repeated = repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips)
     unsure = unsure_of_run(tiles, config, card) if classified else None
     report = {
         "survey": config.survey.name,
@@ -117,8 +119,10 @@ def write_report(
         "drift": drifted,
         "unsure": unsure,
         "plausibility": plausible,
+        "repeated": repeated,
         "remarks": [
             *on_accuracy,
+            *(repeated or {}).get("remarks", ()),
             *(plausible or {}).get("remarks", ()),
             *(drifted or {}).get("remarks", ()),
             *(unsure or {}).get("remarks", ()),

@@ -9,11 +9,13 @@ from fwclass.conf import Config
 from fwclass.errors import first_few, visible
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
+from fwclass.graph.breaklines import breakline_remarks
 from fwclass.graph.contours import DELIVER_CONTOURS
 from fwclass.graph.report_facts import receipts_of_run
 from fwclass.graph.report_summary import SHOWN
 from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.graph.water import LEVELS
+from fwclass.ground.stage import TERRAIN
 from fwclass.run.runner import Runner
 
 
@@ -47,9 +49,11 @@ def remarks_on_empty_files(files: Mapping[str, Any]) -> list[str]:
 
 
 def remarks_of_parts(runner: Runner) -> list[str]:
-    """What the parts of water, contour lines and vectors say."""
+    """What the parts of water, contour lines, breaklines and vectors say."""
     stages = (LEVELS, DELIVER_CONTOURS.name)
     remarks = [
         line for stage in stages for receipt in receipts_of_run(runner, stage) for line in receipt.meta["remarks"]
     ]
+    blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
+    remarks += breakline_remarks(blocks)
     return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]

@@ -24,6 +24,7 @@ from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_groups
 from fwclass.tile.params import TileParams
+from fwclass.tile.repeated import repeats
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, split
 
 CLOUD_ROWS = 2_000_000
@@ -133,6 +134,7 @@ def tile_echoes(here: StageInputs, params: TileParams, blocks: tuple[float, ...]
         "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _passes(table),
+        "repeated": repeats(table),
     }
 
 

@@ -20,6 +20,9 @@ LEAST_SIGMA = 1e-4
 ZERO = 1e-9
 """Eigenvalue over the largest one, below which overlaps do not see what the vector stands for."""
 
+LIFTS = 1e-6
+"""Weight of a lift beside that of a tilt, where what overlaps do not see is chosen."""
+
 UNSEEN = 0.75
 """Share of a tilt that lies in what overlaps do not see, from which on it is not told."""
 
@@ -58,13 +61,13 @@ class Adjusted:
 
 
 def adjust(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Adjusted:
-    """The residuals that explain `pairs` best, the smallest of those that do so equally well.
+    """The residuals that explain `pairs` best, those with the least tilts of all that do so equally well.
 
     Each strip is lifted by ``h + r u + p v``, u and v its places across and along the line, -1 to 1 from edge to edge.
-    What all strips have in common (a lift, a tilt of the whole survey) no overlap sees, and it is taken as none: of all
-    solutions the one of least norm, a free network adjustment, so that lifts have mean zero where there are no tilts. A
-    tilt whose standard error is above `max_tilt_error`, or that lies in what is not seen, is left out, and the rest is
-    adjusted again.
+    What all strips have in common (a lift, a tilt of the whole survey) no overlap sees, and it is taken as none: a free
+    network adjustment, and of its solutions that of least tilts (by squares), then of least lifts, so that these have
+    mean zero. Lines side by side of which one is lifted would else be tilted together. A tilt whose standard error is
+    above `max_tilt_error`, or that lies in what is not seen, is left out, and the rest is adjusted again.
     """
     n = len(strips)
     counts = np.bincount(np.concatenate([pairs.first, pairs.second]), minlength=n)
@@ -137,6 +140,16 @@ class _Design:
             if np.abs(x - before).max() < LEAST_SIGMA / 100:
                 break
         cov, unseen = np.zeros((3 * self.n, 3 * self.n)), np.zeros(3 * self.n)
-        cov[np.ix_(used, used)] = inverse * sigma**2
+        moved = _least_tilts(vector[:, ~seen], used % 3 != 0)
+        x[used] = moved @ x[used]
+        cov[np.ix_(used, used)] = moved @ inverse @ moved.T * sigma**2
         unseen[used] = (vector[:, ~seen] ** 2).sum(axis=1)
         return x, cov, unseen, sigma
+
+
+def _least_tilts(unseen: NDArray[np.float64], tilt: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The matrix (n, n) that moves unknowns along `unseen` (n, k), which changes nothing that overlaps see, to where
+    the squares of those that are a `tilt` (n,) have the least sum, and then those of the others: an S-transformation
+    (Baarda 1973)."""
+    weighted = unseen.T * np.where(tilt, 1.0, LIFTS)
+    return np.eye(len(unseen)) - unseen @ np.linalg.lstsq(weighted @ unseen, weighted, rcond=None)[0]

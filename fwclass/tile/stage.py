@@ -89,5 +89,5 @@ def assemble_points(fragments: list[Table]) -> Table:
 
 
 SPLIT = Computation("split", 1)
-TILE = Computation("tile", 2)
+TILE = Computation("tile", 3)
 REFERENCE = Computation("reference", 1)
