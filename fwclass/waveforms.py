@@ -37,6 +37,7 @@ RETURN_COLUMNS = (
     "gps_time",
     "intensity",
     "source_class",
+    "withheld",
     "location",
     "has_packet",
     "vendor_amplitude",
@@ -74,7 +75,8 @@ ECHO_COLUMNS = (
 """Columns of the echoes that decomposition makes of them."""
 
 IMPLAUSIBLE = 128
-"""Value of `fit_flags` of an echo that cannot be; neither ground filters nor terrain see it."""
+"""Value of `fit_flags` of an echo that cannot be, that its source withholds, or calls noise and keeps; neither ground
+filters nor terrain see it."""
 
 
 @dataclass(frozen=True)

@@ -98,6 +98,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.classify.unsure import judge_unsure
     from fwclass.graph import plausibility
     from fwclass.graph.drift import judge_drift
+    from fwclass.graph.ground_remarks import judge_ground
     from fwclass.graph.repeated import judge_repeated
     from fwclass.graph.report import REPORT
     from fwclass.graph.report_summary import summary
@@ -145,6 +146,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         sys.exit(PARTIAL)
     if report.get("plausibility"):
         plausibility.judge(report["plausibility"]["strips"], config.plausibility)
+    judge_ground(report["ground"], config.plausibility.accept, config.path)
     judge_repeated(report.get("repeated"), config.plausibility)
     judge_drift(report.get("drift"), config.classify, config.survey.model or config.path)
     judge_unsure(report.get("unsure"), config.classify, config.survey.model or config.path)

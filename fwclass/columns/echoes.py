@@ -217,6 +217,7 @@ ECHOES = (
     Column(
         "location", "f4", "ns", "vendor's return location, from the first sample of the pulse's first segment", null=NAN
     ),
+    Column("withheld", "bool", "", "the source flags the return as withheld or synthetic"),
     Column("has_packet", "bool", "", "the return's waveform packet could be read"),
     Column("vendor_amplitude", "f4", "dB", "extra byte `Amplitude` of the source", null=NAN),
     Column("vendor_width", "f4", "ns", "extra byte `Pulse width` of the source", null=NAN),

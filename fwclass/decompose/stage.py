@@ -18,7 +18,7 @@ from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.units import AREA_PER_FWHM
-from fwclass.waveforms import ECHO_COLUMNS, Waveforms
+from fwclass.waveforms import ECHO_COLUMNS, IMPLAUSIBLE, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
 """Values of `origin`."""
@@ -92,7 +92,7 @@ def _blank(waves: Waveforms) -> tuple[int, int]:
 def _judge(
     echoes: dict[str, NDArray], waves: Waveforms, around: Surroundings, params: DecomposeParams
 ) -> tuple[dict[str, NDArray], dict[str, int]]:
-    """`echoes` with the implausible ones flagged, `source_class` and `intensity` of the nearest return; the counts."""
+    """`echoes` with implausible and withheld ones flagged, class and intensity of the nearest return; the counts."""
     order = np.lexsort((waves.returns["return_number"], waves.returns["pulse"]))
     pulse = waves.returns["pulse"][order]
     nearest = np.empty(len(echoes["pulse"]), np.int64)
@@ -102,6 +102,9 @@ def _judge(
         values = waves.returns[name]
         echoes[name] = np.where(row >= 0, values[row], 0) if len(values) else np.zeros(len(row), np.uint8)
     judged = judge(echoes, row, waves, around, params)
+    if waves.returns["withheld"].any():
+        withheld = (row >= 0) & waves.returns["withheld"][row]
+        echoes["fit_flags"] = echoes["fit_flags"] | np.where(withheld, IMPLAUSIBLE, 0).astype(np.uint8)
     return renumber(echoes, judged.implausible), dict(judged.counts)
 
 
@@ -240,4 +243,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=6)
 PLACES = Computation(name="places", version=2)
-DECOMPOSE = Computation(name="decompose", version=8, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=9, writes=ECHO_COLUMNS)

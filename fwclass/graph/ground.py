@@ -21,7 +21,7 @@ from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground, last_of
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import FLATTENED, Points, terrain
 from fwclass.memory import give_back
@@ -101,11 +101,14 @@ def filter_block(here: StageInputs, params: GroundParams) -> Result:
 def flags_of_block(around: Surroundings, flags: Flags) -> Result:
     """What a filter says of all echoes around a block, as the block's part: of its own ones alone."""
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
+    seen = around.own & ((around.table["fit_flags"] & IMPLAUSIBLE) == 0)
     return table, {
         **around.facts(table),
         "ground": int(table["ground"].sum()),
         "noise": int(table["noise"].sum()),
         "rows": table.rows,
+        "seen": int(seen.sum()),
+        "last": int((seen & last_of(around.table)).sum()),
     }
 
 

@@ -12,7 +12,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
-from fwclass.graph.kept import deciding_column, kept_argument
+from fwclass.graph.kept import kept_argument
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.schema import Table
 
@@ -54,17 +54,24 @@ def classify_by_ground(here: StageInputs, kept: Kept | None = None) -> Result:
     nothing = np.full(table.rows, np.nan, np.float32)
     classes = Table({"classification": codes, "confidence": nothing, "entropy": nothing})
     classes = with_kept(classes, table["source_class"], kept) if kept else classes
-    return classes, {"codes": codes_of(classes)}
+    return classes, {"codes": codes_of(classes), "of_source": _by_source(table)}
+
+
+def _by_source(table: Table) -> dict[str, list[int]]:
+    """Echoes by the class of their source, and how many of them are ground."""
+    count = np.bincount(table["source_class"], minlength=256)
+    ground = np.bincount(table["source_class"][table["ground"]], minlength=256)
+    return {str(code): [int(count[code]), int(ground[code])] for code in np.flatnonzero(count).tolist()}
 
 
 CLASSIFY_GROUND = Stage(
     CLASSIFY.name,
-    1,
+    2,
     "tile",
     "echo",
     classify_by_ground,
     when=lambda plan: not plan.names,  # a classifier decides by some features
     arguments=kept_argument,
-    own=lambda plan: ("ground", "noise", "height_above_ground", *deciding_column(plan)),
+    own=("ground", "noise", "height_above_ground", "source_class"),
     writes=CLASSIFY.writes,
 )

@@ -20,6 +20,9 @@ from fwclass.schema import Table
 UNNAMED = frozenset({0, 1})
 """Codes that say nothing: never classified, unclassified."""
 
+NOISE = (7, 18)
+"""Low and high noise."""
+
 SHOWN = 6
 """Codes that are named."""
 
@@ -91,6 +94,13 @@ def written(answered: Table, source: NDArray[np.uint8], kept: Kept | None, left:
     return with_kept(with_left(answered, left), source, kept)
 
 
+def kept_noise(plan: Plan) -> Mapping[str, Any]:
+    """The noise classes of the sources that stay, for the stage that hides them from the ground filter."""
+    kept = Kept.of(plan.config.classify)
+    codes = tuple(code for code in NOISE if kept and kept.codes[code])
+    return {"kept_noise": codes} if codes else {}
+
+
 def deciding_column(plan: Plan) -> tuple[str, ...]:
     """The column that tells which echoes stay."""
     return ("source_class",) if Kept.of(plan.config.classify) else ()
@@ -140,6 +150,15 @@ def class_remarks(
         )
     elif kept:
         sentences.append(f"none of the {what} has a class that is to be kept (classify.only, classify.keep)")
+    noise = {c: by_code[c] for c in NOISE if by_code.get(c) and c not in stay}
+    if noise:
+        codes = ",".join(map(str, noise))
+        sentences.append(
+            f"the sources call {sum(noise.values()):,} {what} noise ({_listing(noise)}): they are classified like all "
+            f"others, and may be ground; --keep {codes} (classify.keep=[{codes}]) leaves them noise, and out of the "
+            "terrain"
+        )
+        lost = {c: n for c, n in lost.items() if c not in noise}
     if lost:
         codes = ",".join(map(str, lost))
         sentences.append(

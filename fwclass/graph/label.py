@@ -93,7 +93,7 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
 def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
     chunk = here.chunk()
-    return _with_counts(*_correct(here, chunk, from_source(chunk), reach))
+    return _with_counts(*_correct(here, chunk, _without_implausible(chunk, from_source(chunk)), reach))
 
 
 def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
@@ -102,7 +102,8 @@ def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
     order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
     chunk = here.chunk()
-    return _with_counts(*_correct(here, chunk, from_cloud(chunk, cloud.take(order), params), reach))
+    table = _without_implausible(chunk, from_cloud(chunk, cloud.take(order), params))
+    return _with_counts(*_correct(here, chunk, table, reach))
 
 
 def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
@@ -116,13 +117,17 @@ def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) 
 
 
 def label_by_polygons(here: StageInputs, reach: float = 0.0) -> Result:
-    """Reference classes from the polygons that the echoes lie in; implausible echoes have none, whatever is above."""
+    """Reference classes from the polygons that the echoes lie in."""
     chunk = here.chunk()
     table, ambiguous = from_polygons(chunk, polygons_at(here.parts("polygons"), here.inputs).within(here.tile.box))
-    implausible = (chunk.table["fit_flags"][chunk.core] & IMPLAUSIBLE) > 0
-    table = Table({"reference": np.where(implausible, 0, table["reference"])})
-    table, facts = _with_counts(*_correct(here, chunk, table, reach))
+    table, facts = _with_counts(*_correct(here, chunk, _without_implausible(chunk, table), reach))
     return table, {**facts, "ambiguous": ambiguous}
+
+
+def _without_implausible(chunk: Chunk, table: Table) -> Table:
+    """`table` with no class of implausible and withheld echoes, whatever lies near or above them."""
+    implausible = (chunk.table["fit_flags"][chunk.core] & IMPLAUSIBLE) > 0
+    return Table({"reference": np.where(implausible, 0, table["reference"])})
 
 
 def _correct(here: StageInputs, chunk: Chunk, table: Table, reach: float) -> tuple[Table, int | None]:
@@ -206,7 +211,7 @@ LABEL_BY_SOURCE = Stage(
     arguments=_params,
     each=reach_here,
     silent=_OF_ECHOES,
-    own=("x", "y", "z", "source_class"),
+    own=("x", "y", "z", "source_class", "fit_flags"),
     writes=_CLASSES,
     halo=_correction_reach,
     after=(CORRECTIONS,),
@@ -217,7 +222,7 @@ LABEL_BY_CLOUD = replace(
     LABEL_BY_SOURCE,
     function=label_by_cloud,
     when=_of_kind("cloud"),
-    own=("x", "y", "z", "gps_time"),
+    own=("x", "y", "z", "gps_time", "fit_flags"),
     halo=lambda plan: max(LABEL.halo(plan.config.label), _correction_reach(plan)),
     after=("reference", CORRECTIONS),
     needs=_clouds,

@@ -19,7 +19,7 @@ from fwclass.graph.report_accuracy import (
     ground_facts,
     training_facts,
 )
-from fwclass.graph.report_counts import delivered_files, echo_counts, source_files, stage_figures
+from fwclass.graph.report_counts import delivered_files, echo_counts, source_files, stage_figures, withheld_returns
 from fwclass.graph.report_facts import legacy_codes, place_of, receipts_of_run, sureness, unsure_of_run
 from fwclass.graph.report_figures import report_figures
 from fwclass.graph.report_remarks import (
@@ -78,6 +78,7 @@ def write_report(
     on_accuracy = remarks_on_accuracy(accuracy, counted, counts["echoes_in_tiles"], config, names)
     if accuracy is not None:
         accuracy["remarks"] = on_accuracy
+    ground = ground_facts(runner, config, withheld_returns(runner))
     drifted, plausible = drift_of_run(runner), plausibility_of_run(runner, survey, config)
     repeated = repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips)
     unsure = unsure_of_run(tiles, config, card) if classified else None
@@ -123,6 +124,7 @@ def write_report(
         "remarks": [
             *on_accuracy,
             *(repeated or {}).get("remarks", ()),
+            *ground["remarks"],
             *(plausible or {}).get("remarks", ()),
             *(drifted or {}).get("remarks", ()),
             *(unsure or {}).get("remarks", ()),
@@ -133,7 +135,7 @@ def write_report(
         ],
         "kept": {str(c): n for c, n in kept_codes(source, keeps).items()},
         "legacy_codes": legacy_codes(runner, survey, config),
-        "ground": ground_facts(runner, config),
+        "ground": ground,
         "water": [body for r in receipts_of_run(runner, LEVELS) for body in r.meta["bodies"]],
         "quality": next((r.meta["quality"] for r in receipts_of_run(runner, "publish-quality")), None),
         "areas": config.areas.shown(layout.box),

@@ -9,6 +9,7 @@ from fwclass.conf import Config
 from fwclass.graph.classify import OUTSIDE
 from fwclass.graph.drift import drift
 from fwclass.graph.ground_auto import AUTO, auto_facts
+from fwclass.graph.ground_remarks import ground_remarks
 from fwclass.graph.report_facts import receipts_of_run
 from fwclass.model.ranges import RANGES
 from fwclass.run.runner import Runner
@@ -83,13 +84,15 @@ def drift_of_run(runner: Runner) -> dict[str, Any] | None:
     return drift(cards[0] if cards else {RANGES: {}}, counts)
 
 
-def ground_facts(runner: Runner, config: Config) -> dict[str, Any]:
-    """The filter, what it found, and what cutting the survey into blocks changed."""
+def ground_facts(runner: Runner, config: Config, withheld: int) -> dict[str, Any]:
+    """The filter, what it found, and what cutting the survey into blocks changed. `withheld`: returns that their source
+    flags so."""
     blocks = [r.meta for r in receipts_of_run(runner, "ground-filter")]
     seams = next((r.meta for r in receipts_of_run(runner, "seams")), None)
     judged = next((r.meta["ground"] for r in receipts_of_run(runner, "assess")), None)
     squares = [(r.part, r.meta) for r in receipts_of_run(runner, AUTO)]
     edge = config.ground.block * config.ground_auto.blocks
+    by_source = [r.meta["of_source"] for r in receipts_of_run(runner, "classify") if "of_source" in r.meta]
     return {
         "method": config.ground.method,
         "auto": auto_facts(squares, edge) if squares else None,
@@ -100,4 +103,5 @@ def ground_facts(runner: Runner, config: Config) -> dict[str, Any]:
         "block": config.ground.block,
         "accuracy": judged,
         "seams": dict(seams) if seams else None,
+        "remarks": ground_remarks(blocks, withheld, config.ground, by_source),
     }

@@ -62,6 +62,11 @@ def echo_counts(runner: Runner) -> dict[str, int]:
     }
 
 
+def withheld_returns(runner: Runner) -> int:
+    """How many returns their sources flag as withheld or synthetic."""
+    return sum(int(meta["withheld"]) for meta in _chunk_facts(runner))
+
+
 def _chunk_facts(runner: Runner) -> list[Mapping[str, Any]]:
     """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
     return [r.meta for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]

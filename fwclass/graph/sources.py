@@ -120,6 +120,7 @@ def _facts(waves: Waveforms) -> dict[str, Any]:
     """What was read, for a receipt."""
     return {
         "returns": waves.returns.rows,
+        "withheld": int(waves.returns["withheld"].sum()),
         "waveforms": waves.pulses.rows,
         "returns_without_packet": int((~waves.returns["has_packet"]).sum()),
         "faults": {k: int(v) for k, v in sorted(waves.faults.items()) if v},

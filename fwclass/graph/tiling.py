@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.stage import DECOMPOSE
+from fwclass.graph.kept import kept_noise
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.numbering import assign_numbers
 from fwclass.graph.sources import chunk_name, spans_of, strip_of
@@ -26,6 +27,7 @@ from fwclass.store.tables import write_groups
 from fwclass.tile.params import TileParams
 from fwclass.tile.repeated import repeats
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, split
+from fwclass.waveforms import IMPLAUSIBLE
 
 CLOUD_ROWS = 2_000_000
 """Points of a reference cloud read at a time."""
@@ -125,9 +127,18 @@ def _fragments(here: StageInputs, stage: str) -> list[Table]:
     return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
 
 
-def tile_echoes(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Result:
-    """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them."""
+def tile_echoes(
+    here: StageInputs, params: TileParams, blocks: tuple[float, ...], kept_noise: tuple[int, ...] = ()
+) -> Result:
+    """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them.
+
+    Those of the source classes `kept_noise` are flagged as implausible ones are, so that no ground is made of them.
+    """
     table = assemble(_fragments(here, "split"), f"tile {here.part}")
+    if kept_noise:
+        noise = np.isin(table["source_class"], kept_noise)
+        flags = table["fit_flags"] | np.where(noise, IMPLAUSIBLE, 0).astype(np.uint8)
+        table = table.with_columns({"fit_flags": flags})
     return table, {
         "rows": table.rows,
         "blocks": {str(size): _occupied_blocks(table, size) for size in blocks},
@@ -212,7 +223,7 @@ TILE_ECHOES = Stage(
     "echo",
     tile_echoes,
     parts=_cut("split"),
-    arguments=lambda plan: {"params": plan.config.tile, "blocks": _blocks(plan)},
+    arguments=lambda plan: {**_sizes(plan), "blocks": _blocks(plan), **kept_noise(plan)},
     after=("split",),
     needs=lambda plan, tile: [("split", part) for part in tile.chunks],
     writes=DECOMPOSE.writes,

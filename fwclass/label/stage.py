@@ -72,5 +72,5 @@ def from_source(chunk: Chunk) -> Table:
 
 
 LABEL = Computation(
-    "label", 2, reads=("x", "y", "z", "gps_time", "source_class"), writes=("reference",), halo=lambda p: p.max_distance
+    "label", 3, reads=("x", "y", "z", "gps_time", "source_class"), writes=("reference",), halo=lambda p: p.max_distance
 )

@@ -16,7 +16,7 @@ from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.grid import quantise
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
-from fwclass.read.points import PointReader, coordinates
+from fwclass.read.points import PointReader, coordinates, flags_of
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
 
@@ -129,7 +129,7 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     with PointReader(source, fields) as reader:
         for _, points in reader.blocks():
             number, of = np.asarray(points["return_number"]), np.asarray(points["number_of_returns"])
-            flags = np.asarray(points["withheld"], bool) | np.asarray(points["synthetic"], bool)
+            flags = flags_of(points)
             if source.has_waves:
                 cut += int(np.isin(judge(source, References.of(points)), _CUT).sum())
             parts.append(

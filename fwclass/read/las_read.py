@@ -19,7 +19,7 @@ from fwclass.read.packets import (
     pulses_of,
 )
 from fwclass.read.params import ReadParams
-from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, gps_times
+from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, flags_of, gps_times
 from fwclass.read.segments import Rows, segment_links
 from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
 from fwclass.schema import Table
@@ -84,8 +84,9 @@ def index_las(source: LasSource, params: ReadParams) -> list[Span]:
     return spans_by_pulses(source, params.chunk_pulses, params.max_span_points)
 
 
-def read_las(source: LasSource, span: Span) -> Waveforms:
-    """Returns of `span` in file order, and the waveforms of its pulses that have a usable packet.
+def read_las(source: LasSource, span: Span, use_flagged: bool = False) -> Waveforms:
+    """Returns of `span` in file order, and the waveforms of its pulses that have a usable packet; none of them is
+    `withheld` where what the file flags is to be used.
 
     Returns
     -------
@@ -108,6 +109,7 @@ def read_las(source: LasSource, span: Span) -> Waveforms:
     columns["number_of_returns"] = np.asarray(points["number_of_returns"], np.uint8)
     columns["intensity"] = np.asarray(points["intensity"])
     columns["source_class"] = np.asarray(points["classification"], np.uint8)
+    columns["withheld"] = flags_of(points) & (not use_flagged)
     faults = _return_faults(columns)
     if not source.has_waves:
         pulse = np.arange(span.first_pulse, span.first_pulse + len(points))

@@ -20,6 +20,8 @@ class ReadParams(Params):
         its returns as echoes.
     project_to : projected system (EPSG:…, or WKT) that places and beams of files in degrees, or geocentric, are brought
         into; null: such files are refused.
+    use_flagged : take points that their source flags as withheld or synthetic like all others; else no ground is made
+        of them, and they neither train nor are tested.
     mirror_beams : turn the horizontal parts of all beams round, which old converters stored with the wrong sign.
     """
 
@@ -27,4 +29,5 @@ class ReadParams(Params):
     max_span_points: int = Field(gt=0, le=2_000_000_000)
     missing_packets: Literal["error", "keep"]
     project_to: str | None
+    use_flagged: bool
     mirror_beams: bool

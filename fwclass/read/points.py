@@ -47,6 +47,11 @@ def _guarded(source: LasSource) -> Iterator[None]:
         ) from error
 
 
+def flags_of(points: Any) -> NDArray[np.bool_]:
+    """bool (points,): the source flags it as withheld or synthetic: no ground was measured there."""
+    return np.asarray(points["withheld"], bool) | np.asarray(points["synthetic"], bool)
+
+
 class PointReader:
     """Reads any run of points of a source; use it as a context."""
 

@@ -71,7 +71,7 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
     elif isinstance(source, BeamSource):
         waves = read_beam_rows(source, span)
     else:
-        waves = read_las(las_of(source), span)
+        waves = read_las(las_of(source), span, params.use_flagged)
     return waves if source.target is None else project_waveforms(waves, source, source.target)
 
 
@@ -97,4 +97,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 5)
+READ = Computation("read", 6)

@@ -41,7 +41,12 @@ def _spans(path: Path) -> None:
     from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
 
     params = ReadParams(
-        chunk_pulses=5, max_span_points=1000, missing_packets="error", mirror_beams=False, project_to=None
+        chunk_pulses=5,
+        max_span_points=1000,
+        missing_packets="error",
+        mirror_beams=False,
+        use_flagged=False,
+        project_to=None,
     )
     source = open_source(path)
     for span in index_source(source, params):

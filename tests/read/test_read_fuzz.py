@@ -20,7 +20,14 @@ ALLOCATION = 60
 stay as they are."""
 FIXED = 8 << 20
 
-PARAMS = ReadParams(chunk_pulses=10, max_span_points=1000, missing_packets="error", mirror_beams=False, project_to=None)
+PARAMS = ReadParams(
+    chunk_pulses=10,
+    max_span_points=1000,
+    missing_packets="error",
+    mirror_beams=False,
+    use_flagged=False,
+    project_to=None,
+)
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

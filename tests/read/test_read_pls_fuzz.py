@@ -19,7 +19,14 @@ ALLOCATION = 400
 becomes a row of 14 columns, and its look-up as much again."""
 FIXED = 4 << 20
 
-PARAMS = ReadParams(chunk_pulses=10, max_span_points=1000, missing_packets="error", mirror_beams=False, project_to=None)
+PARAMS = ReadParams(
+    chunk_pulses=10,
+    max_span_points=1000,
+    missing_packets="error",
+    mirror_beams=False,
+    use_flagged=False,
+    project_to=None,
+)
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

@@ -15,7 +15,14 @@ from fwclass.read.info import info
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
 
 TOLD = {"crs": "EPSG:32632", "spacing_ns": "1.0"}
-PARAMS = ReadParams(chunk_pulses=37, max_span_points=1000, missing_packets="error", mirror_beams=False, project_to=None)
+PARAMS = ReadParams(
+    chunk_pulses=37,
+    max_span_points=1000,
+    missing_packets="error",
+    mirror_beams=False,
+    use_flagged=False,
+    project_to=None,
+)
 WITHIN = 0.01
 """Eight standard errors of a place at these heights over noise of 1 DN: 1.3 mm."""
 

@@ -1,0 +1,99 @@
+"""Whether the ground that a filter found can be: told where it had nothing to look at, refused where there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fwclass.errors import QualityError
+from fwclass.ground.params import GroundParams
+
+FEW = 0.01
+"""Share of last returns in a block below which return numbers are wrong: under the densest crowns it is a third."""
+
+WORTH = 1000
+"""Echoes of a block that tell such a share."""
+
+SEEN_FROM = 0.001
+"""Share of a survey's echoes in such blocks from which on it is told."""
+
+
+GROUND, BUILDING = 2, 6
+
+MOST_BUILDING = 0.05
+"""Share of the echoes that the sources call building which a filter may make ground: 0.010 to 0.025 on four public
+surveys of 15 to 84 echoes/m2, 0.12 on one of 0.3."""
+
+LEAST_GROUND = 0.9
+"""Share of the echoes that the sources call ground which it should: 0.997 to 1.000 on these five."""
+
+
+def ground_remarks(
+    blocks: Sequence[Mapping[str, Any]],
+    withheld: int,
+    params: GroundParams,
+    by_source: Iterable[Mapping[str, Sequence[int]]] = (),
+) -> list[str]:
+    """What is to be said of the ground.
+
+    Parameters
+    ----------
+    blocks : receipts' facts of the blocks of the filter: ``seen`` echoes, ``last`` ones of their pulses among them.
+    withheld : returns that their source flags as withheld or synthetic.
+    by_source : of every tile [echoes, ground] by the class that their source has.
+    """
+    remarks = []
+    if withheld:
+        remarks.append(
+            f"the sources flag {withheld:,} returns as withheld or synthetic: no ground is made of them, and they "
+            "neither train nor are tested; --set read.use_flagged=true takes them like all others"
+        )
+    without = [b for b in blocks if b["seen"] >= WORTH and b["last"] < FEW * b["seen"]]
+    echoes, whole = sum(b["seen"] for b in without), sum(b["seen"] for b in blocks)
+    if params.last_returns and echoes > SEEN_FROM * whole:
+        remarks.append(
+            f"hardly one of {echoes:,} echoes ({100 * echoes / whole:.1f} %), in {len(without)} of {len(blocks)} "
+            f"blocks of {params.block:g} m, is the last of its pulse, so that no ground is there and terrain is "
+            "stretched over it: return numbers are wrong, or files without last returns were given; --set "
+            "ground.last_returns=false lets all returns be ground"
+        )
+    return [*remarks, *_against_sources(by_source, params)]
+
+
+def _against_sources(by_source: Iterable[Mapping[str, Sequence[int]]], params: GroundParams) -> list[str]:
+    """Where the ground contradicts the classes that the sources have."""
+    counts = np.zeros((256, 2), np.int64)
+    for tile in by_source:
+        for code, pair in tile.items():
+            counts[int(code)] += pair
+    remarks = []
+    echoes, ground = counts[BUILDING].tolist()
+    if echoes >= WORTH and ground > MOST_BUILDING * echoes:
+        auto = "" if params.method == "auto" else ", or --set ground.method=auto measures it"
+        remarks.append(
+            f"{ground:,} of {echoes:,} echoes that the sources call building became ground: are there halls wider than "
+            f"ground.max_building_size ({params.max_building_size:g} m)? A larger one{auto}"
+        )
+    echoes, ground = counts[GROUND].tolist()
+    if echoes >= WORTH and ground < LEAST_GROUND * echoes:
+        remarks.append(
+            f"only {ground:,} of {echoes:,} echoes that the sources call ground became ground: look at the terrain, or "
+            "compare filters (`fwclass ground FILE --compare all`)"
+        )
+    return remarks
+
+
+def judge_ground(facts: Mapping[str, Any], accepted: bool, where: object) -> None:
+    """`QualityError` where a filter looked at echoes and found no ground; nothing where the user accepts it."""
+    if accepted or not facts["echoes"] or facts["ground"]:
+        return
+    raise QualityError(
+        "no echo is ground",
+        where=where,
+        expected="some, or there is no terrain and no height",
+        got=f"0 of {facts['echoes']:,}",
+        do="look at return numbers and units (`fwclass info`), or try another ground.method; --accept-implausible "
+        "(plausibility.accept=true) takes it as it is",
+    )
