@@ -111,7 +111,7 @@ def deliver_quality(
         target.mkdir(parents=True)
         empty.append(_density_raster(counted, Box(*bounds), density, target, system, publish))
         _difference_raster(differences, Box(*bounds), target, system, publish)
-    density_facts = density.facts()
+    density_facts = density.facts(params.void_spacings)
     least = (params.void_spacings * (density_facts["spacing"] or 0.0)) ** 2
     voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
     layers, checked, covered, gaps = list[Layer](), None, None, list[Void]()
@@ -185,7 +185,7 @@ def _density_raster(
             laid = counted.laid(stripe)
             empty.add(stripe, laid["pulses"] == 0)
             if counted.touches(stripe):
-                density.add(laid["echoes"], laid["pulses"])
+                density.add(stripe, laid["echoes"], laid["pulses"])
                 values = np.where(laid["echoes"] > 0, laid["pulses"] / density.cell**2, np.nan).astype(np.float32)
                 put(stripe, values)
                 spread.add(values)
@@ -242,7 +242,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    3,
+    4,
     "survey",
     "cell",
     deliver_quality,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -27,6 +28,7 @@ from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import style_file
 from fwclass.publish.raster_styles import MASK, STYLED, Spread, raster_style
 from fwclass.publish.shade import hillshade, slope
+from fwclass.quality.covered import CoveredArea
 from fwclass.run.inputs import PartInputs
 
 
@@ -66,7 +68,7 @@ def deliver_rasters(
     spreads: dict[str, Spread] = {}
     cell_counts = {
         "dtm_cells": _terrain_rasters(windows[0], blocks, system, params, here.inputs, target, spreads),
-        "class_cells": _class_rasters(windows[1], blocks, called, system, params, here.inputs, target, spreads),
+        "covered": _class_rasters(windows[1], blocks, called, system, params, here.inputs, target, spreads),
     }
     ranges = {name: spread.shown() for name, spread in spreads.items()}
     for name in STYLED:
@@ -164,8 +166,8 @@ def _class_rasters(
     inputs: PartInputs,
     target: Path,
     spreads: dict[str, Spread],
-) -> int:
-    """Write the maps of classes, confidence and density; cells with a class."""
+) -> list[dict[str, Any]]:
+    """Write the maps of classes, confidence and density; the area with a class, as `CoveredArea.plain` has it."""
     empty: dict[str, np.generic] = {
         "classes": np.uint8(0),
         "confidence": np.uint8(NO_CONFIDENCE),
@@ -175,7 +177,7 @@ def _class_rasters(
     shown = colours([{"name": name, "code": code} for code, name in names.items()])
     small, real = np.dtype(np.uint8), np.dtype(np.float32)
     spreads["density"] = Spread()
-    cells = 0
+    covered = CoveredArea(window.cell)
     with ExitStack() as files:
         put = files.enter_context(cog(small, window, target / "classes.tif", crs, params, 0, shown, names=names))
         what = {"what": "confidence of the class of the highest echo [%]"}
@@ -192,8 +194,8 @@ def _class_rasters(
             sure(stripe, laid["confidence"])
             many(stripe, density)
             spreads["density"].add(density)
-            cells += int(there.sum())
-    return cells
+            covered.add(stripe, there)
+    return covered.plain()
 
 
 MAP_CLASSES = Stage(
@@ -212,7 +214,7 @@ MAP_CLASSES = Stage(
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
-    6,
+    7,
     "survey",
     "cell",
     deliver_rasters,

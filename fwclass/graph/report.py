@@ -33,6 +33,7 @@ from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
 from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
+from fwclass.quality.covered import CoveredArea
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner
@@ -103,8 +104,10 @@ def write_report(
             tiles,
             survey.crs,
             survey.standard_time,
-            sum(r.meta["class_cells"] for r in receipts_of_run(runner, "publish-rasters")),
-            config.publish.class_cell,
+            CoveredArea.joined(
+                config.publish.class_cell, [r.meta["covered"] for r in receipts_of_run(runner, "publish-rasters")]
+            ),
+            config.quality.void_spacings,
         ),
         "sureness": sureness(tiles, classes),
         "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),

@@ -14,6 +14,7 @@ from fwclass.conf import Config
 from fwclass.graph.layout import Survey
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.publish.tile_facts import WORTH, least_sure_first
+from fwclass.quality.covered import CoveredArea
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
 
@@ -28,11 +29,11 @@ def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
 
 
 def place_of(
-    tiles: Sequence[Receipt], crs: str | None, standard_time: bool, cells: int, cell: float
+    tiles: Sequence[Receipt], crs: str | None, standard_time: bool, covered: CoveredArea, spacings: float
 ) -> dict[str, Any] | None:
     """CRS, flight dates, area with echoes [m²] and echoes per m²; None where no tile was delivered.
 
-    `cells` of edge `cell` [m] hold an echo.
+    `covered`: cells with an echo; gaps of more than so many mean `spacings` of echoes are none of it.
     """
     if not tiles:
         return None
@@ -40,7 +41,7 @@ def place_of(
     points = sum(r.meta["facts"]["points"] for r in tiles)
     times = [t for r in tiles for t in r.meta["facts"]["times"] or ()]
     bounds = np.array([r.meta["facts"]["bounds"] for r in tiles])
-    area = cells * cell**2
+    area = covered.of(points, spacings)
     authority = system.to_authority() if system is not None else None
     return {
         "crs": system.name if system is not None else None,

@@ -8,32 +8,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.grid import Window
+from fwclass.quality.covered import CoveredArea
+
 PERCENTILES = (5, 50, 95)
 
 
 class Density:
-    """Counts of cells of edge `cell` [m] that hold so many pulses; pieces of the raster come in any order."""
+    """Counts of cells of edge `cell` [m] that hold so many pulses; stripes of the raster come one beside the other."""
 
     def __init__(self, cell: float) -> None:
-        self.cell, self.echoes, self.pulses, self.cells = cell, 0, 0, 0
+        self.cell, self.echoes, self.pulses = cell, 0, 0
+        self._covered = CoveredArea(cell)
         self._by_pulses = np.zeros(1, np.int64)
 
-    def add(self, echoes: NDArray[np.uint32], pulses: NDArray[np.uint32]) -> None:
-        """Take in a piece of the raster: echoes and pulses of its cells."""
+    def add(self, stripe: Window, echoes: NDArray[np.uint32], pulses: NDArray[np.uint32]) -> None:
+        """Take in the next `stripe` of the raster: echoes and pulses of its cells."""
         there = echoes > 0
+        self._covered.add(stripe, there)
         self.echoes += int(echoes.sum(dtype=np.int64))
         self.pulses += int(pulses.sum(dtype=np.int64))
-        self.cells += int(there.sum())
         some = np.bincount(pulses[there])
         self._by_pulses = np.pad(self._by_pulses, (0, max(0, len(some) - len(self._by_pulses))))
         self._by_pulses[: len(some)] += some
 
-    def facts(self) -> dict[str, Any]:
-        """``cell`` [m], ``area`` of the cells with an echo [m²], ``echoes`` and ``pulses`` per m² of it, ``spacing`` of
-        pulses [m], ``percentiles`` of the cells' pulses per m²; None for what nothing tells."""
-        area = self.cells * self.cell**2
-        order = np.cumsum(self._by_pulses)
-        ranks = [max(1, math.ceil(p / 100 * self.cells)) for p in PERCENTILES]
+    def facts(self, spacings: float) -> dict[str, Any]:
+        """``cell`` [m], ``area`` that is covered [m²] (`CoveredArea`), ``echoes`` and ``pulses`` per m² of it,
+        ``spacing`` of pulses [m], ``percentiles`` of its cells' pulses per m²; None for what nothing tells. Gaps wider
+        than so many `spacings` are not covered."""
+        area = self._covered.of(self.pulses, spacings)
+        occupied, cells = int(self._by_pulses.sum()), round(area / self.cell**2)
+        order = np.cumsum(self._by_pulses) + max(0, cells - occupied)
+        ranks = [max(1, math.ceil(p / 100 * cells)) for p in PERCENTILES]
         return {
             "cell": self.cell,
             "area": area,
