@@ -126,7 +126,7 @@ def has_check_points(plan: Plan) -> bool:
 
 MEASURE_CHECK_POINTS = Stage(
     CHECK_POINTS,
-    2,
+    3,
     "survey",
     "part",
     compare_heights,

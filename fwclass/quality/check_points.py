@@ -17,8 +17,14 @@ Floats = NDArray[np.float64]
 VEGETATED = (3, 4, 5)
 """Class codes of check points under plants (LAS 1.4: low, medium, high vegetation)."""
 
-CHECKED = ("given", "nearest_echo", "all", "open", "vegetated")
+CHECKED = ("given", "repeated", "blunders", "nearest_echo", "all", "open", "vegetated")
 """Figures of `facts_of`."""
+
+FAR_OFF = 1.0
+"""m, least distance of a blunder from the others' median: ten times what surveys of any class are off."""
+
+LISTED = 10
+"""Blunders that are told one by one."""
 
 FEWEST = 30
 """Check points that a statement of accuracy stands on (ASPRS Positional Accuracy Standards 2023, 7.11)."""
@@ -154,6 +160,17 @@ def check_remarks(facts: Mapping[str, Any], reach: float) -> list[str]:
         lines.append(
             f"{compared} check points tell little of a survey's accuracy: the ASPRS standards ask for {FEWEST}"
         )
+    if facts["repeated"]:
+        lines.append(
+            f"{facts['repeated']} of {given} check points are there twice: they count twice, and intervals are too "
+            "narrow"
+        )
+    if blunders := facts["blunders"]["points"]:
+        x, y, z, dz = blunders[0]
+        lines.append(
+            f"{facts['blunders']['count']} check points lie far off the others, as that of height {z:g} m at "
+            f"{x:.3f}, {y:.3f} ({dz:+.2f} m): they are in all figures; look for wrong heights or codes of no data"
+        )
     mean, sd = figures["mean"], figures["sd"] or 0.0
     if abs(mean) > max(SHIFTED * sd / math.sqrt(compared), 0.5 * figures["rmse"]) and compared > 2:
         side = "above" if mean > 0.0 else "below"
@@ -177,9 +194,27 @@ def compared_points(points: Mapping[str, NDArray]) -> dict[str, NDArray]:
 
 
 def facts_of(points: Sequence[Floats], height: Floats, near: Floats, code: NDArray[np.integer]) -> dict[str, Any]:
-    """The part ``check_points`` of the survey's quality: how many are `given`, and their figures."""
+    """The part ``check_points`` of the survey's quality: how many are `given`, how many of them ``repeated``, and their
+    figures; ``blunders`` are [x, y, z, difference] of those far off the others, the furthest first."""
     dz = height - points[2]
-    return {"given": len(dz), "nearest_echo": _median(near), **height_facts(dz, code)}
+    xyz = np.stack(points, axis=1)
+    repeated = len(dz) - len(np.unique(xyz, axis=0))
+    off = np.flatnonzero(_far_off(dz))
+    off = off[np.argsort(-np.abs(dz[off]), kind="stable")]
+    blunders = [[*xyz[k].tolist(), float(dz[k])] for k in off[:LISTED].tolist()]
+    facts = {"given": len(dz), "repeated": repeated, "blunders": {"count": len(off), "points": blunders}}
+    return {**facts, "nearest_echo": _median(near), **height_facts(dz, code)}
+
+
+def _far_off(dz: Floats) -> NDArray[np.bool_]:
+    """bool (n,): the difference [m] is further from the median than `FAR_OFF`, and than six robust standard deviations
+    of all."""
+    known = dz[np.isfinite(dz)]
+    if len(known) < 3:
+        return np.zeros(len(dz), bool)
+    middle = np.median(known)
+    spread = 1.4826 * float(np.median(np.abs(known - middle)))
+    return np.isfinite(dz) & (np.abs(dz - middle) > max(FAR_OFF, 6.0 * spread))
 
 
 def _median(values: Floats) -> float | None:

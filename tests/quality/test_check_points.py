@@ -119,7 +119,7 @@ def test_the_interval_holds_the_truth():
 )
 def test_what_is_said(dz, words):
     n = len(dz)
-    facts = facts_of((np.zeros(n), np.zeros(n), np.zeros(n)), dz, np.ones(n), np.full(n, -1))
+    facts = facts_of((np.arange(n, dtype=float), np.zeros(n), np.zeros(n)), dz, np.ones(n), np.full(n, -1))
     lines = check_remarks(facts, REACH)
     assert len(lines) == len(words) and all(w in line for w, line in zip(words, lines, strict=True)), lines
 
@@ -134,3 +134,25 @@ def test_wide_areas_are_asked_piece_by_piece(monkeypatch):
     assert whole.sum() == 20 * 10 and whole.shape == window.shape
     monkeypatch.setattr(coverage, "COLUMNS", 7)
     assert (coverage._inside(area, window) == whole).all()
+
+
+def test_blunders_and_repeated_points_are_told() -> None:
+    rng = np.random.default_rng(8)
+    x, y, z = rng.uniform(0, 100, (3, 40))
+    dz = rng.normal(0.02, 0.03, 40)
+    sound = facts_of((x, y, z), z + dz, np.ones(40), np.full(40, -1))
+    assert sound["repeated"] == 0 and sound["blunders"] == {"count": 0, "points": []}
+    assert not any("far off" in line or "twice" in line for line in check_remarks(sound, REACH))
+    wrong = z.copy()
+    wrong[[7, 30]] = -9999.0, z[30] + 2.0
+    facts = facts_of((x, y, wrong), z + dz, np.ones(40), np.full(40, -1))
+    assert facts["blunders"]["count"] == 2 and facts["blunders"]["points"][0][:3] == [x[7], y[7], -9999.0]
+    (line,) = [t for t in check_remarks(facts, REACH) if "far off" in t]
+    assert "2 check points" in line and f"at {x[7]:.3f}, {y[7]:.3f}" in line and "-9999 m" in line
+    twice = [np.concatenate([v, v[:20]]) for v in (x, y, z, dz)]
+    facts = facts_of((twice[0], twice[1], twice[2]), twice[2] + twice[3], np.ones(60), np.full(60, -1))
+    assert facts["repeated"] == 20 and any(
+        "20 of 60 check points are there twice" in t for t in check_remarks(facts, REACH)
+    )
+    rough = facts_of((x, y, z), z + rng.normal(0, 2.0, 40), np.ones(40), np.full(40, -1))
+    assert rough["blunders"]["count"] == 0, "a rough survey has none"
