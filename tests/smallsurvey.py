@@ -25,13 +25,20 @@ assess: {block: 5}
 """
 
 
-def small_survey(place: Path) -> Path:
-    """``a.las``, a slope of 80 m × 40 m with bushes, and ``s.yaml`` beside it, which is returned."""
+def small_survey(place: Path, stray: tuple[float, float] | None = None) -> Path:
+    """``a.las``, a slope of 80 m × 40 m with bushes, and ``s.yaml`` beside it, which is returned.
+
+    `stray`: one point more lies so far [m] to the east of all, and so high above the slope's foot.
+    """
     rng = np.random.default_rng(0)
     x, y, bush = *rng.uniform(0, 1, (2, 6000)) * [[80], [40]], rng.random(6000) < 0.3
     xyz = np.c_[500_000 + x, 5_400_000 + y, 200 + 0.05 * x + bush * rng.uniform(0.5, 6, 6000)]
     classes = np.where(bush, 5, 2)
-    lasmaker.write_las(place / "a.las", xyz, point_format=6, classification=classes, intensity=rng.integers(1, 9, 6000))
+    intensity = rng.integers(1, 9, 6000)
+    if stray is not None:
+        xyz = np.r_[xyz, [[500_080 + stray[0], 5_400_000, 200 + stray[1]]]]
+        classes, intensity = np.append(classes, 2), np.append(intensity, 1)
+    lasmaker.write_las(place / "a.las", xyz, point_format=6, classification=classes, intensity=intensity)
     path = place / "s.yaml"
     path.write_text(CONFIG)
     return path

@@ -87,7 +87,7 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     note = read_note(directory)
     delivery = _run_of(note, run, directory)
     tiles = [_changes(directory, key, digest) for key, digest in sorted(note.tiles.items())]
-    _check_codes(tiles, list(note.tiles), {int(c["code"]): str(c["name"]) for c in delivery.classes if c["codes"]})
+    _check_codes(tiles, list(note.tiles), delivery.correctable)
     changed = EchoLabels.joined([t.labels for t in tiles])
     before = np.concatenate([t.before for t in tiles]) if tiles else np.empty(0, np.int16)
     stays = _at_their_place(changed, note, delivery)

@@ -167,6 +167,14 @@ class Delivery:
         model = self.report["model"]
         return list(model.get("classes", self.report["config"]["survey"]["classes"]))
 
+    @property
+    def correctable(self) -> dict[int, str]:
+        """Names of the classes that a correction can give an echo, by code: those that a run learns from labels.
+
+        The codes of unsure echoes (`classify.leave`) and of those that keep their source's class are none.
+        """
+        return {int(c["code"]): str(c["name"]) for c in self.classes if c["codes"]}
+
     @cached_property
     def tiles(self) -> list[dict[str, Any]]:
         """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax), ``height`` (mean z [m])."""

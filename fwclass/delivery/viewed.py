@@ -30,8 +30,9 @@ from fwclass.delivery.viewed_colours import (
 )
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
-from fwclass.delivery.viewed_pair import check_same_place, known_by, span_of, tiles_of
+from fwclass.delivery.viewed_pair import check_same_place, known_by, tiles_of
 from fwclass.delivery.viewed_relabel import Relabelling
+from fwclass.delivery.viewed_span import Span, finite, span_of
 from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import echo_hashes
@@ -53,6 +54,9 @@ HIDDEN = ("x", "y", "z", "pulse", "echo_number")
 
 UNSURE = ("x", "y", "z", "confidence", "classification")
 """Columns that the work list is made of."""
+
+ENOUGH = 1000
+"""Coarse echoes whose values tell those of all."""
 
 REMEMBERED = 10_000
 """Echoes whose place in the tables is known from when they were looked at."""
@@ -141,8 +145,7 @@ class ViewedRun:
         field = self._field(part)
         if (named := kinds(part, self.delivery.report["input"]["files"])) is not None:
             return {**field, "classes": named}
-        scale = self._scale(part)
-        return {**field, "low": plain_value(scale.low), "high": plain_value(scale.high)}
+        return {**field, **{name: plain_value(end) for name, end in asdict(self._span(part)).items()}}
 
     def level(self, part: str, level: int) -> bytes:
         if level not in self.pyramid.levels():
@@ -366,13 +369,22 @@ class ViewedRun:
         return known[name]
 
     def _scale(self, name: str) -> Scale:
-        return self._open.get(("scale", name), lambda: self._measured(name), lambda _: 64)
+        span = self._span(name)
+        return Scale(span.low, span.high)
 
-    def _measured(self, name: str) -> Scale:
-        """Of both runs where two are compared: the same colour is the same value in either."""
+    def _span(self, name: str) -> Span:
+        return self._open.get(("span", name), lambda: self._measured(name), lambda _: 64)
+
+    def _measured(self, name: str) -> Span:
+        """Of what blocks have, by the coarse echoes, which are of all tiles. Of other columns, whose bytes are made
+        here, of both runs where two are compared: the same colour is the same value in either."""
         self._field(name)
-        spans = [span_of(d, name) for d in (self.delivery, self._other) if d is not None]
-        return Scale(float(np.fmin.reduce([s[0] for s in spans])), float(np.fmax.reduce([s[1] for s in spans])))
+        if name in DRAWN and self.pyramid.own:
+            values = finite(self._skim().columns[name])
+            if len(values) >= ENOUGH:
+                return Span.over(values)
+        others = [self._other] if self._other is not None and name not in DRAWN else []
+        return Span.joined([span_of(d, name) for d in (self.delivery, *others)])
 
     def _column(self, key: str, name: str) -> NDArray:
         return self._columns(key, (name,))[name]

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import InputError
 from fwclass.store.run_location import address_of
-
-SAMPLED = 8
-"""Tiles, about, whose values span the colours of a column."""
 
 
 def check_same_place(one: Delivery, other: Delivery) -> None:
@@ -53,21 +47,3 @@ def known_by(one: Delivery, other: Delivery) -> str:
     while mine != others and mine[-length:] == others[-length:]:
         length += 1
     return "/".join(mine[-length:])
-
-
-def span_of(delivery: Delivery, name: str) -> tuple[float, float]:
-    """From one hundredth to 99 of a column's values in some tiles, in the first with any where those have none; NaN for
-    none at all."""
-    keys = [str(t["tile"]) for t in delivery.tiles]
-    finite = np.concatenate([_finite(delivery, key, name) for key in keys[:: max(1, len(keys) // SAMPLED)]])
-    for key in keys if not len(finite) else ():
-        if len(finite := _finite(delivery, key, name)):
-            break
-    low, high = np.quantile(finite, (0.01, 0.99)).tolist() if len(finite) else (math.nan, math.nan)
-    return low, high
-
-
-def _finite(delivery: Delivery, key: str, name: str) -> NDArray[np.float64]:
-    """Nothing where the run has no such column."""
-    values = table_columns(delivery.table(key), (name,)).get(name, np.empty(0)).astype(np.float64)
-    return values[np.isfinite(values)]

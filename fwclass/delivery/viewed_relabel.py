@@ -64,7 +64,7 @@ class Relabelling:
         self._delivery, self._params, self._in_blocks = delivery, params, in_blocks
         self.corrections = Corrections(delivery)
         self._tiles = {t["tile"]: t for t in delivery.tiles}
-        self._codes = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
+        self._codes = delivery.correctable
         self._selected: OrderedDict[int, Selected] = OrderedDict()
         self._numbers, self._lock = count(1), Lock()
 
@@ -76,6 +76,7 @@ class Relabelling:
             "rows": rows.all.rows,
             "standing": rows.labels.rows,
             "who": self.corrections.who,
+            "classes": [{"code": code, "name": name} for code, name in self._codes.items()],
             "says": _reason_unused(reference["kind"], reference.get("corrections")),
         }
 
@@ -113,7 +114,7 @@ class Relabelling:
     def correct(self, number: int, code: int | None) -> dict[str, Any]:
         if code is not None and code != 0 and code not in self._codes:
             raise InputError(
-                "no class of this run has such a code",
+                "no class that this run learns has such a code",
                 where="the page's request",
                 expected=", ".join(f"{c} ({name})" for c, name in self._codes.items()) + ", 0 for no class",
                 got=code,

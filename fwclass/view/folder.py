@@ -16,6 +16,9 @@ from fwclass.view.pyramid import Node
 from fwclass.view.scene import ECHOES, Scene
 from fwclass.view.server import page_files
 
+SPANNED = ("z", "confidence", "height_above_ground", "intensity")
+"""Columns that blocks have, and whose colours span what `Scene.scale` says."""
+
 IDENTITIES = "identity"
 """Blocks that say who the echoes of a node are: `blocks.identity_block`."""
 
@@ -104,7 +107,8 @@ def _write_blocks(scene: WholeScene, together: Sequence[int], columns: Sequence[
     for part in parts:
         for level in together:
             (here / part / f"level-{level}.bin").touch()
-    for part in columns:
+    for part in (*columns, *SPANNED):
+        (here / part).mkdir(exist_ok=True)
         _write_json(here / part / "scale.json", scene.scale(part))
     for node in scene.nodes():
         name = "-".join(map(str, node))

@@ -7,6 +7,7 @@ the tiles of the run, halved for the finer levels and joined for the coarser one
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,10 +127,9 @@ def order_blocks(
     key, morton = np.empty(len(x), np.uint64), np.empty(len(x), np.uint32)
     _keys(level, x, y, pyramid.size, pyramid.joined, *pyramid.corner, key, morton)
     order = np.lexsort((morton, key))
-    firsts = np.flatnonzero(np.diff(key[order], prepend=np.uint64(0xFFFFFFFFFFFFFFFF)))
-    lasts = [*firsts[1:].tolist(), len(order)]
+    firsts = np.flatnonzero(np.diff(key[order], prepend=np.uint64(0xFFFFFFFFFFFFFFFF))).tolist()
     nodes = {}
-    for first, last in zip(firsts.tolist(), lasts, strict=True):
+    for first, last in pairwise([*firsts, len(order)]):
         k = int(key[order[first]])
         nodes[k >> 58, k >> 29 & 0x1FFFFFFF, k & 0x1FFFFFFF] = (first, last)
     return order, nodes

@@ -76,7 +76,7 @@ class Scene(Protocol):
         """Tiles, levels, classes, columns, and what else the page has to know before it draws."""
 
     def scale(self, part: str) -> dict[str, Any]:
-        """What the bytes of a column stand for."""
+        """What the bytes of a column stand for: kinds, or numbers from `low` to `high`, which its colours span."""
 
     def level(self, part: str, level: int) -> bytes:
         """All blocks of a level."""

@@ -15,15 +15,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commandline import fwclass
+from drawn import box, drawn, drawn_classes, marked
 from pagedriver import Driven, driven
-from smallsurvey import small_survey
+from smallsurvey import deliver, small_survey
 
 from fwclass import conf
+from fwclass.delivery.exported import export_view
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.errors import ConfigError
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY
+from fwclass.view.selection import Selection
 
 SMALL = ("view.block=2000", "view.together=6000", "view.export=3")
 """Blocks of every kind: levels of several tiles, levels that are sent whole, nodes alone."""
@@ -108,14 +111,40 @@ def test_every_block_is_what_the_server_answers(folder: Path, shown: ViewedRun) 
                 nodes |= {path.stem} if part == "echoes" else set()
     assert levels == len(index["together"]) > 2 and set(about["nodes"]) == nodes and len(nodes) > 5
     assert max(index["together"]) < shown.pyramid.last and shown.pyramid.own > 0
-    drawn = 0
+    assert echoes_in(folder) == shown.echoes
+    assert json.loads((folder / "data/0/strip/scale.json").read_text())["classes"][0]["name"] == "strip_01.las"
+
+
+def echoes_in(folder: Path) -> int:
+    """Of all blocks."""
+    echoes = 0
     for path in (folder / "data/0/echoes").glob("*.bin"):
         data, at = path.read_bytes(), 0
         while at < len(data):
-            drawn += struct.unpack_from("<I", data, at + 16)[0]
+            echoes += struct.unpack_from("<I", data, at + 16)[0]
             at += 64 + struct.unpack_from("<I", data, at)[0]
-    assert drawn == shown.echoes
-    assert json.loads((folder / "data/0/strip/scale.json").read_text())["classes"][0]["name"] == "strip_01.las"
+    return echoes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "stray"), [(1000, None), (25, (500.0, 0.0))], ids=["one tile", "a tile of one echo"])
+def test_a_run_without_coarse_levels_and_a_tile_of_one_echo(
+    tmp_path: Path, size: int, stray: tuple[float, float] | None
+) -> None:
+    small_survey(tmp_path, stray)
+    deliver(tmp_path, f"tile.size={size}")
+    params = conf.section("view", ("view.unsure=0.9", "view.together=1000", "view.block=1000"))
+    export_view(tmp_path / "run", None, params, tmp_path / "site", print)
+    tiles = open_run(tmp_path / "run").tiles
+    assert len(tiles) == 1 if stray is None else min(t["echoes"] for t in tiles) == 1
+    assert echoes_in(tmp_path / "site") == 6000 + (stray is not None)
+    scene = ViewedRun(open_run(tmp_path / "run"), params)
+    assert sum(map(len, drawn_classes(scene).values())) == scene.echoes
+    told = scene.relabel.select(Selection.of(drawn(box(500_000, 5_400_000, 501_000, 5_400_100))))
+    assert told["echoes"] == scene.echoes
+    marks = marked(scene.relabel.marks(told["selection"]))
+    assert sum(map(len, marks.values())) == scene.echoes
+    assert json.loads((tmp_path / "site/data/0/work.json").read_text())["places"]
 
 
 def test_every_node_says_who_its_echoes_are(folder: Path, shown: ViewedRun) -> None:

@@ -50,6 +50,19 @@ def delivered(scene: ViewedRun) -> dict[str, np.ndarray]:
     return {n: np.concatenate([p[n] for p in parts]) for n in COLUMNS}
 
 
+@pytest.mark.slow
+def test_classes_that_are_given_are_those_that_a_run_learns(small_run: Path) -> None:
+    """Unsure echoes have a code and a name, and are shown so; it is no class to give, as in `label collect`."""
+    deliver(small_run.parent, "classify.leave=1", "classify.unsure=0.95")
+    scene = opened(small_run)
+    assert {c["code"] for c in scene.index()["classes"]} == {1, 2, 5}
+    assert [c["code"] for c in scene.relabel.begin()["classes"]] == [2, 5]
+    told = scene.relabel.select(Selection.of(drawn(SPOT)))
+    with pytest.raises(InputError, match=r"expected: 2 \(ground\), 5 \(bush\), 0 for no class\n(.|\n)*got: 1"):
+        scene.relabel.correct(told["selection"], 1)
+    assert scene.relabel.correct(told["selection"], 0)["echoes"] == told["echoes"]
+
+
 def test_what_is_counted_is_marked_and_written(scene: ViewedRun, small_run: Path) -> None:
     every = delivered(scene)
     told = scene.relabel.select(Selection.of(drawn(SPOT, classes=[2])))
@@ -190,7 +203,7 @@ def test_too_much_at_once_is_refused_before_it_is_read(small_run: Path) -> None:
 
 def test_a_code_or_a_selection_that_is_none_is_refused(scene: ViewedRun, small_run: Path) -> None:
     number = scene.relabel.select(Selection.of(drawn(SPOT)))["selection"]
-    with pytest.raises(InputError, match="no class of this run"):
+    with pytest.raises(InputError, match="no class that this run learns"):
         scene.relabel.correct(number, 200)
     with pytest.raises(InputError, match="not kept any more"):
         scene.relabel.correct(number + 1, 5)

@@ -80,33 +80,41 @@ function recall() {
 }
 
 // ------------------------------------------------------------------ colours
+const STORED = { height: 'z' }; // what the run calls a colour
 async function colourBy(name) {
-  const field = scenes[0].columns.find((c) => c.name === name), mode = MODES[name];
-  if (mode === undefined && !field) { name = 'classification'; }
+  if (MODES[name] === undefined && !scenes[0].columns.some((c) => c.name === name)) name = 'classification';
+  const mode = MODES[name] ?? 5, having = scenes.filter((s) => name === 'height' || s.columns.some((c) => c.name === name));
   state.by = name; $('by').value = name;
-  const box = scenes[0].box, ranges = { classification: [0, 1], confidence: [0.3, 1], height: [box[2], box[5]], height_above_ground: [0, 20] };
-  let about = { unit: { height: 'm', height_above_ground: 'm' }[name] || '', meaning: field?.meaning || '' }, range = ranges[name];
+  let about = {};
   try {
-    if (!range) { about = await json(`0/${name}/scale.json`); range = [about.low, about.high]; }
+    if (mode) about = joined(await Promise.all(having.map((s) => json(`${s.number}/${STORED[name] || name}/scale.json`))));
   } catch (e) { failed(e.message, e.status); return; }
   if (state.by !== name) return;
-  if (about.classes) { state.look.mode = 6; categories(about.classes); } else Object.assign(state.look, { mode: mode ?? 5, low: mode === undefined ? 0 : range[0], high: mode === undefined ? 1 : range[1] });
-  const lacks = scenes.filter((s) => !s.columns.some((c) => c.name === name) && mode === undefined);
-  for (const s of scenes) s.by(mode === undefined && !lacks.includes(s) ? name : '');
   const o = name === 'height' ? scenes[0].origin[2] : 0;
-  legend(name, about, about.low === null ? null : [range[0] + o, range[1] + o]); for (const s of lacks) $('legend').append(element('p', `${s.run} has no such column.`)); redraw(); remember();
+  if (about.classes) { state.look.mode = 6; categories(about.classes); } else Object.assign(state.look, { mode, ...(mode === 5 ? { low: 0, high: 1 } : { low: about.low - o, high: about.high - o }) });
+  for (const s of scenes) s.by(mode === 5 && having.includes(s) ? name : '');
+  legend(name, about); for (const s of scenes) if (mode && !having.includes(s)) $('legend').append(element('p', `${s.run} has no such column.`)); redraw(); remember();
+}
+// Two runs have one scale of colours.
+function joined(scales) {
+  const end = (choose, name) => { const ends = scales.map((s) => s[name]).filter((v) => typeof v === 'number'); return ends.length ? choose(...ends) : null; };
+  return { ...scales[0], low: end(Math.min, 'low'), high: end(Math.max, 'high'), least: end(Math.min, 'least'), most: end(Math.max, 'most') };
 }
 function categories(list) { drawing.palette.fill(255, 4 * 256); for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
 const rgb = (css) => [1, 3, 5].map((k) => parseInt(css.slice(k, k + 2), 16));
-function legend(name, about, range) {
-  const box = $('legend'); box.replaceChildren();
+function legend(name, about) {
+  const box = $('legend'), { low, high, least, most } = about; box.replaceChildren();
   if (name === 'classification') return;
   if (about.classes) { for (const c of about.classes) { const l = element('div', '', 'row'), i = element('i'); i.style.background = c.colour; l.append(i, element('span', c.name)); box.append(l); } return; }
   const c = document.createElement('canvas'), g = c.getContext('2d'); c.width = 256; c.height = 1;
   const ramp = g.createLinearGradient(0, 0, 256, 0); for (let k = 0; k < rampColours.length / 3; k += 1) ramp.addColorStop(k / (rampColours.length / 3 - 1), `rgb(${rampColours.slice(3 * k, 3 * k + 3).join(',')})`);
   g.fillStyle = ramp; g.fillRect(0, 0, 256, 1);
-  const ends = element('div', '', 'ends'); if (range) ends.append(element('span', number(range[0])), element('span', about.unit), element('span', number(range[1]))); else ends.append(element('span', 'no echo has a value'));
+  const ends = element('div', '', 'ends'), place = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(high - low)))), rounded = (v) => Number(v.toFixed(place)).toString();
+  if (low === null) ends.append(element('span', 'no echo has a value'));
+  else if (low === high) ends.append(element('span', `${number(low)} ${about.unit}`));
+  else ends.append(element('span', `${least < low ? '≤ ' : ''}${rounded(low)}`), element('span', about.unit), element('span', `${most > high ? '≥ ' : ''}${rounded(high)}`));
   box.append(c, ends); if (about.meaning) box.append(element('p', about.meaning));
+  if (least < low || most > high) ends.title = 'From 1 to 99 % of the values have colours of their own: one that strays flattens none.';
 }
 function classes() {
   const known = new Map(); for (const c of scenes.flatMap((s) => s.classes)) { const same = known.get(c.code); known.set(c.code, same && same.name !== c.name ? { ...same, name: `${apart(same.name)} | ${apart(c.name)}` } : same || c); }

@@ -17,7 +17,6 @@ export class Relabel {
     $('apply').onclick = () => this.apply(); $('undo').onclick = () => this.undo(); $('redo').onclick = () => this.redo();
     $('brush-size').oninput = this.overlay; $('give').onchange = () => this.steps();
     for (const id of ['least-sure', 'most-sure', 'lowest', 'highest']) $(id).onchange = () => this.select();
-    this.classes();
     setInterval(() => { if (!document.hidden && !this.gone) this.follow().catch((e) => this.told(e)); }, EVERY);
   }
 
@@ -31,7 +30,7 @@ export class Relabel {
     try {
       const about = await json('0/relabel.json', {});
       if (mine !== this.opening) return;
-      $('relabel-says').textContent = about.says; this.ready(true); this.use(mine.mode || 'lasso');
+      $('relabel-says').textContent = about.says; this.classes(about.classes); this.ready(true); this.use(mine.mode || 'lasso');
     } catch (e) { if (mine !== this.opening) return; $('relabel-says').textContent = e.message; this.told(e, true); }
   }
 
@@ -58,9 +57,9 @@ export class Relabel {
   get radius() { return Number($('brush-size').value); }
   count(text) { $('count').textContent = text; }
 
-  classes() {
+  classes(given) {
     const before = $('give').value;
-    $('give').replaceChildren(new Option('choose one', '?'), ...this.scene.classes.filter((c) => c.code).map((c) => new Option(`${apart(c.name)} (${c.code})`, c.code)), new Option('no class (0)', '0'), new Option('as delivered', ''));
+    $('give').replaceChildren(new Option('choose one', '?'), ...given.map((c) => new Option(`${apart(c.name)} (${c.code})`, c.code)), new Option('no class (0)', '0'), new Option('as delivered', ''));
     if (before) $('give').value = before;
   }
 

@@ -18,14 +18,10 @@ export class Scene {
       if (this.failures.get(job.about.key) < 3) this.asked.delete(job.about.key);
       failed(fault, status);
     });
-    const root = [Infinity, Infinity, Infinity, -Infinity, -Infinity, -Infinity];
     this.places = this.tiles.map(([i, j, echoes, low, high]) => {
       const x = (i - this.west) * this.size, y = (j - this.south) * this.size, z = low - this.origin[2], top = high - this.origin[2];
-      [x, y, z].forEach((v, a) => { root[a] = Math.min(root[a], v); });
-      [x + this.size, y + this.size, top].forEach((v, a) => { root[a + 3] = Math.max(root[a + 3], v); });
       return { i: i - this.west, j: j - this.south, echoes, low: [x, y, z], high: [x + this.size, y + this.size, top] };
     });
-    this.box = root;
   }
 
   static async open(number, changed, failed) { return new Scene(number, await json(`${number}/index.json`), changed, failed); }
@@ -54,7 +50,7 @@ export class Scene {
   moveTo(origin) {
     const by = this.origin.map((v, a) => v - origin[a]);
     for (const p of this.places) for (let a = 0; a < 3; a += 1) { p.low[a] += by[a]; p.high[a] += by[a]; }
-    this.box = this.box.map((v, a) => v + by[a % 3]); this.by_ = by; this.origin = origin;
+    this.by_ = by; this.origin = origin;
   }
 
   // Cumulative share of the echoes up to a level.

@@ -1,0 +1,71 @@
+"""Colours of numbers: what they span, which a stray echo does not flatten, and what the page says of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pagedriver import driven
+from smallsurvey import deliver, small_survey
+from viewedpage import opened, served, text
+
+from fwclass import conf
+from fwclass.delivery.opened import open_run
+from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_span import Span
+
+
+def test_a_stray_value_flattens_no_colour_and_the_ends_know_of_it() -> None:
+    values = np.linspace(100.0, 140.0, 4001)
+    plain, strayed = Span.over(values), Span.over(np.append(values, [-9000.0, 9000.0]))
+    assert plain.low == pytest.approx(100.4, abs=0.02) and plain.high == pytest.approx(139.6, abs=0.02)
+    assert [strayed.low, strayed.high] == pytest.approx([plain.low, plain.high], abs=0.05)
+    assert (strayed.least, strayed.most) == (-9000, 9000)
+
+
+def test_few_values_flags_and_none_span_what_they_have() -> None:
+    assert Span.over(np.array([3.0, 1.0, 2.0])) == Span(1, 3, 1, 3)
+    assert Span.over(np.r_[np.zeros(9999), 1.0]) == Span(0, 1, 0, 1)  # a flag that one in 10 000 has
+    assert Span.over(np.full(5, 7.0)) == Span(7, 7, 7, 7)
+    assert all(map(math.isnan, vars(Span.over(np.empty(0))).values()))
+
+
+def test_two_runs_span_what_either_has_and_none_counts_for_nothing() -> None:
+    none = Span.over(np.empty(0))
+    assert Span.joined([Span(1, 5, 0, 9), Span(2, 6, -1, 6), none]) == Span(1, 6, -1, 9)
+    assert math.isnan(Span.joined([none, none]).low)
+
+
+@pytest.mark.parametrize("together", [1000, 400_000], ids=["few coarse echoes", "all of them"])
+def test_what_blocks_have_spans_its_hundredths(run: Path, together: int) -> None:
+    """Of the coarse echoes, which are of all tiles, or of tiles where those are few."""
+    delivery = open_run(run)
+    scene = ViewedRun(delivery, conf.section("view", ("view.block=2000", f"view.together={together}")))
+    table = delivery.echoes().to_pandas()
+    for name in ("z", "confidence", "height_above_ground", "intensity"):
+        values = np.sort(table[name].dropna().to_numpy(float))
+        about = scene.scale(name)
+        for end, part in (("low", 0.01), ("high", 0.99)):
+            first, last = (np.searchsorted(values, about[end], side) / len(values) for side in ("left", "right"))
+            assert first - 0.008 <= part <= last + 0.008, (name, end)
+        assert values[0] <= about["least"] <= about["low"] < about["high"] <= about["most"] <= values[-1]
+
+
+@pytest.mark.slow
+def test_the_page_tells_heights_apart_beside_a_stray_echo(small_run: Path, tmp_path: Path) -> None:
+    small_survey(tmp_path, stray=(-20.0, 3000.0))
+    deliver(tmp_path)
+    looks = []
+    with driven() as page:
+        for root in (small_run, tmp_path / "run"):
+            with served(root) as server:
+                opened(page, server, more="&by=height")
+                looks.append((page.run("[fwclass.state.look.low, fwclass.state.look.high]"), text(page, "legend")))
+                page.run("fwclass.colourBy('number_of_echoes')")  # which is 1 of all
+                page.until("fwclass.stats.settled")
+                assert text(page, "legend").split()[0] == "1" and page.faults == []
+    (plain, _), (strayed, words) = looks
+    assert strayed == pytest.approx(plain, abs=0.3) and plain[1] - plain[0] < 12
+    assert words.startswith("≤ 200") and "≥ 20" in words
