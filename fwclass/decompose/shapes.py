@@ -35,6 +35,8 @@ COARSEST, FINEST = 0.6, 400.0
 """Samples per full width at half maximum between which a waveform can be fitted."""
 KEPT = 8
 """Tables that a process keeps, some MB each: chunk after chunk of a strip asks for the same."""
+KEPT_WIDTHS = 64
+"""Widths that a process keeps, a kB each: every click of the viewer asks for the same."""
 TEMPLATE_FOOT = 0.011
 """The matched filter covers the pulse where it is higher than this."""
 
@@ -306,8 +308,25 @@ def height_error(pulse: SystemPulse, channel: Channel) -> float:
 
 
 def widths_of(pulse: SystemPulse, narrowest: float, widest: float) -> Widths:
-    """FWHM and area over s, all in ns; between the given widths both are all but straight."""
-    profiles = Profiles(pulse)
+    """FWHM and area over s, all in ns; between the given widths both are all but straight.
+
+    They are shared with whoever asks for the same: not to be written.
+    """
+    values = np.ascontiguousarray(pulse.values, np.float64).tobytes()
+    return _widths_of(pulse.shape, pulse.fwhm, pulse.first, pulse.step, values, narrowest, widest)
+
+
+@lru_cache(maxsize=KEPT_WIDTHS)
+def _widths_of(
+    shape: Literal["gaussian", "measured"],
+    fwhm_of_pulse: float,
+    first_time: float,
+    step_of_pulse: float,
+    values: bytes,
+    narrowest: float,
+    widest: float,
+) -> Widths:
+    profiles = Profiles(SystemPulse(shape, fwhm_of_pulse, first_time, step_of_pulse, np.frombuffer(values)))
     s = np.unique(np.append(np.arange(narrowest, widest + WIDTH_STEP, WIDTH_STEP), 1.0)) * profiles.s0
     if profiles.gaussian:
         return Widths(s, FWHM_PER_SIGMA * s, math.sqrt(2.0 * math.pi) * s)

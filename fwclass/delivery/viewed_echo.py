@@ -60,8 +60,9 @@ class BehindEchoes:
 
         waves = self.waves(strip, pulse)
         params = DecomposeParams(**self._delivery.report["config"]["decompose"])
-        view = see(waves, params, pulse_of(strip, self._inputs), (pulse,))
-        picture, facts = pulse_picture(view, 0, pulse_of(strip, self._inputs))
+        system = pulse_of(strip, self._inputs)
+        view = see(waves, params, system, (pulse,))
+        picture, facts = pulse_picture(view, 0, system)
         residual = np.where(picture.clipped, np.nan, (picture.samples - picture.model) / picture.sigma)
         n = len(facts["echoes"])
         says = f"{n} fitted {'echo' if n == 1 else 'echoes'}, {len(picture.vendor)} of the vendor; noise "

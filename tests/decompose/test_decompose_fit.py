@@ -93,6 +93,20 @@ def test_profiles_of_a_measured_pulse_keep_area_origin_and_width():
     np.testing.assert_allclose(np.interp(profiles.s0, widths.s, widths.area), step * h0.sum(), rtol=1e-3)
 
 
+def test_kept_widths_are_those_of_this_very_shape_and_range():
+    """A pulse that differs in one value, or another range, gets widths of its own; the same one those that are kept."""
+    pulse = skewed()
+    other = replace(pulse, values=np.where(pulse.values > 0.999, 0.9, pulse.values))
+    kept = widths_of(pulse, 0.85, 3.0)
+    assert widths_of(replace(pulse, values=pulse.values.copy()), 0.85, 3.0) is kept
+    assert not np.array_equal(widths_of(other, 0.85, 3.0).area, kept.area)
+    assert widths_of(pulse, 0.85, 1.5).s[-1] < kept.s[-1]
+    assert (
+        widths_of(SystemPulse.gaussian(3.0), 0.85, 3.0).fwhm[0]
+        != widths_of(SystemPulse.gaussian(4.0), 0.85, 3.0).fwhm[0]
+    )
+
+
 @pytest.mark.parametrize("deep", [1, 40])
 def test_level_and_noise_of_waveforms_full_of_echoes(deep):
     """Unbiased on noise; half of a waveform under echoes moves the level by less than half the noise."""
