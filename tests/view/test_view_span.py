@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pagedriver import driven
+from pagedriver import Driven, driven
 from smallsurvey import deliver, small_survey
 from viewedpage import opened, served, text
 
@@ -53,11 +53,26 @@ def test_what_blocks_have_spans_its_hundredths(run: Path, together: int) -> None
         assert values[0] <= about["least"] <= about["low"] < about["high"] <= about["most"] <= values[-1]
 
 
+def section(page: Driven) -> str:
+    """What is said of one along the slope's southern edge, where the stray echo is."""
+    page.run("Object.assign(fwclass.cam, {tilt: 1.5707, azimuth: 0, far: 100, target: [60, 10, 0]}); fwclass.moved()")
+    page.until("fwclass.stats.settled")
+    page.run(
+        """(async () => { const { matrix, project } = await import('./camera.js'), v = document.getElementById('view');
+        const w = v.clientWidth, h = v.clientHeight, o = fwclass.scenes()[0].origin, m = matrix(fwclass.cam, w / h);
+        document.getElementById('width').value = 10; fwclass.tool('section');
+        for (const x of [500045, 500075])
+        fwclass.click(...project(m, [x - o[0], 5400000 - o[1], 203 - o[2]], w, h)); })()"""
+    )
+    page.until("fwclass.state.section && fwclass.stats.settled && !fwclass.state.section.stale")
+    return text(page, "cut-says")
+
+
 @pytest.mark.slow
 def test_the_page_tells_heights_apart_beside_a_stray_echo(small_run: Path, tmp_path: Path) -> None:
     small_survey(tmp_path, stray=(-20.0, 3000.0))
     deliver(tmp_path)
-    looks = []
+    looks, sections = [], []
     with driven() as page:
         for root in (small_run, tmp_path / "run"):
             with served(root) as server:
@@ -66,6 +81,10 @@ def test_the_page_tells_heights_apart_beside_a_stray_echo(small_run: Path, tmp_p
                 page.run("fwclass.colourBy('number_of_echoes')")  # which is 1 of all
                 page.until("fwclass.stats.settled")
                 assert text(page, "legend").split()[0] == "1" and page.faults == []
+                sections.append(section(page))
     (plain, _), (strayed, words) = looks
+    (plain_echoes, one), (strayed_echoes, other) = (words.split(" echoes", 1) for words in sections)
+    assert int(strayed_echoes) == int(plain_echoes) + 1
+    assert other == f"{one}; 1 echo far above or below is left out"
     assert strayed == pytest.approx(plain, abs=0.3) and plain[1] - plain[0] < 12
     assert words.startswith("≤ 200") and "≥ 20" in words

@@ -27,7 +27,7 @@ export class Again {
     $('run').hidden = !state.allowed || !state.command; $('run').disabled = state.running; $('stop').hidden = !state.running;
     if ($('command').textContent !== state.command) $('command').textContent = state.command; // what is marked for a copy stays so
     $('run-says').textContent = state.why || (state.running ? 'The run is under way.' : state.code !== null ? `The run ended: ${state.word}.` : state.allowed ? 'Starts the last command of this run once more:' : 'A run learns from this. Type, or start the viewer with --allow-run:');
-    $('lines').hidden = !state.lines.length; $('lines').replaceChildren(...state.lines.slice(-12).map((line) => element('div', line)));
+    $('lines').hidden = !state.lines.length; $('lines').replaceChildren(...state.lines.slice(-16).map((line) => element('div', line)));
     const delivered = this.running && !state.running && [0, 3, 4].includes(state.code);
     this.running = state.running;
     if (state.running) this.later(700); else if (state.allowed) this.later(EVERY);

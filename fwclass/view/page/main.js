@@ -20,7 +20,7 @@ const fault = (text) => { if ($('fault').textContent === (text || '')) return; $
 const failed = (text, status) => { $('take').hidden = status !== 409; fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text); };
 async function take() { try { await json('0/reopen.json', {}); location.reload(); } catch (e) { failed(e.message, e.status); } }
 $('take').onclick = take;
-const canvas = $('view'), FEW = 5000; // echoes of a section whose dots are larger
+const canvas = $('view'), FEW = 5000, FAR = 50; // echoes of a section whose dots are larger; gap between a stray and all others [m]
 
 // ------------------------------------------------------------------ frames
 const size = () => [canvas.clientWidth / scenes.length, canvas.clientHeight];
@@ -172,19 +172,25 @@ function chosen(hit, x, y) {
 function cutAlong(line) { state.section = line; $('profile').hidden = !line; $('stage').classList.toggle('cut', Boolean(line)); if (!line && relabel?.along) relabel.use(''); cross.show(); redraw(); }
 // A number as its field allows it, which then shows what is used.
 function held(id) { const e = $(id), v = Number(e.value) || Number(e.defaultValue); e.value = Math.min(Number(e.max), Math.max(Number(e.min), v)); return Number(e.value); }
+// The heights that a section shows. Few echoes beyond a gap longer than itself are left out: the rest would be as small as they are far.
+function heights(all, length) {
+  const z = Float64Array.from(all).sort(), n = z.length, few = n < 20 ? 0 : Math.max(1, n / 100), gap = Math.max(FAR, length); let first = 0, last = n - 1;
+  for (let k = 1; k <= few && k < n; k += 1) { if (z[k] - z[k - 1] > gap) first = k; if (z[n - k] - z[n - k - 1] > gap) last = n - 1 - k; }
+  return { low: z[first] ?? Infinity, high: z[last] ?? -Infinity, strays: n ? n - 1 - last + first : 0 };
+}
 // Of two runs the same strip of ground, at one scale: side by side, or one above the other where that shows them larger.
 function profile() {
   const c = $('cut'), g = c.getContext('2d'), line = state.section, n = scenes.length; line.stale = false;
   const cuts = scenes.map((s) => cut(s.nodes.values(), line.A, line.B, line.half, hidden)), { length } = cuts[0];
-  let low = Infinity, high = -Infinity; for (const { echoes } of cuts) for (const e of echoes) { low = Math.min(low, e.z); high = Math.max(high, e.z); }
+  const { low, high, strays } = heights(cuts.flatMap(({ echoes }) => echoes.map((e) => e.z)), length);
   line.echoes = []; line.picture = line.view = null;
-  $('cut-says').textContent = low > high ? 'no echo lies here' : `${cuts.map(({ echoes }, of) => `${n > 1 ? `${scenes[of].run}: ` : ''}${counted(echoes.length)}`).join('; ')}; ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high${scenes.some((s) => s.short) ? '; thinned: along a shorter or narrower one all are drawn' : ''}`;
+  $('cut-says').textContent = low > high ? 'no echo lies here' : `${cuts.map(({ echoes }, of) => `${n > 1 ? `${scenes[of].run}: ` : ''}${counted(echoes.length)}`).join('; ')}; ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high${strays ? `; ${counted(strays)} far above or below ${strays === 1 ? 'is' : 'are'} left out` : ''}${scenes.some((s) => s.short) ? '; thinned: along a shorter or narrower one all are drawn' : ''}`;
   c.width = c.clientWidth; c.height = c.clientHeight; // which the words have left
   if (low > high) return;
   const over = held('exaggeration'), scale = (w, h) => Math.min((w - 20) / length, (h - 16) / Math.max((high - low) * over, 1));
   const beside = scale(c.width / n, c.height) > scale(c.width, c.height / n), w = Math.floor(beside ? c.width / n : c.width), h = Math.floor(beside ? c.height : c.height / n), k = scale(w, h), left = (w - k * length) / 2, bottom = h - 8;
   const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), wide = cuts.reduce((sum, one) => sum + one.echoes.length, 0) < FEW * n ? 3 : 2;
-  cuts.forEach(({ echoes }, of) => { for (const e of echoes) {
+  cuts.forEach(({ echoes }, of) => { for (const e of echoes.filter(({ z }) => z >= low && z <= high)) {
     e.of = of; e.x = left + e.s * k + (beside ? of * w : 0); e.y = bottom - (e.z - low) * k * over + (beside ? 0 : of * h); line.echoes.push(e);
     const v = e.node.marks?.[e.row] ? 0xffb000e8 : pixel(state.look, drawing.palette, e.node, e.row, e.z), X = Math.round(e.x), Y = Math.round(e.y);
     for (let a = 0; a < wide; a += 1) for (let b = 0; b < wide; b += 1) if (X + a >= 0 && X + a < c.width && Y + b >= 0 && Y + b < c.height) px[(Y + b) * c.width + X + a] = v;
