@@ -152,7 +152,7 @@ def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
     delivered anew) is the system's error.
     """
     with _sound(path), pq.ParquetFile(path) as file:
-        there = [n for n in names if n in file.schema_arrow.names]
+        there = _there(file, names)
         arrow = file.read(columns=there, use_threads=False)
         return {n: arrow.column(n).to_numpy() for n in there}
 
@@ -160,12 +160,18 @@ def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
 def table_row(path: Path, names: Sequence[str], row: int) -> dict[str, Any]:
     """One row of a delivered tile, as `table_columns` has it; only its row group is read."""
     with _sound(path), pq.ParquetFile(path) as file:
-        there = [n for n in names if n in file.schema_arrow.names]
+        there = _there(file, names)
         group = 0
         while row >= (rows := file.metadata.row_group(group).num_rows):
             group, row = group + 1, row - rows
         arrow = file.read_row_group(group, columns=there, use_threads=False).slice(row, 1)
         return {n: arrow.column(n).to_numpy()[0] for n in there}
+
+
+def _there(file: pq.ParquetFile, names: Sequence[str]) -> list[str]:
+    """Those of the columns that a file has."""
+    known = set(file.schema_arrow.names)  # which is read from the file's head every time
+    return [n for n in names if n in known]
 
 
 @contextmanager
