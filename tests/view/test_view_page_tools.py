@@ -306,3 +306,13 @@ def test_a_colour_of_which_no_echo_has_a_value_says_so(browser_page: Driven, sma
         assert text(page, "legend").startswith("no echo has a value")
         assert page.run("[...new Set(fwclass.shown()[0].nodes.flatMap((n) => [...n.extra]))]") == [255]
         assert page.faults == []
+
+
+def test_a_section_that_ends_where_it_begins_waits_for_another_end(browser_page: Driven, small_run: Path) -> None:
+    with served(small_run) as server:
+        page = opened(browser_page, server)
+        page.run("fwclass.tool('section'); for (const x of [300, 300]) fwclass.click(x, 400)")
+        assert "elsewhere" in text(page, "says") and page.run("fwclass.state.section") is None
+        page.run("fwclass.click(500, 420)")
+        page.until("fwclass.state.section && fwclass.stats.settled && !fwclass.state.section.stale")
+        assert "m long" in text(page, "cut-says") and page.faults == []

@@ -1,18 +1,20 @@
 import { fit, matrix, onHeight, project, axes, start, FIELD } from './camera.js';
 import { BUDGET, Scene } from './scene.js';
-import { Drawing, MODES, pixel, rampColours } from './draw.js';
-import { cut, pick, touches } from './pick.js';
-import { $, apart, counted, element, number, values, wave, why } from './panel.js';
+import { Drawing, MODES, pixel } from './draw.js';
+import { joined, legend } from './legend.js';
+import { pick, touches } from './pick.js';
+import { $, apart, counted, element, values, wave, why } from './panel.js';
 import { json, traffic, useDelivery, useToken } from './net.js';
 import { kept, LITTLE } from './folder.js';
 import { Again } from './again.js';
 import { Relabel } from './relabel.js';
 import { ARROWS, Crosshair } from './crosshair.js';
+import { held, Section } from './section.js';
 
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
 const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, sketched: false, section: null, selected: null, motion: 600_000, shade: true };
-let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null, cross;
+let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null, cross, section;
 useToken(given.get('token') || ''); $('unserved').remove();
 const inSight = (id) => $(id).scrollIntoView({ block: 'nearest' }); // on a phone the panel is longer than its place
 const says = (text) => { $('says').textContent = text; if (text) inSight('says'); };
@@ -20,7 +22,7 @@ const fault = (text) => { if ($('fault').textContent === (text || '')) return; $
 const failed = (text, status) => { $('take').hidden = status !== 409; fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text); };
 async function take() { try { await json('0/reopen.json', {}); location.reload(); } catch (e) { failed(e.message, e.status); } }
 $('take').onclick = take;
-const canvas = $('view'), FEW = 5000, FAR = 50; // echoes of a section whose dots are larger; gap between a stray and all others [m]
+const canvas = $('view');
 
 // ------------------------------------------------------------------ frames
 const size = () => [canvas.clientWidth / scenes.length, canvas.clientHeight];
@@ -30,7 +32,7 @@ function frame() {
   const began = performance.now(), [w, h] = size(), m = matrix(cam, w / h), moving = began - state.moving < 250;
   if (!w || !h) return;
   state.sketched = false;
-  if (!state.dirty) { marks(m, w, h); if (state.section?.picture) sketch(state.section); return; }
+  if (!state.dirty) { marks(m, w, h); if (state.section?.picture) section.sketch(); return; }
   state.dirty = moving;
   const line = state.section, full = line && ((low, high) => touches(low, high, line.A, line.B, line.half));
   shown = scenes.map((s) => {
@@ -51,7 +53,7 @@ function frame() {
   stats.settled = busy || moving ? 0 : stats.settled || now;
   $('facts').textContent = `${stats.drawn.toLocaleString('en')} of ${scenes.reduce((n, s) => n + s.echoes, 0).toLocaleString('en')} echoes${busy ? ', more are coming' : ''}`;
   marks(m, w, h);
-  if (line && !busy && line.stale) profile(); else if (line?.picture) sketch(line);
+  if (line && !busy && line.stale) section.measure(); else if (line?.picture) section.sketch();
 }
 const redraw = () => { state.dirty = true; stats.settled = 0; if (state.section) state.section.stale = true; };
 const overlay = () => { state.sketched = true; }; // only what lies over the echoes has changed
@@ -95,27 +97,8 @@ async function colourBy(name) {
   for (const s of scenes) s.by(mode === 5 && having.includes(s) ? name : '');
   legend(name, about); for (const s of scenes) if (mode && !having.includes(s)) $('legend').append(element('p', `${s.run} has no such column.`)); redraw(); remember();
 }
-// Two runs have one scale of colours.
-function joined(scales) {
-  const end = (choose, name) => { const ends = scales.map((s) => s[name]).filter((v) => typeof v === 'number'); return ends.length ? choose(...ends) : null; };
-  return { ...scales[0], low: end(Math.min, 'low'), high: end(Math.max, 'high'), least: end(Math.min, 'least'), most: end(Math.max, 'most') };
-}
 function categories(list) { drawing.palette.fill(255, 4 * 256); for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
 const rgb = (css) => [1, 3, 5].map((k) => parseInt(css.slice(k, k + 2), 16));
-function legend(name, about) {
-  const box = $('legend'), { low, high, least, most } = about; box.replaceChildren();
-  if (name === 'classification') return;
-  if (about.classes) { for (const c of about.classes) { const l = element('div', '', 'row'), i = element('i'); i.style.background = c.colour; l.append(i, element('span', c.name)); box.append(l); } return; }
-  const c = document.createElement('canvas'), g = c.getContext('2d'); c.width = 256; c.height = 1;
-  const ramp = g.createLinearGradient(0, 0, 256, 0); for (let k = 0; k < rampColours.length / 3; k += 1) ramp.addColorStop(k / (rampColours.length / 3 - 1), `rgb(${rampColours.slice(3 * k, 3 * k + 3).join(',')})`);
-  g.fillStyle = ramp; g.fillRect(0, 0, 256, 1);
-  const ends = element('div', '', 'ends'), place = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(high - low)))), rounded = (v) => Number(v.toFixed(place)).toString();
-  if (low === null) ends.append(element('span', 'no echo has a value'));
-  else if (low === high) ends.append(element('span', `${number(low)} ${about.unit}`));
-  else ends.append(element('span', `${least < low ? '≤ ' : ''}${rounded(low)}`), element('span', about.unit), element('span', `${most > high ? '≥ ' : ''}${rounded(high)}`));
-  box.append(c, ends); if (about.meaning) box.append(element('p', about.meaning));
-  if (least < low || most > high) ends.title = 'From 1 to 99 % of the values have colours of their own: one that strays flattens none.';
-}
 function classes() {
   const known = new Map(); for (const c of scenes.flatMap((s) => s.classes)) { const same = known.get(c.code); known.set(c.code, same && same.name !== c.name ? { ...same, name: `${apart(same.name)} | ${apart(c.name)}` } : same || c); }
   for (let code = 0; code < 256; code += 1) drawing.palette.set([...rgb(known.get(code)?.colour || '#9aa0a6'), hidden.has(code) ? 0 : 255], 4 * code);
@@ -157,6 +140,8 @@ function chosen(hit, x, y) {
   if (state.tool === 'section') {
     const p = hit?.place || onHeight(cam, x % w, y, w, h);
     if (!p) { says('There is nothing but sky: click an echo, or the ground.'); return; }
+    const [first] = state.points;
+    if (first && Math.hypot(p[0] - first[0], p[1] - first[1]) < 0.1) { says('That is where the section begins: click its other end, elsewhere.'); return; }
     state.points.push(p); says('Click the other end.');
     if (state.points.length === 2) { cutAlong({ A: state.points[0], B: state.points[1], half: held('width') / 2, stale: true }); tool(''); }
   } else if (!hit) says('No echo is there: click two echoes.'); else {
@@ -170,57 +155,6 @@ function chosen(hit, x, y) {
 }
 // The cloud is drawn in what its section leaves, so that the line stays in sight.
 function cutAlong(line) { state.section = line; $('profile').hidden = !line; $('stage').classList.toggle('cut', Boolean(line)); if (!line && relabel?.along) relabel.use(''); cross.show(); redraw(); }
-// A number as its field allows it, which then shows what is used.
-function held(id) { const e = $(id), v = Number(e.value) || Number(e.defaultValue); e.value = Math.min(Number(e.max), Math.max(Number(e.min), v)); return Number(e.value); }
-// The heights that a section shows. Few echoes beyond a gap longer than itself are left out: the rest would be as small as they are far.
-function heights(all, length) {
-  const z = Float64Array.from(all).sort(), n = z.length, few = n < 20 ? 0 : Math.max(1, n / 100), gap = Math.max(FAR, length); let first = 0, last = n - 1;
-  for (let k = 1; k <= few && k < n; k += 1) { if (z[k] - z[k - 1] > gap) first = k; if (z[n - k] - z[n - k - 1] > gap) last = n - 1 - k; }
-  return { low: z[first] ?? Infinity, high: z[last] ?? -Infinity, strays: n ? n - 1 - last + first : 0 };
-}
-// Of two runs the same strip of ground, at one scale: side by side, or one above the other where that shows them larger.
-function profile() {
-  const c = $('cut'), g = c.getContext('2d'), line = state.section, n = scenes.length; line.stale = false;
-  const cuts = scenes.map((s) => cut(s.nodes.values(), line.A, line.B, line.half, hidden)), { length } = cuts[0];
-  const { low, high, strays } = heights(cuts.flatMap(({ echoes }) => echoes.map((e) => e.z)), length);
-  line.echoes = []; line.picture = line.view = null;
-  $('cut-says').textContent = low > high ? 'no echo lies here' : `${cuts.map(({ echoes }, of) => `${n > 1 ? `${scenes[of].run}: ` : ''}${counted(echoes.length)}`).join('; ')}; ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high${strays ? `; ${counted(strays)} far above or below ${strays === 1 ? 'is' : 'are'} left out` : ''}${scenes.some((s) => s.short) ? '; thinned: along a shorter or narrower one all are drawn' : ''}`;
-  c.width = c.clientWidth; c.height = c.clientHeight; // which the words have left
-  if (low > high) return;
-  const over = held('exaggeration'), scale = (w, h) => Math.min((w - 20) / length, (h - 16) / Math.max((high - low) * over, 1));
-  const beside = scale(c.width / n, c.height) > scale(c.width, c.height / n), w = Math.floor(beside ? c.width / n : c.width), h = Math.floor(beside ? c.height : c.height / n), k = scale(w, h), left = (w - k * length) / 2, bottom = h - 8;
-  const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), wide = cuts.reduce((sum, one) => sum + one.echoes.length, 0) < FEW * n ? 3 : 2;
-  cuts.forEach(({ echoes }, of) => { for (const e of echoes.filter(({ z }) => z >= low && z <= high)) {
-    e.of = of; e.x = left + e.s * k + (beside ? of * w : 0); e.y = bottom - (e.z - low) * k * over + (beside ? 0 : of * h); line.echoes.push(e);
-    const v = e.node.marks?.[e.row] ? 0xffb000e8 : pixel(state.look, drawing.palette, e.node, e.row, e.z), X = Math.round(e.x), Y = Math.round(e.y);
-    for (let a = 0; a < wide; a += 1) for (let b = 0; b < wide; b += 1) if (X + a >= 0 && X + a < c.width && Y + b >= 0 && Y + b < c.height) px[(Y + b) * c.width + X + a] = v;
-  } });
-  line.panes = n > 1 ? scenes.map((s, of) => ({ name: s.run, x: beside ? of * w : 0, y: beside ? 0 : of * h, w, h })) : [];
-  line.picture = picture; line.view = { left, k, low, over, bottom }; sketch(line);
-}
-// The section's picture, and over it the runs' names, the echo that was asked for, and what is being drawn.
-function sketch(line) {
-  const g = $('cut').getContext('2d'); g.putImageData(line.picture, 0, 0);
-  g.font = '600 12px system-ui, "DejaVu Sans", sans-serif'; g.fillStyle = '#1d2a35'; g.strokeStyle = '#b9c4cb'; g.lineWidth = 1;
-  for (const p of line.panes) { g.fillText(p.name, p.x + 6, p.y + 13, p.w - 12); if (p.x || p.y) g.strokeRect(p.x - 0.5, p.y - 0.5, p.w + 9, p.h + 9); }
-  const mine = state.selected && line.echoes.find((e) => e.node === state.selected.node && e.row === state.selected.row);
-  if (mine) { g.beginPath(); g.arc(mine.x + 1, mine.y + 1, 8, 0, 7); g.strokeStyle = '#c2410c'; g.lineWidth = 2; g.stroke(); }
-  relabel?.inSection(g);
-}
-$('cut').onpointerdown = (e) => { if (e.button === 0 && state.section?.view && relabel?.draws('section')) { $('cut').setPointerCapture(e.pointerId); relabel.down('section', e.offsetX, e.offsetY); } };
-$('cut').onpointermove = (e) => { if (e.buttons && relabel?.stroke.length && relabel.where === 'section') relabel.move(e.offsetX, e.offsetY); };
-$('cut').onpointerup = () => { if (relabel?.stroke.length && relabel.where === 'section') relabel.up(); };
-$('cut').onpointercancel = () => relabel?.cancel();
-$('cut').onclick = (e) => { if (!relabel?.draws('section')) clickSection(e.offsetX, e.offsetY); };
-function clickSection(x, y) {
-  let best = null;
-  for (const one of state.section?.echoes || []) { const d = (one.x - x) ** 2 + (one.y - y) ** 2; if (d < 100 && (!best || d < best.d)) best = { d, one }; }
-  if (best) { const { node, row, s, z, of } = best.one, { A, B } = state.section, L = Math.hypot(B[0] - A[0], B[1] - A[1]); show(of, { node, row, place: [A[0] + (B[0] - A[0]) * s / L, A[1] + (B[1] - A[1]) * s / L, z] }); }
-}
-$('width').onchange = () => { if (state.section) { state.section.half = held('width') / 2; redraw(); } };
-$('exaggeration').onchange = redraw;
-$('close-profile').onclick = () => cutAlong(null);
-
 // ------------------------------------------------------------------ one echo
 // One request of a kind at a time: what a hand that clicks on does not wait for any more is not asked for.
 const asked = {};
@@ -295,9 +229,10 @@ const fromAbove = () => { cam.tilt = 1.5707; cam.azimuth = 0; moved(); };
 const sized = (by) => { $('brush-size').value = Number($('brush-size').value) + by; overlay(); };
 const relabelling = { l: () => relabel.use('lasso'), b: () => relabel.use('brush'), a: () => relabel.use('above'), u: () => relabel.use('below'), Enter: () => relabel.apply(), z: () => relabel.undo(), y: () => relabel.redo(), '[': () => sized(-4), ']': () => sized(4) };
 const keys = { r: () => edit(), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), c: crosshair, '?': () => { $('help').open = !$('help').open; if ($('help').open) inSight('help'); }, n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.stroke.length) relabel.cancel(); else if (relabel?.last) { relabel.drop(); relabel.hint(); } else if (state.tool || relabel?.mode) { if (relabel?.along || !state.tool) relabel.use(''); if (state.tool) tool(''); } else if (cross.over) { cross.away(); says(''); relabel?.hint(); } else { state.measured = state.selected = null; says(''); cutAlong(null); } } };
+section = new Section({ state, scenes: () => scenes, relabel: () => relabel, hidden, colour: (e) => pixel(state.look, drawing.palette, e.node, e.row, e.z), redraw, show, close: () => cutAlong(null) });
 cross = new Crosshair({
   canvases: [canvas, $('cut')], halves: () => scenes.length, led: (x, y) => relabel?.lead(x, y),
-  press: (over, x, y) => { const where = over === canvas ? 'cloud' : 'section'; if (relabel?.draws(where) && !state.tool) relabel.corner(where, x, y); else if (over === canvas) click(x, y); else clickSection(x, y); },
+  press: (over, x, y) => { const where = over === canvas ? 'cloud' : 'section'; if (relabel?.draws(where) && !state.tool) relabel.corner(where, x, y); else if (over === canvas) click(x, y); else section.click(x, y); },
 });
 function crosshair() { cross.next(); canvas.focus(); says(!cross.over ? '' : `Arrows move the crosshair, with shift by one pixel; Enter is a click. c takes it ${cross.over === canvas && state.section ? 'to the section' : 'away'}.`); relabel?.cancel(); relabel?.hint(); }
 function pressed(e) {
@@ -321,8 +256,8 @@ function relabels(first) {
   if (!first.relabels) return;
   useDelivery(first.delivery);
   if (first.rows) noClass(first);
-  const section = () => state.section, wantSection = () => { if (state.tool !== 'section') tool('section'); }, leaveTool = () => { if (state.tool) tool(''); };
-  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, leaveTool, using: () => state.tool, keyed: () => cross.over, redraw, overlay, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
+  const wantSection = () => { if (state.tool !== 'section') tool('section'); }, leaveTool = () => { if (state.tool) tool(''); };
+  relabel = new Relabel({ scene: first, cam, size, hidden, section: () => state.section, wantSection, leaveTool, using: () => state.tool, keyed: () => cross.over, redraw, overlay, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
   again = new Again({ take, open: () => relabel.open, drawing: () => relabel.last || relabel.stroke.length });
   $('relabel').hidden = false; $('relabel').onclick = edit;
   if (given.get('relabel')) edit();
