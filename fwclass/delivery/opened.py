@@ -171,9 +171,16 @@ class Delivery:
     def correctable(self) -> dict[int, str]:
         """Names of the classes that a correction can give an echo, by code: those that a run learns from labels.
 
-        The codes of unsure echoes (`classify.leave`) and of those that keep their source's class are none.
+        The codes of unsure echoes (`classify.leave`), of those that keep their source's class, and of a ground filter
+        are none.
         """
-        return {int(c["code"]): str(c["name"]) for c in self.classes if c["codes"]}
+        classes = self.classes if self.has_model else self.report["config"]["survey"]["classes"]
+        return {int(c["code"]): str(c["name"]) for c in classes if c["codes"]}
+
+    @property
+    def has_model(self) -> bool:
+        """Whether a model gave the classes; else (``--workflow ground``) a ground filter did."""
+        return self.report["model"].get("features") != []
 
     @cached_property
     def tiles(self) -> list[dict[str, Any]]:

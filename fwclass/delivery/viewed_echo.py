@@ -124,6 +124,8 @@ class BehindEchoes:
         the tile's echoes of that class.
         """
         model = self._delivery.file("model/")
+        if not self._delivery.has_model:
+            raise InputError("no model voted: these classes are a ground filter's", where=self._delivery.path)
         if not model.is_dir():
             raise InputError("this delivery has no model to ask", where=self._delivery.path)
         forest = self._trained.get("model", lambda: load_model(model), lambda _: 1 << 20)

@@ -77,7 +77,7 @@ class Relabelling:
             "standing": rows.labels.rows,
             "who": self.corrections.who,
             "classes": [{"code": code, "name": name} for code, name in self._codes.items()],
-            "says": _reason_unused(reference["kind"], reference.get("corrections")),
+            "says": _reason_unused(reference["kind"], reference.get("corrections"), self._delivery.has_model),
         }
 
     def select(self, selection: Selection) -> dict[str, Any]:
@@ -186,13 +186,15 @@ class Relabelling:
         )
 
 
-def _reason_unused(kind: str, corrections: str | bool | None) -> str:
+def _reason_unused(kind: str, corrections: str | bool | None, model: bool) -> str:
     """Why the next run takes nothing of what is corrected here; "" where it does."""
     if kind == "none":
         return "This survey has no reference labels: a run takes no corrections, and trains nothing."
     if corrections is not None:
         named = repr(corrections) if corrections else "false"
         return f"The next run takes none of this: its configuration says survey.reference.corrections: {named}."
+    if not model:
+        return "A run of the ground alone (--workflow ground) takes no corrections: one that trains learns from them."
     return ""
 
 

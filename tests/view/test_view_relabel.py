@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from click.testing import CliRunner
 from drawn import box, drawn, drawn_classes, marked
 from smallsurvey import deliver
 
 from fwclass import conf
+from fwclass.cli import cli
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_command import LastCommand
@@ -61,6 +63,18 @@ def test_classes_that_are_given_are_those_that_a_run_learns(small_run: Path) -> 
     with pytest.raises(InputError, match=r"expected: 2 \(ground\), 5 \(bush\), 0 for no class\n(.|\n)*got: 1"):
         scene.relabel.correct(told["selection"], 1)
     assert scene.relabel.correct(told["selection"], 0)["echoes"] == told["echoes"]
+
+
+@pytest.mark.slow
+def test_of_a_ground_filters_classes_none_is_given(small_run: Path) -> None:
+    """A run that trains would refuse them: the survey's own classes are offered, and what learns from them is said."""
+    words = ["run", str(small_run.parent / "s.yaml"), "--workflow", "ground", "--out", str(small_run.parent / "ground")]
+    assert CliRunner().invoke(cli, [*words, "--workers", "0"]).exit_code == 0
+    scene = opened(small_run.parent / "ground")
+    assert {c["code"] for c in scene.index()["classes"]} >= {1, 2, 7, 18}
+    begun = scene.relabel.begin()
+    assert [c["code"] for c in begun["classes"]] == [2, 5] and "--workflow ground" in begun["says"]
+    assert not opened(small_run).relabel.begin()["says"]
 
 
 def test_what_is_counted_is_marked_and_written(scene: ViewedRun, small_run: Path) -> None:
