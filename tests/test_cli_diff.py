@@ -9,10 +9,12 @@ import sqlite3
 import laspy
 import numpy as np
 import pytest
+import rasterio
 from commandline import fwclass
 from smallsurvey import small_survey
 
-from fwclass.operate.difference.deliveries import _echo_lines
+from fwclass.operate.difference.deliveries import _echo_lines, _height_lines
+from fwclass.operate.difference.rasters import raster_changes
 
 OTHER = "survey.features=[amplitude]"
 
@@ -122,3 +124,58 @@ def test_a_tile_that_is_damaged_is_not_compared(runs, tmp_path):
     tile.write_bytes(data)
     ended = fwclass("diff", "s", "s", cwd=tmp_path)
     assert ended.returncode == 1 and tile.name in ended.stderr and "the delivery is damaged" in ended.stderr
+
+
+def raised(path, by, rows):
+    """Lift the first `rows` of a raster by so much, in the file."""
+    with rasterio.open(path) as file:
+        values, profile = file.read(1), file.profile
+    values[:rows] += np.float32(by)
+    path.unlink()  # a link to the store's
+    with rasterio.open(path, "w", **{**profile, "driver": "GTiff"}) as file:
+        file.write(values, 1)
+    return values
+
+
+def test_heights_that_changed_are_told(runs, tmp_path):
+    for name in "ab":
+        shutil.copytree(runs / "r" / "generations" / "0001" / "rasters", tmp_path / name)
+    assert all(one["changed"] == 0 and one["mean"] == 0.0 for one in raster_changes(tmp_path / "a", tmp_path / "b"))
+    dtm = raised(tmp_path / "b" / "dtm.tif", 40.0, 3)
+    told = {one["name"]: one for one in raster_changes(tmp_path / "a", tmp_path / "b")}
+    lifted = int(np.isfinite(dtm[:3]).sum())
+    assert told["dsm.tif"]["changed"] == 0 and told["dtm.tif"]["changed"] == lifted > 0
+    assert told["dtm.tif"]["highest"] == pytest.approx(40, abs=1e-4) and told["dtm.tif"]["lowest"] == 0.0
+    cells = told["dtm.tif"]["cells"]
+    assert told["dtm.tif"]["mean"] == pytest.approx(40 * lifted / cells) and cells == np.isfinite(dtm).sum()
+    assert "off by over 1 cm" in next(_height_lines([told["dtm.tif"]]))
+
+
+def test_rasters_of_other_extents_and_cells(tmp_path):
+    rng = np.random.default_rng(1)
+    whole = rng.normal(100, 1, (1200, 40)).astype(np.float32)
+    whole[rng.random(whole.shape) < 0.1] = np.nan
+    pieces = {"a": (0, 0, 1100, 30, 2.0), "b": (50, 5, 1150, 35, 2.0), "c": (0, 0, 9, 9, 1.0)}
+    for name, (row, column, rows, columns, cell) in pieces.items():
+        (tmp_path / name).mkdir()
+        at = rasterio.Affine(cell, 0, 500_000 + column * cell, 0, -cell, 5_400_000 - row * cell)
+        shape = {"width": columns, "height": rows, "count": 1, "dtype": "float32", "nodata": np.nan, "transform": at}
+        with rasterio.open(tmp_path / name / "dtm.tif", "w", driver="GTiff", **shape) as file:
+            file.write(whole[row : row + rows, column : column + columns], 1)
+    (one,) = raster_changes(tmp_path / "a", tmp_path / "b")
+    there = np.isfinite(whole)
+    assert one["cells"] == there[50:1100, 5:30].sum() and one["changed"] == 0 and one["rmse"] == 0.0
+    assert one["only_first"] == there[:1100, :30].sum() - one["cells"]
+    assert one["only_second"] == there[50:, 5:].sum() - one["cells"]
+    assert "do not lie on each other" in raster_changes(tmp_path / "a", tmp_path / "c")[0]["why"]
+
+
+def test_a_diff_of_ground_runs_tells_the_terrain(runs):
+    words = ("--workflow", "ground", "--workers", 0)
+    for out, more in (("g", ()), ("h", ("--set", "ground.max_building_size=3"))):
+        assert fwclass("run", "s.yaml", "--out", out, *words, *more, cwd=runs).returncode == 0
+    again = fwclass("run", "s.yaml", "--out", "g", "--workers", 0, "--workflow", "quality", cwd=runs)
+    assert "showed what the workflow ground delivered: that is in" in again.stderr and "0001 alone now" in again.stderr
+    assert fwclass("run", "s.yaml", "--out", "g", *words, cwd=runs).returncode == 0
+    shown = fwclass("diff", "g", "h", cwd=runs).stdout
+    assert "dtm         " in shown and "dsm         " in shown and "no intervals" not in shown, shown

@@ -103,11 +103,13 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.graph.report import REPORT
     from fwclass.graph.report_summary import summary
     from fwclass.operate.clean import clean
+    from fwclass.operate.request import replaced
     from fwclass.quality.judge import judge_quality
     from fwclass.workflows import workflow_of
 
     with open_runner(entry.location, how.workers or 0, how.scheduler, config.run, performance) as runner:
         runner.store.generations.check_links()
+        before, earlier = runner.store.generations.current(), request.workflow_before(runner.store)
         request.keep(runner.store)
         runner.fail_fast = how.fail_fast
         entry.begin(runner)
@@ -139,6 +141,9 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         click.echo(
             f"generation  {generation.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
         )
+    if before is not None and shown is not None and before.number != shown.number:
+        for words in replaced(earlier, request.workflow, before, config.run.keep_generations):
+            click.echo(f"note        {root} {words}", err=True)
     if performance is not None:
         click.echo(f"dask report {performance}", err=True)
     if failures:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fwclass.errors import ConfigError, DamagedError, StoreError
+from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
 from fwclass.store.seal import seal, unseal
 from fwclass.store.url import Url
@@ -84,6 +85,14 @@ class Request:
         """Write it into the run (the holder of the lock calls this)."""
         store.keep(_KEPT, seal({n: v for n, v in asdict(self).items() if n != "root"}))
 
+    @staticmethod
+    def workflow_before(store: Store) -> str | None:
+        """The workflow of the last run in `store`, None where nothing tells."""
+        try:
+            return str(unseal(store.recall(_KEPT) or {})["workflow"])
+        except (KeyError, TypeError, ValueError, DamagedError):
+            return None
+
     @classmethod
     def kept(cls, store: Store, own: str | None = None) -> Request:
         """What the last run in `store` was asked for; `StoreError` where nothing tells.
@@ -124,6 +133,16 @@ class Request:
             raise DamagedError(
                 "not the words of a run", where=f"{where}/store/{_KEPT}", got=fault, do="remove the file"
             ) from fault
+
+
+def replaced(earlier: str | None, workflow: str, before: Generation, keep: int) -> list[str]:
+    """What to say of a delivery `before` that another workflow's has replaced; nothing of one by the same."""
+    if earlier in (None, workflow):
+        return []
+    return [
+        f"showed what the workflow {earlier} delivered: that is in {before.where} alone now, and goes after {keep} "
+        "more deliveries (run.keep_generations); --out gives every workflow a directory of its own"
+    ]
 
 
 def _words(value: Any) -> tuple[str, ...]:

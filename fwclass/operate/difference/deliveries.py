@@ -14,6 +14,7 @@ from fwclass.formats.geopackage import rectangles, write_layer
 from fwclass.formats.geoparquet import header
 from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
+from fwclass.operate.difference.rasters import DIFFERS, raster_changes
 from fwclass.store.atomic import move_into_place, read_json, staged
 from fwclass.store.digests import digest_now
 from fwclass.store.generations import Generation
@@ -94,7 +95,7 @@ def _delivery(run: Path, number: int | None) -> Delivery:
             do="fwclass history lists what was delivered; run.keep_generations says how many stay",
         )
     report, listed = chosen.path / "report.json", generations.manifest(chosen) or {}
-    for name in ("report.json", *(n for n in listed if n.startswith("parquet/"))):
+    for name in ("report.json", *(n for n in listed if n.startswith(("parquet/", "rasters/")))):
         if listed.get(name, {}).get("digest") != digest_now(chosen.path / name):
             raise InputError(
                 "the delivery is damaged",
@@ -112,7 +113,7 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
     ``settings``, ``libraries``: by key, before and after, null where it was not there. ``files``: ``added``,
     ``removed``, ``changed``. ``accuracy``: figures before and after; ``paired`` with intervals where both are runs with
     the same test echoes, else null and ``why`` not. ``echoes``: counts, ``classes`` and ``matrix`` (rows before,
-    columns after). ``places``: boxes with most changed echoes.
+    columns after). ``heights``: `raster_changes` of terrain and surface. ``places``: boxes with most changed echoes.
     """
     changes = class_changes(_tiles(first), _tiles(second), _sizes(first, second))
     codes = [k for k in range(256) if changes.matrix[k].any() or changes.matrix[:, k].any()]
@@ -138,6 +139,7 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
             "codes": codes,
             "matrix": changes.matrix[np.ix_(codes, codes)].tolist(),
         },
+        "heights": raster_changes(*(d.generation.path / "rasters" for d in (first, second))),
         "places": [{"box": list(box.bounds), "changed": n} for box, n in changes.places()[:SHOWN]],
     }, changes
 
@@ -227,6 +229,7 @@ def _lines(difference: Mapping[str, Any]) -> Iterator[str]:
     yield from _pairs_lines("library", difference["libraries"])
     yield from _accuracy_lines(difference["accuracy"])
     yield from _echo_lines(difference["echoes"])
+    yield from _height_lines(difference["heights"])
     for place in difference["places"]:
         x, y, x1, y1 = place["box"]
         yield f"{'place':<12}{place['changed']:>10,} changed in {x:.0f} {y:.0f} to {x1:.0f} {y1:.0f}"
@@ -251,8 +254,25 @@ def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
             ends = accuracy["paired"][key]["interval"]
             if ends is not None:
                 yield f"{'':<12}{key.replace('_', ' ')}: {ends[0]:+.4f} to {ends[1]:+.4f}, {level:.0f} % interval"
-    elif accuracy["why"]:
+    elif accuracy["why"] and any(None not in accuracy[key] for key in FIGURES):
         yield f"{'':<12}no intervals: {accuracy['why']}"
+
+
+def _height_lines(rasters: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    for one in rasters:
+        word = visible(str(one["name"]).removesuffix(".tif"))
+        if "why" in one:
+            yield f"{word:<12}{one['why']}"
+            continue
+        cells, changed = one["cells"], one["changed"]
+        share = f" ({100 * changed / cells:.2f} %)" if cells else ""
+        off = ""
+        if changed:
+            off = f"; mean {one['mean']:+.3f}, rmse {one['rmse']:.3f}, {one['lowest']:+.2f} to {one['highest']:+.2f} m"
+        yield f"{word:<12}{cells:,} cells in both, {changed:,} off by over {100 * DIFFERS:g} cm{share}{off}"
+        for key, which in (("only_first", "first"), ("only_second", "second")):
+            if one[key]:
+                yield f"{'':<12}{one[key]:,} cells in the {which} alone"
 
 
 def _echo_lines(echoes: Mapping[str, Any]) -> Iterator[str]:
