@@ -122,6 +122,15 @@ def test_files_that_are_none(tmp_path):
         assert ended.returncode in (1, 2) and words in ended.stderr and "Traceback" not in ended.stderr
 
 
+def test_two_files_of_one_name_are_no_survey(tmp_path):
+    """As `run` says: a draft that cannot be run is none."""
+    town(tmp_path)
+    (tmp_path / "b").mkdir()
+    town(tmp_path / "b", seed=2)
+    ended = fwclass("init", "a.las", "b/a.las", cwd=tmp_path)
+    assert ended.returncode == 1 and "two files of the survey have the same name" in ended.stderr, ended.stderr
+
+
 @pytest.mark.parametrize("most", [1_100, 10**6])
 def test_cells_double_and_keep_their_counts(monkeypatch, most):
     monkeypatch.setattr(areas, "MOST_CELLS", most)

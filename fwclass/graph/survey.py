@@ -138,7 +138,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     digests = Digests(runner.store)
     places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
     opened = open_all(places, config)
-    _distinct([s.path for s in opened])
+    require_distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
     if not full:
         raise InputError(
@@ -161,7 +161,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     _refuse_same_file(strips)
     standard = all(s.standard_gps_time for s in opened)
     flown = find_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
-    _distinct([local(p) for p in flown])
+    require_distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
     of_labels = given_crs(config.survey.reference.crs, "survey.reference.crs")
     polygons = reference_polygons(config, directory, digests, crs, of_labels)
@@ -217,7 +217,8 @@ def _files_of(source: Any) -> list[Path]:
     return [source.path, *([store.path] if store.path is not None and store.path != source.path else [])]
 
 
-def _distinct(paths: list[Path]) -> None:
+def require_distinct(paths: Sequence[Path]) -> None:
+    """`InputError` for names of sources that no output can have, or that two files share."""
     for path in paths:
         fault = name_fault(path.stem)
         if fault:

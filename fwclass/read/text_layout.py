@@ -22,6 +22,10 @@ SHOWN = 80
 """Characters of a line that a message shows."""
 
 
+_METRES = re.compile(r"\s*[\[(]\s*(?:m|met(?:re|er)s?)\s*[\])]$")
+"""A heading's unit that changes nothing; of another unit the column is none that is known."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """How the lines of a file are made.
@@ -59,7 +63,7 @@ def layout_of(path: Path, data: bytes, ignored: Collection[str] = ()) -> Layout:
             raise refusal(
                 path,
                 "this line is neither numbers nor a header",
-                "x y z [label]",
+                _lacking(words, decimal, names),
                 shown(content),
                 "mend or remove the line",
                 number,
@@ -79,6 +83,20 @@ def _are_numbers(words: list[str], decimal: str, names: list[str] | None) -> boo
     if names is None or len(names) != len(words) or len(_known(names)) < 3:
         return all(is_number(w, decimal) for w in words)
     return all(is_number(w, decimal) for w, n in zip(words, names, strict=True) if not _column(n).startswith("?"))
+
+
+def _lacking(words: list[str], decimal: str, names: list[str] | None) -> str:
+    """What a line is expected to be that has words where numbers should stand, below a header of `names`."""
+    if names is None:
+        return "x y z [label]"
+    known = _known(names)
+    if len(known) < 3:
+        return f"numbers below a header that names x, y and z; this one names {', '.join(known) or 'none of them'}"
+    wrong = [
+        n for w, n in zip(words, names, strict=False) if not _column(n).startswith("?") and not is_number(w, decimal)
+    ]
+    codes = " (a code of the LAS specification)" if wrong and _column(wrong[0]) in ("label", "code") else ""
+    return f"a number in column {wrong[0]}{codes}" if wrong else "x y z [label]"
 
 
 def words_of(line: bytes, delimiter: str) -> list[str]:
@@ -103,7 +121,7 @@ def _known(words: list[str]) -> list[str]:
 
 
 def _column(word: str) -> str:
-    plain = word.strip().lower()
+    plain = _METRES.sub("", word.strip().lower())
     return next((c for c, names in _NAMES.items() if plain in names), "?" + word)
 
 

@@ -90,6 +90,8 @@ def test_numbers_that_are_none_stay_in_their_place(tmp_path):
         ("", ["no points", "0 bytes"]),
         (" \n\n", ["no points"]),
         ("hello\nworld\n", ["line 2", "neither numbers nor a header"]),
+        ("x,y,z,class\n1,2,3,NVA\n", ["line 2", "a number in column class (a code of the LAS specification)"]),
+        ("X [ft],Y [ft],Z [ft],id\n1,2,3,P1\n", ["line 2", "header that names x, y and z", "none of them"]),
         (b"\x00\x01\x02\xff" * 50, ["this is no text", "byte 0"]),
         ("1 2 3\n".encode("utf-16"), ["UTF-16"]),
     ],
@@ -99,6 +101,11 @@ def test_what_is_no_table_is_told_by_line(tmp_path, content, told):
         read_text(text(tmp_path / "bad.txt", content))
     for words in ("bad.txt", *told):
         assert words in str(fault.value)
+
+
+def test_metres_in_a_heading_change_nothing(tmp_path):
+    cloud = read_text(text(tmp_path / "a.csv", "Name;Easting [m];Northing (m);Height [metres]\nP1;1,5;2;3\nP2;4;5;6\n"))
+    assert cloud.x.tolist() == [1.5, 4.0] and cloud.z.tolist() == [3.0, 6.0]
 
 
 @settings(max_examples=300, deadline=None)

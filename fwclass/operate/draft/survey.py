@@ -20,6 +20,7 @@ from fwclass import conf
 from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, several, visible
 from fwclass.features.params import Asked, is_feature
+from fwclass.graph.survey import require_distinct
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at
@@ -145,10 +146,11 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None) -> Draft
     Raises
     ------
     InputError
-        A file cannot be read, or none holds points or pulses.
+        A file cannot be read, none holds points or pulses, or two have one name but for their ending.
     """
     holdings = look_into(files)
     paths = [Path(f["path"]) for f in holdings.facts]
+    require_distinct(paths)
     features = "default-waveform" if holdings.waveforms else "default"
     classes, left, split = propose_classes(holdings, features)
     directory, patterns = sources_of(paths, beside)
