@@ -21,6 +21,9 @@ else:
     pa, pc = LazyModule("pyarrow"), LazyModule("pyarrow.compute")
     ds, pq = LazyModule("pyarrow.dataset"), LazyModule("pyarrow.parquet")
 
+_DAMAGE = OSError, ValueError, LookupError, TypeError, NotImplementedError
+"""What Arrow raises: its own are some of these."""
+
 Bounds = tuple[float, float, float, float]
 GEOMETRY = ("geometry", "bbox")
 
@@ -80,20 +83,7 @@ class Echoes:
         return int(self._read(lambda: self._data.count_rows(filter=self._filter)))
 
     def _read(self, work: Callable[[], Any]) -> Any:
-        """What `work` reads; `InputError` with the file where one cannot be read any more."""
-        try:
-            return work()
-        except (pa.ArrowNotImplementedError, pa.ArrowTypeError) as fault:
-            raise InputError(
-                "a condition compares a column with what it cannot be compared with",
-                where="where",
-                expected="numbers for columns of numbers; true or false for `ground` and `noise`",
-                got=str(fault).splitlines()[0],
-            ) from fault
-        except (OSError, ValueError) as fault:  # Arrow's own are both
-            for file in self._files:
-                _check_readable(Path(file))
-            raise InputError("the echoes cannot be read", where="fwclass.open", got=fault) from fault
+        return _reading(self._files, work)
 
     def to_arrow(self) -> pa.Table:
         """A pyarrow table; metadata of its fields tell unit and meaning."""
@@ -132,7 +122,27 @@ class _Part:
         self.columns, self.condition = columns, condition
 
     def __call__(self, file: str) -> Any:
-        return ds.dataset(file, format="parquet").to_table(columns=self.columns, filter=self.condition).to_pandas()
+        def table() -> Any:
+            return ds.dataset(file, format="parquet").to_table(columns=self.columns, filter=self.condition)
+
+        return _reading([file], table).to_pandas()
+
+
+def _reading(files: Sequence[str], work: Callable[[], Any]) -> Any:
+    """What `work` reads of the `files`; `InputError` with the one that cannot be read any more."""
+    try:
+        return work()
+    except _DAMAGE as fault:
+        for file in files:
+            _check_readable(Path(file))
+        if isinstance(fault, (pa.ArrowNotImplementedError, pa.ArrowTypeError)):
+            raise InputError(
+                "a condition compares a column with what it cannot be compared with",
+                where="where",
+                expected="numbers for columns of numbers; true or false for `ground` and `noise`",
+                got=str(fault).splitlines()[0],
+            ) from fault
+        raise InputError("the echoes cannot be read", where="fwclass.open", got=fault) from fault
 
 
 def _needed(name: str) -> Any:
@@ -181,7 +191,7 @@ def _sound(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError:
         raise
-    except (OSError, ValueError, LookupError, pa.ArrowException) as fault:
+    except _DAMAGE as fault:
         raise _damaged(path, fault) from fault
 
 

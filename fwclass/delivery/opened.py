@@ -25,6 +25,10 @@ from fwclass.store.history import is_run
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
 
+CATALOGUE = "laz/survey.vpc"
+EDGE = 1.0
+"""Coordinates of a tile's files are rounded, each in its way: its echoes lie within its bounds to so many metres."""
+
 REPAIR = "run the survey again with --verify: what is damaged is made anew"
 
 
@@ -46,6 +50,8 @@ class Delivery:
     def echoes(self, box: Bounds | None = None, columns: Sequence[str] | None = None, where: Any = None) -> Echoes:
         """Classified echoes, to be had as pyarrow, pandas, geopandas or Dask.
 
+        Tiles that the box touches are held to the digests of the manifest, once a process.
+
         Parameters
         ----------
         box : xmin, ymin, xmax, ymax [m], half-open; None for everywhere.
@@ -55,11 +61,26 @@ class Delivery:
         Raises
         ------
         InputError
-            There is no such column, or the box is none.
+            There is no such column, the box is none, or a tile is damaged.
         """
         self._part("parquet")
+        return Echoes([self.file(name) for name in self._tables(box)], box, columns, where)
+
+    def _tables(self, box: Bounds | None) -> list[str]:
+        """Names of the Parquet files of all tiles, or of those that a box touches: one at least, for its columns."""
         tables = sorted(n for n in self._listed if n.startswith("parquet/") and n.endswith(".parquet"))
-        return Echoes([self._there(name) for name in tables], box, columns, where)
+        for name in tables:
+            self._there(name)
+        if box is None or len(box) != 4 or CATALOGUE not in self._listed:
+            return tables
+        xmin, ymin, xmax, ymax = box
+        beside = {
+            f"parquet/{t['tile']}.parquet"
+            for t in self.tiles
+            for west, south, _, east, north, _ in [t["bounds"]]
+            if west - EDGE > xmax or east + EDGE < xmin or south - EDGE > ymax or north + EDGE < ymin
+        }
+        return [n for n in tables if n not in beside] or tables[:1]
 
     def table(self, tile: str) -> Path:
         """The Parquet file of a tile, on this host."""
@@ -185,7 +206,7 @@ class Delivery:
     @cached_property
     def tiles(self) -> list[dict[str, Any]]:
         """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax), ``height`` (mean z [m])."""
-        listed = self.file("laz/survey.vpc")
+        listed = self.file(CATALOGUE)
         catalogue = read_json(listed if listed.is_file() else self._part("laz") / listed.name)
         return [
             {

@@ -265,6 +265,25 @@ def test_a_copy_of_the_delivery_opens_without_its_run(root: Path, tmp_path: Path
             fwclass.open(tmp_path / "copy")
 
 
+def test_a_tile_with_other_bytes_is_said_and_not_read(root: Path, tmp_path: Path) -> None:
+    """Its size is as before, and Parquet reads it. A box that does not touch the tile does without it."""
+    shutil.copytree(root, tmp_path / "run", symlinks=True)
+    run = fwclass.open(tmp_path / "run")
+    tile, *_, last = run.tiles
+    box = lambda t: (*(b + 2 for b in t["bounds"][:2]), *(b - 2 for b in t["bounds"][3:5]))  # noqa: E731
+    before = run.echoes(box(last)).to_pandas()
+    table = run.path / "parquet" / f"{tile['tile']}.parquet"
+    table.chmod(0o644)
+    data = bytearray(table.read_bytes())
+    data[len(data) // 3] ^= 1
+    table.write_bytes(data)
+    for asked in (run.echoes, lambda: run.echoes(box(tile)), lambda: run.waveform(1, 1)):
+        with pytest.raises(InputError, match="is damaged") as fault:
+            asked()
+        assert table.name in str(fault.value) and "--verify" in str(fault.value)
+    assert len(before) and run.echoes(box(last)).to_pandas().equals(before)
+
+
 def test_what_is_removed_after_it_was_opened_is_said(root: Path, tmp_path: Path) -> None:
     """Fewer echoes than there are would be wrong in silence."""
     shutil.copytree(root, tmp_path / "run", symlinks=True)
@@ -314,13 +333,15 @@ def test_a_tile_whose_bytes_were_overwritten_is_named(root: Path, tmp_path: Path
     copy = tmp_path / "copy"
     shutil.copytree(root, copy, symlinks=True)
     victim = max((copy / "current" / "parquet").iterdir(), key=lambda path: path.stat().st_size).resolve()
+    echoes = fwclass.open(copy).echoes()
     victim.chmod(0o644)
     data = bytearray(victim.read_bytes())
     data[200 : len(data) // 2] = bytes(len(data) // 2 - 200)
     victim.write_bytes(data)
-    with pytest.raises(InputError, match="cannot be read any more") as fault:
-        fwclass.open(copy).echoes().to_pandas()
-    assert victim.name in str(fault.value) and "--verify" in str(fault.value)
+    for read in (echoes.to_pandas, lambda: echoes.dask().compute()):
+        with pytest.raises(InputError, match="cannot be read any more") as fault:
+            read()
+        assert victim.name in str(fault.value) and "--verify" in str(fault.value)
 
 
 def test_importing_takes_no_time() -> None:
