@@ -48,6 +48,7 @@ def seen(path: Path, width: int) -> Page:
             [command, *flags, f"--user-data-dir={home}", "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            env={**os.environ, "TMPDIR": home},  # of what it puts there, it removes not all
         )
         try:
             port = debugging_port(Path(home))

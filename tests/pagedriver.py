@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import os
 import subprocess
 import tempfile
 import threading
@@ -119,7 +120,9 @@ def driven(width: int = 1280) -> Iterator[Driven]:
     command = browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home:
         words = [command, *FLAGS, f"--user-data-dir={home}", "about:blank"]
-        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "TMPDIR": home}
+        )
         loop = asyncio.new_event_loop()
         try:
             port = debugging_port(Path(home))

@@ -9,6 +9,7 @@ import selectors
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -71,8 +72,13 @@ class Child:
 
     def _start(self) -> None:
         line = [sys.executable, "-X", "faulthandler", str(Path(__file__).with_name(self._script)), *self.readers]
+        self._room = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)  # a process that is killed removes nothing
         self._process = subprocess.Popen(
-            line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env={**os.environ, **PLAIN}
+            line,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **PLAIN, "TMPDIR": self._room.name},
         )
         if self._answer(READY_SECONDS) is None:
             raise RuntimeError(f"the sound files of {', '.join(self.readers)} are not read: {self._end()}")
@@ -99,6 +105,7 @@ class Child:
             code = None
         else:
             code = process.returncode
+        self._room.cleanup()
         for pipe in (process.stdin, process.stdout):
             if pipe is not None:
                 with contextlib.suppress(BrokenPipeError):

@@ -23,6 +23,11 @@ def annotated(tmp_path, lines, out=True, preview=False):
     return annotate(directory() / "drive.parquet", path, there, shown, 2.0, True, config().street)
 
 
+def test_the_drive_that_tests_share_lies_where_pytest_sweeps(tmp_path_factory):
+    """In the system's directory for temporary files it would stay for good."""
+    assert directory().is_relative_to(tmp_path_factory.getbasetemp())
+
+
 def test_rectangles_give_labels_in_their_order(tmp_path):
     made = annotated(
         tmp_path,
