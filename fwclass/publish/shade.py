@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from fwclass.publish.params import PublishParams
 
+AT_ONCE = 1 << 18
+"""Cells that are lit together."""
+
 
 def flat_light(params: PublishParams) -> float:
     """Light on level ground."""
@@ -19,8 +22,17 @@ def hillshade(dtm: NDArray[np.float32], cell: float, params: PublishParams) -> N
     """Light on the terrain, 0 to 1: the cosine between surface normal and sun (Horn 1981).
 
     A cell without height is lit as flat ground is. At the border of the terrain the slope is that towards the
-    neighbour that has a height.
+    neighbour that has a height. Beside the two rasters there is memory for a strip of rows alone.
     """
+    light = np.empty(dtm.shape, np.float32)
+    rows = max(1, AT_ONCE // max(1, dtm.shape[1]))
+    for row in range(0, len(dtm), rows):
+        first = max(0, row - 1)
+        light[row : row + rows] = _light(dtm[first : row + rows + 1], cell, params)[row - first :][:rows]
+    return light
+
+
+def _light(dtm: NDArray[np.float32], cell: float, params: PublishParams) -> NDArray[np.float32]:
     heights = dtm.astype(np.float64) * params.exaggeration
     north, east = slope_along(heights, 0) / cell, slope_along(heights, 1) / cell
     azimuth, altitude = math.radians(params.sun_azimuth), math.radians(params.sun_altitude)

@@ -35,7 +35,7 @@ CPU_EACH_OF_RUNS = 10e-3
 """A damaged record of 30 bytes may be a point by itself, with a tile and nine blocks of its own: 0.3 s."""
 
 MEMORY_FIXED, MEMORY_EACH = 64 << 20, 200
-MEMORY_FIXED_OF_RUNS = 160 << 20
+MEMORY_FIXED_OF_RUNS = 64 << 20
 """A point that damage has sent elsewhere is a second place with rasters of its own; twelve take no more than two."""
 
 WALL = 600.0

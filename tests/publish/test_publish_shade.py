@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from tolerances import FLOAT32_UNIT
 
 from fwclass.publish.params import PublishParams
-from fwclass.publish.shade import flat_light, hillshade, slope, slope_along
+from fwclass.publish.shade import _light, flat_light, hillshade, slope, slope_along
 
 
 def test_the_border_of_a_slope_is_lit_as_the_slope(params: PublishParams) -> None:
@@ -53,3 +55,21 @@ def test_a_cell_alone_is_level() -> None:
 
 def test_a_step_is_halved_on_both_sides() -> None:
     np.testing.assert_array_equal(slope_along(np.array([[0.0, 0.0, 1.0, 1.0]]), 1), [[0.0, 0.5, 0.5, 0.0]])
+
+
+@pytest.mark.parametrize("shape", [(700, 1100), (3, 400_000), (400_000, 2), (0, 5), (5, 0)])
+def test_light_strip_by_strip_is_that_of_the_whole(shape: tuple[int, int], params: PublishParams) -> None:
+    r = np.random.default_rng(1)
+    dtm = r.normal(0, 1, shape).astype(np.float32)
+    dtm[r.random(shape) < 0.2] = np.nan
+    assert np.array_equal(hillshade(dtm, 0.5, params), _light(dtm, 0.5, params))
+
+
+def test_lighting_takes_memory_for_its_rasters_alone(params: PublishParams) -> None:
+    """A survey of two places far apart has a map of millions of empty cells."""
+    dtm = np.zeros((2000, 2000), np.float32)
+    tracemalloc.start()
+    hillshade(dtm, 1.0, params)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 3 * dtm.nbytes
