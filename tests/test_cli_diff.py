@@ -179,3 +179,12 @@ def test_a_diff_of_ground_runs_tells_the_terrain(runs):
     assert fwclass("run", "s.yaml", "--out", "g", *words, cwd=runs).returncode == 0
     shown = fwclass("diff", "g", "h", cwd=runs).stdout
     assert "dtm         " in shown and "dsm         " in shown and "no intervals" not in shown, shown
+
+
+def test_a_tile_that_was_not_delivered_is_not_compared(runs, tmp_path):
+    shutil.copytree(runs / "s", tmp_path / "s", symlinks=True)
+    tables = (tmp_path / "s" / "current" / "parquet").resolve()
+    tables.chmod(0o755)
+    shutil.copy(min(tables.iterdir()), tables / "mine.parquet")
+    ended = fwclass("diff", "s", "s", cwd=tmp_path)
+    assert ended.returncode == 1 and "mine.parquet" in ended.stderr and "the delivery is damaged" in ended.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -20,7 +19,7 @@ from fwclass.store.atomic import read_json
 from fwclass.store.bucket import Remote
 from fwclass.store.digests import digest_now
 from fwclass.store.directory import CURRENT, MANIFEST
-from fwclass.store.generations import Generation, Generations, Manifest
+from fwclass.store.generations import Generation, Generations, Manifest, manifest_files
 from fwclass.store.history import is_run
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
@@ -298,9 +297,8 @@ def open_delivery(run: str | os.PathLike[str]) -> Delivery:
         return open_run(run)
     copy = copy.resolve()
     try:
-        facts = json.loads((copy / MANIFEST).read_bytes())["files"]
-        listed = {str(n): {"bytes": int(f["bytes"]), "digest": str(f["digest"])} for n, f in facts.items()}
-    except (OSError, RecursionError, ValueError, KeyError, TypeError, AttributeError) as fault:
+        listed = manifest_files((copy / MANIFEST).read_bytes())
+    except (OSError, ValueError) as fault:
         raise InputError(
             "the manifest of a copied delivery cannot be read",
             where=copy / MANIFEST,

@@ -20,7 +20,7 @@ from typing import Any
 
 from fwclass import __version__
 from fwclass.errors import DamagedError, StoreError, first_few
-from fwclass.paths import below
+from fwclass.paths import below, relative_fault
 from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below, to_json
 from fwclass.store.bucket import Files
 from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Facts
@@ -141,7 +141,10 @@ class Generations:
         data = self.files.get(f"{generation.key}/{MANIFEST}")
         if data is None or bytes_digest(data[0]) != generation.manifest:
             return None
-        return dict(json.loads(data[0])["files"])
+        try:
+            return manifest_files(data[0])
+        except ValueError:
+            return None
 
     def lacking(self, generation: Generation, listed: Manifest) -> list[str]:
         """Files of a manifest that are gone, or have another size; none is read."""
@@ -277,13 +280,26 @@ def _facts_of(number: int, whole: bool, digest: str, manifest: str, files: int) 
     return seal(facts)
 
 
+def manifest_files(data: bytes) -> Manifest:
+    """Facts of the files of a manifest, by their paths; `ValueError` where no writer of manifests wrote it."""
+    try:
+        files = json.loads(data)["files"]
+        listed = {n: {**f, "bytes": int(f["bytes"]), "digest": str(f["digest"])} for n, f in files.items()}
+    except (LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as fault:
+        raise ValueError(f"{type(fault).__name__}: {fault}"[:200]) from fault
+    faults = (f"{name[:80]!r}: {relative_fault(name)}" for name in listed if relative_fault(name))
+    if fault := next(faults, ""):
+        raise ValueError(fault)
+    return listed
+
+
 def _generation_of(data: bytes, path: Path, where: Path | Url) -> Generation:
     """The generation that its own file tells of; `DamagedError` where it tells none, or was changed since."""
     try:
         plain = unseal(json.loads(data))
         manifest = str(plain.get("manifest", ""))
         return Generation(int(plain["number"]), path, bool(plain["whole"]), str(plain["digest"]), manifest, where)
-    except (KeyError, TypeError, ValueError, RecursionError) as fault:
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as fault:
         raise DamagedError(
             "not the facts of a generation",
             where=where / FACTS,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +15,11 @@ from cases import SURVEY, Case, patch
 from mutate import Field, Files
 from seeds import Seed
 
+from fwclass.store.atomic import bytes_digest
+from fwclass.store.seal import seal, unseal
+
 Made = Callable[[Path], list[Case]]
+GENERATION = "r/generations/0001"
 LINKS = {"r/current": "generations/0001"}
 FOOT = 300
 """Bytes at the end of a Parquet file in which its counts, sizes and places stand."""
@@ -23,8 +29,6 @@ FOOT = 300
 def _ran() -> Files:
     """The small survey, run into `r`; links of the run directory are left out."""
     from commandline import fwclass
-
-    from fwclass.store.seal import seal, unseal
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -63,8 +67,7 @@ def documents(*words: str) -> Made:
         files = {n: d for n, d in _ran().items() if "generations" not in n}
         plain = [n for n in files if n.startswith("r/store/") and n.endswith((".json", ".jsonl"))]
         few = [n for n in plain if n.count("/") == 2] + plain[:: max(1, len(plain) // 40)]
-        made = _cases(files, few, few, words)
-        return [Case(c.seed, c.words, c.fixed) for c in made]
+        return _sealed([replace(c, links={}) for c in _cases(files, few, few, words)])
 
     return cases
 
@@ -74,9 +77,8 @@ def parts(*words: str) -> Made:
 
     def cases(folder: Path) -> list[Case]:
         files = _ran()
-        return _cases(
-            files, [n for n in files if n.startswith("r/store/") and n.endswith((".parquet", ".npy"))], [], words
-        )
+        made = [n for n in files if n.startswith("r/store/") and n.endswith((".parquet", ".npy"))]
+        return _sealed(_cases(files, made, [], words))
 
     return cases
 
@@ -88,6 +90,34 @@ def delivery(*words: str) -> Made:
         files = _ran()
         endings = (".parquet", ".copc.laz", ".json", ".gpkg", ".npy", ".tif")
         some = [n for n in files if n.startswith("r/generations/") and n.endswith(endings)]
-        return _cases(files, some, [n for n in some if n.endswith(".json")], words)
+        return _sealed(_cases(files, some, [n for n in some if n.endswith(".json")], words))
 
     return cases
+
+
+def _sealed(cases: list[Case]) -> list[Case]:
+    """Damaged, and damaged with digests that fit."""
+    return cases + [replace(c, seed=replace(c.seed, name="sealed"), sealed=_resealed) for c in cases]
+
+
+def _resealed(damaged: Files) -> Files:
+    """Damaged files, and receipts, manifest and seals as if they had been written so."""
+    files = {**_ran(), **damaged}
+    changed = {n for n, d in damaged.items() if d != _ran().get(n)}
+    receipts = [n for n in files if n.endswith("/receipt.json")]
+    for name in [*receipts, f"{GENERATION}/manifest.json", f"{GENERATION}/generation.json", *changed]:
+        with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            plain = {n: v for n, v in json.loads(files[name]).items() if n != "seal"}
+            before = json.dumps(plain)
+            folder = f"{Path(name).parent}/" + (f"{plain['key']}/" if name in receipts else "")
+            outputs = plain.get("outputs" if name in receipts else "files")
+            for n in {c.removeprefix(folder) for c in changed} & (
+                outputs.keys() if isinstance(outputs, dict) else set()
+            ):
+                outputs[n] |= {"bytes": len(files[folder + n]), "digest": bytes_digest(files[folder + n])}
+            if name.endswith("generation.json"):
+                plain["manifest"] = bytes_digest(files[f"{GENERATION}/manifest.json"])
+            if name in changed or json.dumps(plain) != before:
+                files[name] = json.dumps(seal(plain) if b'"seal"' in files[name] else plain).encode()
+                changed.add(name)
+    return {n: files[n] for n in {*damaged, *changed}}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fwclass.errors import StoreError
+from fwclass.store.generations import manifest_files
 from fwclass.store.lock import writer
 from fwclass.store.run_store import Store, peak_mib
 
@@ -156,3 +157,27 @@ def test_a_small_process_does_not_inherit_the_peak_of_a_large_one():
     script = "from fwclass.store.run_store import peak_mib; print(peak_mib())"
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert 5 < float(ended.stdout) < 200 and peak_mib() > large.nbytes / 2**20
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        None,
+        [],
+        {"a": None},
+        {"a": {"bytes": 1}},
+        {"a": {"digest": "0"}},
+        {"a": {"bytes": 1e999, "digest": "0"}},
+        {"../a": {"bytes": 1, "digest": "0"}},
+        {"/a": {"bytes": 1, "digest": "0"}},
+        {"": {"bytes": 1, "digest": "0"}},
+    ],
+)
+def test_a_manifest_that_no_writer_wrote_is_none(files: object) -> None:
+    with pytest.raises(ValueError):
+        manifest_files(json.dumps({"files": files}).encode())
+
+
+def test_a_manifest_is_what_was_written() -> None:
+    files = {"laz/tiles/1_2.laz": {"bytes": 7, "digest": "ab", "e_tag": "c"}}
+    assert manifest_files(json.dumps({"files": files}).encode()) == files

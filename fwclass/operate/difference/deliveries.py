@@ -95,7 +95,9 @@ def _delivery(run: Path, number: int | None) -> Delivery:
             do="fwclass history lists what was delivered; run.keep_generations says how many stay",
         )
     report, listed = chosen.path / "report.json", generations.manifest(chosen) or {}
-    for name in ("report.json", *(n for n in listed if n.startswith(("parquet/", "rasters/")))):
+    there = [*(chosen.path / "parquet").glob("*"), *(chosen.path / "rasters").rglob("*.tif")]
+    read = {n for n in listed if n.startswith("parquet/") or (n.startswith("rasters/") and n.endswith(".tif"))}
+    for name in ("report.json", *sorted(read | {str(path.relative_to(chosen.path)) for path in there})):
         if listed.get(name, {}).get("digest") != digest_now(chosen.path / name):
             raise InputError(
                 "the delivery is damaged",
