@@ -287,9 +287,9 @@ def manifest_files(data: bytes) -> Manifest:
         listed = {n: {**f, "bytes": int(f["bytes"]), "digest": str(f["digest"])} for n, f in files.items()}
     except (LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as fault:
         raise ValueError(f"{type(fault).__name__}: {fault}"[:200]) from fault
-    faults = (f"{name[:80]!r}: {relative_fault(name)}" for name in listed if relative_fault(name))
-    if fault := next(faults, ""):
-        raise ValueError(fault)
+    for name in listed:
+        if relative_fault(name):
+            raise ValueError(f"{name[:80]!r}: {relative_fault(name)}")
     return listed
 
 
