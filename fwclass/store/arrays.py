@@ -36,6 +36,9 @@ SMALL = 1 << 24
 LARGE = 1 << 16
 """Bytes of numbers above which a better compression pays."""
 
+LISTED = 16
+"""Bytes that a shard takes for each chunk, also for one of nothing."""
+
 PARQUET, ZARR = ".parquet", ".zarr"
 _SHAPE, _DTYPE, _ATTRIBUTES = b"shape", b"dtype", b"attributes"
 
@@ -193,4 +196,18 @@ def _read_group(path: Path, names: Iterable[str] | None) -> tuple[dict[str, NDAr
 
     group = zarr.open_group(str(path), mode="r", zarr_format=3)
     wanted = list(names) if names is not None else sorted(group.array_keys())
-    return {n: np.asarray(group[n][...]) for n in wanted}, dict(group.attrs)
+    return {n: _held(group[n], path / n) for n in wanted}, dict(group.attrs)
+
+
+def _held(array: Any, directory: Path) -> NDArray:
+    """The values; `ValueError` for more chunks than its shards have room to list, or longer ones than are written: zarr
+    sets aside and fills whatever the array's description says. Of zeros alone there is no shard."""
+    held = sum(p.stat().st_size for p in (directory / "c").rglob("*") if p.is_file())
+    if not held and not array.fill_value:
+        return np.zeros(array.shape, array.dtype)
+    edge = CHUNK if array.ndim < 2 else RASTER_CHUNK
+    for cells in (array.shape, array.shards or array.chunks):
+        chunks = math.prod(-(-n // c) for n, c in zip(cells, array.chunks, strict=True))
+        if max(array.chunks, default=0) > edge or LISTED * chunks > held:
+            raise ValueError(f"{directory.name}: shape {array.shape}, which {held} bytes do not hold")
+    return np.asarray(array[...])

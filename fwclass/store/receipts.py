@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from fwclass.errors import DamagedError, StoreError
@@ -91,7 +91,7 @@ class Receipt:
         wrong = receipt._fault()
         if wrong:
             raise StoreError("not a receipt", where=where, got=wrong, do="remove the file; the part is made anew")
-        return receipt
+        return replace(receipt, meta=Meta(receipt.meta, where))
 
     def _fault(self) -> str:
         """What in it no writer of receipts wrote; "" if nothing."""
@@ -111,6 +111,23 @@ class Receipt:
             if not isinstance(facts, Mapping) or not isinstance(facts.get("bytes"), int):
                 return f"output {name[:80]!r} without its size"
         return ""
+
+
+class Meta(dict[str, Any]):
+    """What a receipt tells; `DamagedError` for what its stage always tells, and it does not."""
+
+    def __init__(self, values: Mapping[str, Any], where: object) -> None:
+        super().__init__(values)
+        self._where = str(where)
+
+    def __missing__(self, name: str) -> Any:
+        raise DamagedError(
+            "a receipt lacks what its stage tells",
+            where=self._where,
+            expected=f"meta: {name}",
+            got=", ".join(self)[:200] or "nothing",
+            do="remove the file; the part is made anew",
+        )
 
 
 def key_of(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> str:

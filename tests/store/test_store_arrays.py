@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from fwclass.errors import StoreError
 from fwclass.store.arrays import PARQUET, SMALL, ZARR, _write_group, arrays_at, read_arrays, write_arrays
 
 
@@ -24,6 +26,8 @@ def test_values_shapes_and_kinds_come_back(edge: int, tmp_path: Path) -> None:
         "place": rng.integers(-(10**12), 10**12, (edge, 2)),
         "yes": rng.random(edge) < 0.5,
         "none": np.zeros((0, 4), np.float64),
+        "nothing": np.zeros((edge, edge), np.int16),
+        "one": np.array(7, np.int32),
     }
     write_arrays(tmp_path / "a", arrays, {"what": "a test"})
     path = arrays_at(tmp_path / "a")
@@ -56,3 +60,20 @@ def test_a_block_of_rasters_is_one_file_no_larger_than_a_group_of_them(tmp_path:
     _write_group(tmp_path / "group.zarr", rasters, {})
     group = sum(p.stat().st_size for p in (tmp_path / "group.zarr").rglob("*") if p.is_file())
     assert path.is_file() and path.stat().st_size < 1.05 * group
+
+
+@pytest.mark.parametrize("what", ["shape", "chunks", "shards"])
+def test_a_group_that_says_more_than_its_files_hold_is_refused(what: str, tmp_path: Path) -> None:
+    """Zarr fills what is not there: a kilobyte took a gibibyte, and a minute."""
+    _write_group(tmp_path / "a.zarr", {"samples": np.arange(1, 1001, dtype=np.uint16)}, {})
+    document = tmp_path / "a.zarr" / "samples" / "zarr.json"
+    about = json.loads(document.read_text())
+    many = [300_000_000]
+    if what == "shape":
+        about["shape"] = many
+    about["chunk_grid"]["configuration"]["chunk_shape"] = many if what != "shape" else [1000]
+    if what == "chunks":
+        about["codecs"][0]["configuration"]["chunk_shape"] = many
+    document.write_text(json.dumps(about))
+    with pytest.raises(StoreError, match="do not hold"):
+        read_arrays(tmp_path / "a.zarr")

@@ -1,5 +1,6 @@
 """The store: whole parts or none, receipts, the lock."""
 
+import copy
 import json
 import os
 import subprocess
@@ -10,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fwclass.errors import StoreError
+from fwclass.errors import DamagedError, StoreError
 from fwclass.store.generations import manifest_files
 from fwclass.store.lock import writer
 from fwclass.store.run_store import Store, peak_mib
@@ -181,3 +182,14 @@ def test_a_manifest_that_no_writer_wrote_is_none(files: object) -> None:
 def test_a_manifest_is_what_was_written() -> None:
     files = {"laz/tiles/1_2.laz": {"bytes": 7, "digest": "ab", "e_tag": "c"}}
     assert manifest_files(json.dumps({"files": files}).encode()) == files
+
+
+def test_what_a_receipt_lacks_is_said_with_its_name(tmp_path):
+    """Whoever can write the file can seal it anew."""
+    store = Store(tmp_path)
+    store.commit("stage", "1_2", "k1", {}, "store", write("abc"))
+    meta = Store(tmp_path).receipt("stage", "1_2").meta
+    assert meta["rows"] == 3 and "faults" not in meta and meta.get("faults", 0) == 0
+    with pytest.raises(DamagedError, match="faults") as fault:
+        copy.deepcopy(meta)["faults"]
+    assert "1_2" in str(fault.value)
