@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_fields
-from fwclass.delivery.opened import Delivery
+from fwclass.delivery.opened import REPAIR, Delivery
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_tile import positions
 from fwclass.errors import InputError
@@ -58,6 +58,14 @@ class LargeRun(ViewedRun):
         source = open_las(self.delivery.file(OVERVIEW))
         with PointReader(source) as reader:
             points = reader.read(0, source.n_points)
+            if "pulse" not in reader.extra_names or np.ndim(points["pulse"]) != 1:
+                raise InputError(
+                    "the overview does not say which pulses its echoes are of",
+                    where=source.path,
+                    expected="an extra byte pulse",
+                    got=", ".join(reader.extra_names) or "no extra byte",
+                    do=REPAIR,
+                )
             there = [f["name"] for f in table_fields(self._tile_path(next(iter(self.tiles))))]
             more = {
                 c.name: reader.extra_byte(points, c.las)

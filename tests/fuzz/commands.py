@@ -228,10 +228,27 @@ def _shapes(folder: Path) -> list[Case]:
     corners = [[500000 + 8 * (k % 2), 5400001 + 2 * k, 200 + k] for k in range(4)]
     ring = [[500002 + 6 * a, 5400002 + 6 * b] for a, b in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))]
     return [
-        *given([_geojson("LineString", corners)], *words, "ground", "--set", "breaklines.file={}", fixed=fixed),
-        *given([_geojson("Polygon", [ring])], *words, "ground", "--set", "water.file={}", fixed=fixed),
+        *given(_drawn("LineString", corners, folder), *words, "ground", "--set", "breaklines.file={}", fixed=fixed),
+        *given(_drawn("Polygon", [ring], folder), *words, "ground", "--set", "water.file={}", fixed=fixed),
         *given([points], *words, "quality", "--set", "quality.check_points.file={}", fixed=fixed),
     ]
+
+
+def _drawn(kind: str, coordinates: list, folder: Path) -> list[Seed]:
+    """The shape in every format; numbers of a Shapefile are damaged where they stand."""
+    import geopandas
+    import shapely
+
+    frame = geopandas.GeoDataFrame(geometry=[shapely.geometry.shape({"type": kind, "coordinates": coordinates})])
+    made = [_geojson(kind, coordinates)]
+    for ending in ("shp", "gpkg"):
+        own = folder / kind / ending
+        own.mkdir(parents=True)
+        frame.set_crs(25832).to_file(own / f"b.{ending}")
+        size = (own / f"b.{ending}").stat().st_size
+        places = range(24, size - 4, 4) if ending == "shp" else ()
+        made.append(seeds._taken(own, f"{kind}-{ending}", f"b.{ending}", [(f"b.{ending}", at, 8) for at in places]))
+    return made
 
 
 def _geojson(kind: str, coordinates: list) -> Seed:
@@ -273,10 +290,14 @@ COMMANDS = {
     "seams": Command(run_cases.documents("seams", "r", "--share", "1"), 0.5),
     "rerun": Command(run_cases.documents("run", "c.yaml", "--out", "r", "--workers", "0"), 0.5),
     "stored-run": Command(
-        run_cases.parts("run", "c.yaml", "--out", "r", "--workers", "0", "--set", "train.trees=6"), 0.5
+        run_cases.parts(
+            "run", "c.yaml", "--out", "r", "--workers", "0", "--set", "train.trees=6", kinds=("run", "grouped")
+        ),
+        0.5,
     ),
     "stored-seams": Command(run_cases.parts("seams", "r", "--share", "1"), 0.5),
     "stored-verify": Command(run_cases.parts("status", "r", "--verify"), 1),
+    "look": Command(run_cases.parts("look", "r", kinds=("waved", "grouped"), also="r/generations/"), 2),
     "view-export": Command(run_cases.delivery("view", "r", "--export", "d"), 1),
     "view-large": Command(run_cases.delivery("view", "r", "--export", "d", "--set", "view.whole=1000"), 1),
     "view-worklist": Command(run_cases.delivery("view", "r", "--worklist", "w.gpkg"), 1),
@@ -305,8 +326,8 @@ COMMANDS = {
         0.5,
     ),
 }
-"""By name, as ``--command`` takes it. `schedule` is left out (it starts `run`), and `simulate`, `demo`, whose only
-input is a configuration, which `plan` reads."""
+"""By name, as ``--command`` takes it; `look` is what a notebook and the viewer do. `schedule` is left out (it starts
+`run`), and `simulate`, `demo`, whose only input is a configuration, which `plan` reads."""
 
 
 def _harm(folder: Path) -> list[Case]:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
+import lasmaker
 from cases import SURVEY, Case, patch
 from mutate import Field, Files
 from seeds import Seed
@@ -22,24 +25,30 @@ from fwclass.store.seal import seal, unseal
 Made = Callable[[Path], list[Case]]
 GENERATION = "r/generations/0001"
 LINKS = {"r/current": "generations/0001"}
+ENDINGS = (".parquet", ".npy", ".copc.laz", ".vpc", ".tif")
 FOOT = 300
 """Bytes at the end of a Parquet file in which its counts, sizes and places stand."""
 
 
-@cache
-def _ran() -> Files:
-    """The small survey, run into `r`; links of the run directory are left out."""
-    from commandline import fwclass
+GROUPED = "import fwclass.store.arrays as a; a.SMALL = 0; from fwclass.cli import main; main()"
+"""The program, with arrays of any size in Zarr."""
 
+
+@cache
+def _ran(kind: str) -> Files:
+    """The small survey, run into `r`; links of the run directory are left out. ``waved``: of waveforms, and
+    ``grouped``: with its arrays in Zarr."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "c.yaml").write_text(SURVEY.replace("size: 20.0", "size: 5.0"))
-        patch(folder)
-        ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 0, cwd=folder)
+        patch(folder) if kind == "run" else lasmaker.survey(folder / "a.las", pulses=60, n_samples=40, where="internal")
+        program = ["-m", "fwclass"] if kind != "grouped" else ["-c", GROUPED]
+        words = [sys.executable, *program, "run", "c.yaml", "--out", "r", "--workers", "0"]
+        ended = subprocess.run(words, cwd=folder, capture_output=True, text=True)
         assert ended.returncode == 0, ended.stderr
         request = folder / "r" / "store" / "run.json"
-        words = unseal(json.loads(request.read_text()))
-        request.write_text(json.dumps(seal({**words, "conf": "c.yaml"})))
+        asked = unseal(json.loads(request.read_text()))
+        request.write_text(json.dumps(seal({**asked, "conf": "c.yaml"})))
         kept = {}
         for base, _, names in os.walk(folder):
             for path in (Path(base) / n for n in names):
@@ -55,7 +64,7 @@ def _timeless(receipt: bytes) -> bytes:
     return replace(known, seconds=0.0, peak_mib=0.0, keeping=0.0, cost={}).to_text().encode()
 
 
-def _cases(files: Files, damaged: list[str], texts: list[str], words: tuple[str, ...]) -> list[Case]:
+def _cases(files: Files, damaged: list[str], texts: list[str], words: tuple[str, ...], kind: str = "run") -> list[Case]:
     fields = tuple(
         Field(n, len(files[n]) - k, w)
         for n in damaged
@@ -63,7 +72,7 @@ def _cases(files: Files, damaged: list[str], texts: list[str], words: tuple[str,
         for k in (8, *range(12, min(FOOT, len(files[n])), 5))
         for w in (1, 4)
     )
-    seed = Seed("run", "r", {n: files[n] for n in dict.fromkeys(damaged)}, fields, tuple(texts))
+    seed = Seed(kind, "r", {n: files[n] for n in dict.fromkeys(damaged)}, fields, tuple(texts))
     return [Case(seed, words, {n: d for n, d in files.items() if n not in seed.files}, links=LINKS)]
 
 
@@ -71,7 +80,7 @@ def documents(*words: str) -> Made:
     """A command on a run directory whose JSON files are damaged."""
 
     def cases(folder: Path) -> list[Case]:
-        files = {n: d for n, d in _ran().items() if "generations" not in n}
+        files = {n: d for n, d in _ran("run").items() if "generations" not in n}
         plain = [n for n in files if n.startswith("r/store/") and n.endswith((".json", ".jsonl"))]
         few = [n for n in plain if n.count("/") == 2] + plain[:: max(1, len(plain) // 40)]
         return [replace(c, links={}) for c in _cases(files, few, few, words)]
@@ -79,13 +88,17 @@ def documents(*words: str) -> Made:
     return cases
 
 
-def parts(*words: str) -> Made:
-    """A command on a run directory in which what stages made is damaged."""
+def parts(*words: str, kinds: tuple[str, ...] = ("run",), also: str = "r/store/") -> Made:
+    """A command on a run directory in which what stages made is damaged, or what `also` has."""
 
     def cases(folder: Path) -> list[Case]:
-        files = _ran()
-        made = [n for n in files if n.startswith("r/store/") and n.endswith((".parquet", ".npy"))]
-        return _sealed(_cases(files, made, [], words))
+        made = []
+        for kind in kinds:
+            files = _ran(kind)
+            some = [n for n in files if n.startswith(("r/store/", also)) and (n.endswith(ENDINGS) or ".zarr/" in n)]
+            documents = [n for n in some if n.endswith("zarr.json")]
+            made += _sealed(_cases(files, some, documents, words, kind), kind)
+        return made
 
     return cases
 
@@ -94,7 +107,7 @@ def delivery(*words: str) -> Made:
     """A command on a run directory in which what was delivered is damaged."""
 
     def cases(folder: Path) -> list[Case]:
-        files = _ran()
+        files = _ran("run")
         endings = (".parquet", ".copc.laz", ".json", ".gpkg", ".npy", ".tif")
         some = [n for n in files if n.startswith("r/generations/") and n.endswith(endings)]
         return _sealed(_cases(files, some, [n for n in some if n.endswith(".json")], words))
@@ -102,15 +115,16 @@ def delivery(*words: str) -> Made:
     return cases
 
 
-def _sealed(cases: list[Case]) -> list[Case]:
+def _sealed(cases: list[Case], kind: str = "run") -> list[Case]:
     """Damaged, and damaged with digests that fit."""
-    return cases + [replace(c, seed=replace(c.seed, name="sealed"), sealed=_resealed) for c in cases]
+    name = "sealed" if kind == "run" else f"{kind}-sealed"
+    return cases + [replace(c, seed=replace(c.seed, name=name), sealed=partial(_resealed, kind)) for c in cases]
 
 
-def _resealed(damaged: Files) -> Files:
+def _resealed(kind: str, damaged: Files) -> Files:
     """Damaged files, and receipts, manifest and seals as if they had been written so."""
-    files = {**_ran(), **damaged}
-    changed = {n for n, d in damaged.items() if d != _ran().get(n)}
+    files = {**_ran(kind), **damaged}
+    changed = {n for n, d in damaged.items() if d != _ran(kind).get(n)}
     receipts = [n for n in files if n.endswith("/receipt.json")]
     for name in [*receipts, f"{GENERATION}/manifest.json", f"{GENERATION}/generation.json", *changed]:
         with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):

@@ -28,6 +28,7 @@ sys.path[:0] = [str(Path(__file__).parents[k]) for k in (0, 1, 2)]
 
 from cases import Case  # noqa: E402 - the path comes first
 from child import _status, laid  # noqa: E402
+from looks import look  # noqa: E402
 
 CPU_FIXED, CPU_EACH = float(os.environ.get("FUZZ_CPU_SECONDS", "10")), 10e-6
 RUNS = {"run", "train", "select"}
@@ -171,7 +172,7 @@ class Server:
 
     def _main(self, case: Case, beside: Path) -> int:
         """The command in this process, its outputs in files `beside`; its exit code."""
-        main = _harm if case.words[0] == "harm" else _command()
+        main = {"harm": _harm, "look": look}.get(case.words[0]) or _command()
         kept = os.dup(0), os.dup(1), os.dup(2)
         handle = os.open(self._folder / case.stdin if case.stdin else os.devnull, os.O_RDONLY)
         os.dup2(handle, 0)

@@ -6,13 +6,15 @@ import struct
 import zlib
 from pathlib import Path
 
+import lasmaker
 import numpy as np
 import pytest
 
 from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_large import LargeRun, view_run
+from fwclass.delivery.viewed_large import OVERVIEW, LargeRun, view_run
+from fwclass.errors import InputError
 from fwclass.schema import IDENTITY
 from fwclass.view.blocks import BYTES, HEAD
 from fwclass.view.scene import ECHOES
@@ -92,3 +94,15 @@ def test_the_first_picture_opens_no_tile(run: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(scene, "_read", refuse)
     assert sum(len(scene.level(ECHOES, k)) for k in scene.index()["together"]) > 5_000
     assert scene.level("strip", 0)
+
+
+def test_an_overview_that_does_not_know_its_pulses_is_said(run: Path, tmp_path: Path) -> None:
+    """Its digest may fit: whoever can write the run can write its manifest."""
+    delivery, other = open_run(run), tmp_path / "other.las"
+    lasmaker.write_las(other, np.full((9, 3), 200.0), point_format=6)
+    file = delivery.file
+    delivery.file = lambda name: other if name == OVERVIEW else file(name)  # type: ignore[method-assign]
+    scene = view_run(delivery, conf.section("view", (*SMALL, "view.whole=0")))
+    with pytest.raises(InputError, match="which pulses its echoes are of") as fault:
+        scene.level(ECHOES, 0)
+    assert "other.las" in str(fault.value) and "--verify" in str(fault.value)
