@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +117,7 @@ def classify(
     from fwclass.single_file.street.batch import classify as work
     from fwclass.single_file.street.online import describe_batch
     from fwclass.single_file.street.output import prepare
+    from fwclass.store.temporary import temporary_directory
 
     config = _config(conf, settings)
     count = config.run.workers if options["workers"] is None else options["workers"]
@@ -125,8 +125,8 @@ def classify(
     check(job)
     prepare(output, options["overwrite"])
     with (
-        tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as beside,
-        open_runner(Path(beside), int(count), options["scheduler"], config.run) as runner,
+        temporary_directory("street", output.parent) as beside,
+        open_runner(beside, int(count), options["scheduler"], config.run) as runner,
     ):
         summary = work(job, output, runner, config.assess.block)
     click.echo(describe_batch(summary, output), err=True)

@@ -8,7 +8,6 @@ import shutil
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from fwclass.errors import ConfigError
@@ -16,6 +15,7 @@ from fwclass.model import Model
 from fwclass.store.atomic import files_below, sync
 from fwclass.store.model_rows import ModelRows, rows_facts, save_rows
 from fwclass.store.models import CARD, load_model, save_model
+from fwclass.store.temporary import temporary_directory
 
 
 def check_target(target: Path, overwrite: bool) -> None:
@@ -41,9 +41,9 @@ def check_target(target: Path, overwrite: bool) -> None:
 
 def write_model(model: Model, target: Path, overwrite: bool, rows: ModelRows | None = None) -> None:
     """Write a model that lies nowhere yet to `target`, as `deliver` does."""
-    with TemporaryDirectory() as place:
-        save_model(Path(place) / "model", model)
-        deliver(Path(place) / "model", target, overwrite, None, rows)
+    with temporary_directory("model") as place:
+        save_model(place / "model", model)
+        deliver(place / "model", target, overwrite, None, rows)
 
 
 def deliver(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from fwclass import conf
@@ -37,6 +35,7 @@ from fwclass.run.part import Task
 from fwclass.schema import Table
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
+from fwclass.store.temporary import temporary_directory
 from fwclass.tile.params import TileParams
 from fwclass.waveforms import Waveforms
 
@@ -187,5 +186,5 @@ class FileStrip:
 @contextmanager
 def strip_of(source: Source, settings: tuple[str, ...], tell: Tell = silent) -> Iterator[FileStrip]:
     """The strip that a file is; its parts lie in a scratch directory (``TMPDIR``) for as long as the block lasts."""
-    with tempfile.TemporaryDirectory(prefix="fwclass-") as directory:
-        yield FileStrip(source, StripSections.of(settings), Store(Path(directory)), tell)
+    with temporary_directory("strip") as directory:
+        yield FileStrip(source, StripSections.of(settings), Store(directory), tell)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +24,7 @@ from fwclass.run.progress import Display
 from fwclass.schema import IDENTITY, Table
 from fwclass.store.arrays import arrays_at, read_arrays
 from fwclass.store.tables import read_table
+from fwclass.store.temporary import temporary_directory
 
 
 @dataclass(frozen=True)
@@ -59,12 +57,6 @@ class ComparableStages:
 _PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
 
 
-@contextmanager
-def _scratch() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="fwclass-seams-") as directory:
-        yield Path(directory)
-
-
 def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display: Display) -> list[Seam]:
     """Do the work of `tasks` (stages of tiles, in order, whose parts are places of `inputs`) and compare every column.
 
@@ -82,7 +74,7 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
         if not place.rows:  # a strip without echoes
             some = []
         for task in some:
-            with _scratch() as directory:
+            with temporary_directory("seams") as directory:
                 task.work(here, directory)
                 now = read_table(directory / TABLE)
             here = replace(here, fresh={**here.fresh, task.name: now})
@@ -102,7 +94,7 @@ def block_seams(
     seams: dict[str, Seam] = {}
     size, keys = plan.config.tile.size, tuple(plan.layout.keys)
     for block, task in tasks:
-        with _scratch() as directory:
+        with temporary_directory("seams") as directory:
             task.work(inputs, directory)
             now = read_table(directory / TABLE)
             rasters = arrays_at(directory / RASTERS)
@@ -191,7 +183,7 @@ def compare_moved_blocks(
         near = place.holds(stored["x"], stored["y"])
         if not near.any():
             continue
-        with _scratch() as directory:
+        with temporary_directory("seams") as directory:
             stage.task(plan, block).work(inputs, directory)
             now = read_table(directory / TABLE)
         wrong, differences = _off(stored.take(near), now.take(near), within)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -38,6 +37,7 @@ from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
+from fwclass.store.temporary import temporary_directory
 from fwclass.tile.stage import morton
 
 SECTIONS = (*OF_ECHOES, "tile", "publish")
@@ -111,8 +111,8 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     echoes = _echoes(job, features, tell)
     features, left_out = available(features, echoes.table, job.source, job.skip_missing)
     table = _sort(echoes.table)
-    with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
-        columns, tiles, crowd = _features(table, features, params, size, Path(room), tell)
+    with temporary_directory("features", job.output.parent) as room:
+        columns, tiles, crowd = _features(table, features, params, size, room, tell)
         tell("writing")
         empty = dict.fromkeys(features.names, 0)
         parts = _row_groups(table, features, columns, publish.row_group, empty)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from fwclass.graph.street import Split, by_model, fit_model, judge_answers, reco
 from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
+from fwclass.store.temporary import temporary_directory
 from fwclass.street.ring import feature_names
 
 
@@ -29,9 +29,9 @@ def train(
     sample = sample_of(rows_of(paths, params, way), names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
     model = fit_model(sample, params, config.train, config.compare, classes)
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".street-") as beside:
-        save_model(Path(beside) / "model", model)
-        deliver(Path(beside) / "model", target, overwrite)
+    with temporary_directory("street", target.parent) as beside:
+        save_model(beside / "model", model)
+        deliver(beside / "model", target, overwrite)
     summary: dict[str, Any] = {"model": str(target), "card": dict(model.card), "accuracy": None, "remarks": []}
     if assess:
         say("assessing    the returns that did not train")
