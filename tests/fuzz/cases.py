@@ -31,10 +31,12 @@ class Case:
 
 @dataclass(frozen=True)
 class Command:
-    """`cases` makes them in a directory; `share`: of a long run's inputs, relative to the others."""
+    """`cases` makes them in a directory; `share`: of a long run's inputs, relative to the others; `memory`: bytes that
+    an input may take beside `MEMORY_EACH` for each of its own."""
 
     cases: Callable[[Path], list[Case]]
     share: float = 1.0
+    memory: int = 64 << 20
 
 
 SURVEY = """survey:

@@ -2,8 +2,8 @@
 words, as a user would. What is loaded and compiled is so once.
 
 Reads lines ``COMMAND CASE RECIPE`` or ``COMMAND * NUMBER`` (a drawn one) and answers with a line of JSON each. An input
-may take `CPU_FIXED` s + `CPU_EACH` s a byte of the processor (`CPU_EACH_OF_RUNS` of a run) and grow by `MEMORY_FIXED`
-(`MEMORY_FIXED_OF_RUNS`) + `MEMORY_EACH` bytes a byte beyond what its command takes for the sound files.
+may take `CPU_FIXED` s + `CPU_EACH` s a byte of the processor (`CPU_EACH_OF_RUNS` of a run) and grow by the `memory` of
+its command + `MEMORY_EACH` bytes a byte beyond what that takes for the sound files.
 """
 
 from __future__ import annotations
@@ -35,9 +35,7 @@ RUNS = {"run", "train", "select"}
 CPU_EACH_OF_RUNS = 10e-3
 """A damaged record of 30 bytes may be a point by itself, with a tile and nine blocks of its own: 0.3 s."""
 
-MEMORY_FIXED, MEMORY_EACH = 64 << 20, 200
-MEMORY_FIXED_OF_RUNS = 64 << 20
-"""A point that damage has sent elsewhere is a second place with rasters of its own; twelve take no more than two."""
+MEMORY_EACH = 200
 
 WALL = 600.0
 CODES = {0, 1, 2, 3, 4}
@@ -105,13 +103,13 @@ class Server:
 
     def _forked(self, command: str, name: str, files: dict[str, bytes], own: int = 0) -> dict[str, object]:
         """How the command ended with these files, in a process of its own; `own`: what it takes for sound ones."""
-        from commands import cases_of
+        from commands import ALL, cases_of
 
         case = cases_of(command)[name]
         laid(self._folder, {**case.fixed, **files}, case.links)
         size = sum(map(len, files.values())) + sum(map(len, case.fixed.values()))
         runs = case.words[0] in RUNS
-        allowed = (MEMORY_FIXED_OF_RUNS if runs else MEMORY_FIXED) + MEMORY_EACH * size + own
+        allowed = ALL[command].memory + MEMORY_EACH * size + own
         seconds = CPU_FIXED + (CPU_EACH_OF_RUNS if runs else CPU_EACH) * size
         measured = self._folder.parent / "figures"  # a pipe would hold 64 KiB, and the child wait for its reader
         measured.unlink(missing_ok=True)
