@@ -65,9 +65,13 @@ def test_heights_of_another_kind_are_told(survey: Path, tmp_path: Path, lift: fl
     assert (said in ended.stderr) == bool(side) and ("of one kind" in ended.stderr) == bool(side)
 
 
-def test_a_wall_is_no_fault_of_heights(survey: Path, tmp_path: Path) -> None:
+def test_a_wall_is_no_fault_of_heights_and_its_cells_are_no_measured_ones(survey: Path, tmp_path: Path) -> None:
     words = ("--set", "breaklines.file=wall.gpkg", "--out", tmp_path / "r")
     assert "of one kind" not in fwclass("run", survey, *WORDS, *words).stderr
+    with rasterio.open(tmp_path / "r/rasters/dtm_mask.tif") as file:
+        mask, west, cell = file.read(1), file.transform.c, file.transform.a
+    columns = sorted({int((points[0][0] - west) // cell) for points in (FOOT, CREST)})
+    assert (mask[:, columns] == 5).all() and (mask == 5).sum() == mask[:, columns].size
 
 
 @pytest.mark.slow

@@ -20,7 +20,11 @@ from fwclass.schema import Column, column
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "formats.md"
 OTHER_RASTERS = {
     "hillshade": ("uint8", "0", "shaded relief, 1 to 255"),
-    "dtm_mask": ("uint8", "0", "what the terrain comes from: measured, interpolated or extrapolated"),
+    "dtm_mask": (
+        "uint8",
+        "0",
+        "what the terrain comes from: measured, interpolated, extrapolated, flattened water or breaklines",
+    ),
     "classes": ("uint8", "0", "class of the highest echo"),
     "confidence": ("uint8", "255", "confidence of the class of the highest echo [%]"),
     "density": ("float32", "NaN", "echoes per square metre"),

@@ -21,9 +21,10 @@ from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
+from fwclass.ground.raster.lattice import cells_of
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground, last_of
 from fwclass.ground.terrain.params import TerrainParams
-from fwclass.ground.terrain.terrain import FLATTENED, Points, terrain
+from fwclass.ground.terrain.terrain import FLATTENED, NO_TERRAIN, ON_BREAKLINE, Points, terrain
 from fwclass.memory import give_back
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
@@ -133,13 +134,17 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
     knots = _knots(here, water, here.tile.box.grown(here.halo))
     rasters = terrain(t["x"], t["y"], t["z"], ground, t["noise"], own, core, params, knots)
     stored, height = {name: getattr(rasters, name) for name in STORED}, rasters.height
+    lines = breaklines_in(here, core.box)
+    for x, y, _ in lines:
+        along = np.zeros(core.shape, bool)
+        along.flat[cells_of(x, y, core)[0]] = True
+        stored["mask"] = np.where(along & (stored["mask"] != NO_TERRAIN), np.uint8(ON_BREAKLINE), stored["mask"])
     if water is not None:
         height = np.where(np.isnan(level[own]), height, t["z"][own] - level[own]).astype(np.float32)
         flat = water.of_cells(core)
         stored["dtm"] = np.where(np.isnan(flat), stored["dtm"], flat).astype(np.float32)
         stored["mask"] = np.where(np.isnan(flat), stored["mask"], np.uint8(FLATTENED))
     write_rasters(here.directory, stored, core)
-    lines = breaklines_in(here, here.tile.box)
     heights = Table({"height_above_ground": height[: len(around.own)]})
     return heights, {
         **around.facts(heights),

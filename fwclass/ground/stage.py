@@ -47,7 +47,7 @@ GROUND_FILTER = Computation(
 
 TERRAIN = Computation(
     name="terrain",
-    version=3,
+    version=4,
     reads=("x", "y", "z", "ground", "noise"),
     writes=HEIGHTS,
     halo=lambda params: float(params.block_halo),

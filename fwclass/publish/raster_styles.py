@@ -25,7 +25,7 @@ STYLED = (
     "dtm_distance",
 )
 
-MASK = {1: "measured", 2: "interpolated", 3: "extrapolated", 4: "water, flattened"}
+MASK = {1: "measured", 2: "interpolated", 3: "extrapolated", 4: "water, flattened", 5: "breakline"}
 """Values of `dtm_mask`."""
 
 STEEP = 60.0

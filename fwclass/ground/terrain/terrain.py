@@ -24,8 +24,8 @@ from fwclass.ground.tin.tin import tin_of
 MEASURED, INTERPOLATED, BEYOND = 0, 1, 2
 """Values of the raster `support`."""
 
-NO_TERRAIN, ON_ECHOES, BETWEEN, CONTINUED, FLATTENED = 0, 1, 2, 3, 4
-"""Values of the raster `mask`; the last one is given by who flattens water."""
+NO_TERRAIN, ON_ECHOES, BETWEEN, CONTINUED, FLATTENED, ON_BREAKLINE = range(6)
+"""Values of the raster `mask`; the last two are given by who flattens water and reads breaklines."""
 
 PYRAMID = 64
 """Cells of the coarse global grid that the membrane's pyramid hangs on."""
