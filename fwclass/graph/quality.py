@@ -29,7 +29,7 @@ from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
 from fwclass.quality.block import READS, block_quality, pairs_from, pieces_from
 from fwclass.quality.check_points import CHECKED, check_remarks, compared_points
-from fwclass.quality.density import Density
+from fwclass.quality.density import Density, density_remarks
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.strips import Comparison, largest_differences, numbers_of, strip_remarks, strips_by
@@ -141,6 +141,7 @@ def deliver_quality(
         "check_points": checked,
         "remarks": [
             *(["all echoes are noise"] if not echoes else []),
+            *density_remarks(density_facts),
             *strip_remarks(strips),
             *(check_remarks(checked, params.check_points.reach) if checked else ()),
         ],

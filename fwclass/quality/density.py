@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window
-from fwclass.quality.covered import CoveredArea
+from fwclass.quality.covered import WIDE, CoveredArea
 
 PERCENTILES = (5, 50, 95)
+
+
+def density_remarks(facts: Mapping[str, Any]) -> list[str]:
+    """That cells are so small for the spacing of the pulses that chance leaves many empty; `facts` of `Density`."""
+    cell, spacing = facts["cell"], facts["spacing"]
+    if spacing is None or cell >= WIDE * spacing:
+        return []
+    return [
+        f"pulses lie {spacing:.2f} m apart, and cells of {cell:g} m are empty by chance: voids and the lower "
+        f"percentiles of the density are theirs; --set quality.cell={math.ceil(2 * spacing):g}"
+    ]
 
 
 class Density:

@@ -7,7 +7,7 @@ import pytest
 
 from fwclass.grid import Window
 from fwclass.quality.covered import CoveredArea
-from fwclass.quality.density import Density
+from fwclass.quality.density import Density, density_remarks
 
 CELL, SPACINGS = 2.0, 4.0
 
@@ -66,3 +66,12 @@ def test_nothing_is_nothing() -> None:
     told = facts(np.zeros((5, 220), np.uint32))
     assert told["area"] == 0 and told["pulses"] is None and told["percentiles"] is None
     assert CoveredArea.joined(CELL, []).of(0, SPACINGS) == 0
+
+
+def test_cells_that_chance_leaves_empty_are_told() -> None:
+    rng = np.random.default_rng(4)
+    (said,) = density_remarks(facts(raster(*rng.uniform(0, 400, (2, 48_000)))))
+    assert "pulses lie 1.8" in said and "quality.cell=4" in said
+    assert not density_remarks(facts(raster(*rng.uniform(0, 400, (2, 160_000))))) and not density_remarks(
+        facts(np.zeros((5, 220), np.uint32))
+    )
