@@ -59,6 +59,7 @@ def run(place: Path, *words: object) -> tuple[str, float]:
 @pytest.mark.parametrize("flag", ["withheld", "synthetic"])
 def test_no_ground_is_made_of_withheld_points(place: Path, flag: str) -> None:
     low = with_low_points(place, **{flag: 1})
+    assert f"flags        {flag} {low.sum():,}: no ground is made of them" in fwclass("info", place / "a.las").stdout
     said, off = run(place)
     assert f"flag {low.sum():,} returns as withheld or synthetic" in said and abs(off) < 0.03
     strip = laspy.read(place / "r/laz/strips/a.laz")

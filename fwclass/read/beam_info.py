@@ -41,6 +41,7 @@ def beam_rows_info(source: BeamSource) -> dict[str, Any]:
         "returns": {},
         "numbers_of_returns": {},
         "classes": {},
+        "flags": {},
         "intensity": None,
         "extra_bytes": [],
         "quantities": quantities_of(source)._asdict(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,7 @@ class _Tally:
     gps: tuple[float, float] = (np.inf, -np.inf)
     intensity: tuple[int, int] = (65535, 0)
     zero_intensity: int = 0
+    flags: dict[str, int] = field(default_factory=lambda: {"withheld": 0, "synthetic": 0})
     heights: dict[int, int] = field(default_factory=dict)
 
     def add(self, source: LasSource, points: Any, step: float) -> None:
@@ -60,6 +62,8 @@ class _Tally:
         known = time[np.isfinite(time)]
         if len(known):
             self.gps = min(self.gps[0], float(known.min())), max(self.gps[1], float(known.max()))
+        for name in self.flags:
+            self.flags[name] += int(np.count_nonzero(points[name]))
         intensity = np.asarray(points["intensity"])
         self.intensity = (min(self.intensity[0], int(intensity.min())), max(self.intensity[1], int(intensity.max())))
         self.zero_intensity += int((intensity == 0).sum())
@@ -134,6 +138,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         "returns": _counts(tally.pairs.sum(axis=1)),
         "numbers_of_returns": _counts(tally.pairs.sum(axis=0)),
         "classes": _counts(tally.classes),
+        "flags": {name: n for name, n in tally.flags.items() if n},
         "intensity": {"min": tally.intensity[0], "max": tally.intensity[1], "zero": tally.zero_intensity}
         if has_points
         else None,
@@ -289,12 +294,17 @@ def _format_text(info_: dict[str, Any]) -> str:
     return f"{kind} {info_['version']}, point format {info_['point_format']}"
 
 
+def _flags_text(flags: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {n:,}" for name, n in flags.items()) + ": no ground is made of them (read.use_flagged)"
+
+
 def _describe_points(info_: dict[str, Any]) -> list[tuple[str, str]]:
     waves = info_["waveforms"]
     rows = [
         ("points", f"{info_['points']:,}"),
         ("returns", _counts_text(info_["returns"])),
         ("classes", _counts_text(info_["classes"])),
+        *([("flags", _flags_text(info_["flags"]))] if info_["flags"] else []),
         ("extra bytes", ", ".join(info_["extra_bytes"]) or "none"),
         ("amplitudes", WORDS[info_["quantities"]["amplitude"]]),
         ("echo widths", WORDS[info_["quantities"]["width"]]),

@@ -70,6 +70,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
         "returns": {},
         "numbers_of_returns": {},
         "classes": {},
+        "flags": {},
         "intensity": None,
         "extra_bytes": [],
         "quantities": quantities_of(source)._asdict(),
