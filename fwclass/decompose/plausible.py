@@ -29,8 +29,14 @@ COUNTS = (
     "returns_without_echo",
     "waveforms",
     "blank",
+    "downward",
+    "off_earth",
 )
 """What `Plausibility.counts` holds, in this order."""
+
+
+LAND = (-500.0, 9000.0)
+"""m, heights of land: the Dead Sea's shore lies at -438, Mount Everest at 8849."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,8 @@ class Plausibility:
     implausible : bool (echoes,).
     counts : echoes by `COUNTS`. fitted: to waveforms; checked: of pulses all of whose returns are in the file;
         unexplained: of these, without a return of their pulse within `vendor_tolerance`; below, outside, weak: see
-        `judge`; implausible: below or weak; poor: fitted, with a misfit above `poor_misfit`.
+        `judge`; off_earth: at heights where no land is; implausible: below, weak or off_earth; poor: fitted, with a
+        misfit above `poor_misfit`.
     """
 
     implausible: NDArray[np.bool_]
@@ -75,7 +82,8 @@ def judge(
     - `below`: more than `envelope_margin` below the lowest return around (`Envelope.below`);
     - `weak`: behind the last return of their pulse and its last echo that stands out, or above all returns of the
       strip, where the strip's noise is correlated by more than `white_noise` and the echo is lower than `detection`
-      says for such noise.
+      says for such noise,
+    - `off_earth`: outside of `LAND`: times or directions have another unit.
     Pulses of a format without returns can only have weak ones. `outside`, more than `envelope_margin` above the highest
     or below the lowest return of the strip, is counted: leaves and wires that the vendor has not are there too.
 
@@ -102,10 +110,12 @@ def judge(
         outside = high | (alone & (echoes["z"] < envelope.bottom - margin))
     faint = _faint(echoes, fitted, around.noise, params)
     weak = alone & faint & (high | _last(echoes, ~faint, returns)) if faint.any() else faint
-    implausible = below | weak
+    off_earth = fitted & ((echoes["z"] < LAND[0]) | (echoes["z"] > LAND[1]))
+    implausible = below | weak | off_earth
     poor = fitted & (echoes["fit_flags"] & POOR > 0)
     counted = (fitted, checked, alone & known, below, outside, weak, implausible, poor)
-    return Plausibility(implausible, dict(zip(COUNTS, (int(c.sum()) for c in counted), strict=False)))
+    counts = dict(zip(COUNTS, (int(c.sum()) for c in counted), strict=False))
+    return Plausibility(implausible, {**counts, "off_earth": int(off_earth.sum())})
 
 
 def add_counts(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:

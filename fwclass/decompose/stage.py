@@ -74,19 +74,27 @@ def decompose(
         echoes[axis] = quantise(echoes[axis])
     table = Table({name: echoes[name] for name in ECHO_COLUMNS})
     lone = returns_without_echo(waves, table, links, params)
-    waveforms, blank = _blank(waves)
-    return table, links, {**judged, "returns_without_echo": lone, "waveforms": waveforms, "blank": blank}
+    return table, links, {**judged, "returns_without_echo": lone, **_odd_waveforms(waves)}
 
 
-def _blank(waves: Waveforms) -> tuple[int, int]:
-    """How many pulses have samples, and how many of them have none but zeros."""
+DOWNWARD, LEAST_SAMPLES = 3.0, 8
+"""Times that a waveform of so many samples goes further below its mean than above it where its echoes point down."""
+
+
+def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
+    """How many pulses have samples (``waveforms``), none but zeros (``blank``), and echoes that point ``downward``."""
     rows = np.flatnonzero(np.diff(waves.offsets) > 0)
     if len(rows) == 0:
-        return 0, 0
-    highest = np.maximum.reduceat(waves.samples[: waves.offsets[-1]], waves.offsets[rows])
+        return {"waveforms": 0, "blank": 0, "downward": 0}
+    samples, first = waves.samples[: waves.offsets[-1]], waves.offsets[rows]
+    length = np.diff(waves.offsets)[rows]
+    highest, lowest = (f.reduceat(samples, first).astype(np.float64) for f in (np.maximum, np.minimum))
+    mean = np.add.reduceat(samples, first, dtype=np.int64) / length
+    down = (mean - lowest > DOWNWARD * (highest - mean)) & (length >= LEAST_SAMPLES)
     pulses = waves.pulses["pulse"][rows]
     waveforms = len(np.unique(pulses))
-    return waveforms, waveforms - len(np.unique(pulses[highest > 0]))
+    blank = waveforms - len(np.unique(pulses[highest > 0]))
+    return {"waveforms": waveforms, "blank": blank, "downward": len(np.unique(pulses[down]))}
 
 
 def _judge(
@@ -243,4 +251,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=6)
 PLACES = Computation(name="places", version=2)
-DECOMPOSE = Computation(name="decompose", version=9, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=10, writes=ECHO_COLUMNS)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError, nearest
+from fwclass.publish.delivered_raster import delivered_raster
 
 
 @dataclass(frozen=True)
@@ -50,18 +51,8 @@ def read_raster(directory: Path, name: str) -> Raster:
     known = {p.relative_to(directory).with_suffix("").as_posix(): p for p in sorted(directory.rglob("*.tif"))}
     if name not in known:
         raise InputError("there is no such raster", where=directory, got=name, do=nearest(name, known))
-    import rasterio
-
-    try:
-        with rasterio.open(known[name].absolute(), driver="GTiff") as file:
-            tags = file.tags(1)
-            names = {int(k.removeprefix("CLASS_")): v for k, v in tags.items() if k.startswith("CLASS_")}
-            crs = file.crs.to_wkt() if file.crs is not None else ""
-            return Raster(name, file.read(1), file.transform, crs, float(file.nodata), names)
-    except rasterio.errors.RasterioError as fault:
-        raise InputError(
-            "this raster cannot be read any more",
-            where=known[name],
-            got=str(fault).splitlines()[0][:200],
-            do="run the survey again with --verify: what is damaged is made anew",
-        ) from fault
+    with delivered_raster(known[name]) as file:
+        tags = file.tags(1)
+        names = {int(k.removeprefix("CLASS_")): v for k, v in tags.items() if k.startswith("CLASS_")}
+        crs = file.crs.to_wkt() if file.crs is not None else ""
+        return Raster(name, file.read(1), file.transform, crs, float(file.nodata), names)

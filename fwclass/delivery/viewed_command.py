@@ -90,7 +90,7 @@ class LastCommand:
                 if self._stopped:
                     _kill(child)
                 else:
-                    child.send_signal(signal.SIGINT)
+                    child.send_signal(signal.SIGTERM)  # a viewer in the background ignores SIGINT, and so would it
                 self._stopped = True
         return self.state()
 

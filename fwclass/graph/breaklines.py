@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from pyproj import CRS
-from scipy.spatial import cKDTree
 
 from fwclass.graph.shape_files import read_as, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -57,7 +57,7 @@ def beside_ground(knots: Sequence[Points], x: Floats, y: Floats, z: Floats) -> d
     if not knots or not len(x):
         return {"compared": 0, "above": 0, "below": 0}
     kx, ky, kz = (np.concatenate(v) for v in zip(*knots, strict=True))
-    distance, nearest = cKDTree(np.c_[x, y]).query(np.c_[kx, ky], distance_upper_bound=BESIDE)
+    distance, nearest = scipy.spatial.cKDTree(np.c_[x, y]).query(np.c_[kx, ky], distance_upper_bound=BESIDE)
     near = np.isfinite(distance)
     dz = kz[near] - z[np.asarray(nearest)[near]]
     return {"compared": int(near.sum()), "above": int((dz > OFF).sum()), "below": int((dz < -OFF).sum())}

@@ -204,7 +204,7 @@ def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
 
 def columns_of_tiles(plan: Plan) -> Names:
     """The columns that a delivered tile has."""
-    measured = MEASURE_RADIOMETRY.columns(plan)
+    measured = [name for name in MEASURE_RADIOMETRY.columns(plan) if name in plan.providers]
     wanted = plan.config.publish.parquet_features
     features = {"all": (*plan.names, *plan.config.features.also), "used": plan.names, "none": ()}[wanted]
     return tuple(dict.fromkeys((*DELIVERED, *classes_written(plan), *measured, *features)))

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
-from fwclass.decompose.plausible import UNKNOWN
+from fwclass.decompose.plausible import LAND, UNKNOWN
 from fwclass.decompose.system_pulse import disagree
 from fwclass.errors import QualityError, first_few
 from fwclass.read import beam_source, pls_waves
@@ -40,6 +40,8 @@ LOOK = (
     "samples that no pulse explains may be stored wrongly"
 )
 """What to do where a bound is passed."""
+
+TURN = "samples grow with the light here: turn the sign of a receiver that counts down (largest value less sample)"
 
 NAMED = 3
 """Strips of a remark that are named."""
@@ -75,6 +77,7 @@ def strip_plausibility(
         "places": places,
         "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
         "blank_share": counts["blank"] / counts["waveforms"] if counts["waveforms"] else None,
+        "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
         "unreadable_packets": unreadable,
         "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
         "pulses": pulses,
@@ -116,6 +119,18 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
         lines.append(
             f"{blank:,} of {pulses:,} pulses ({_percent(blank / pulses)}) have nothing but zeros for a waveform, which "
             f"no receiver records: is the packet file whole? ({_names(some)})"
+        )
+    if some := [s for s in strips if (s["downward_share"] or 0.0) > TOLD_FROM]:
+        down, pulses = _sums(some, "downward", "waveforms")
+        lines.append(
+            f"{down:,} of {pulses:,} waveforms ({_percent(down / pulses)}) have echoes that point down, and are not "
+            f"found: {TURN} ({_names(some)})"
+        )
+    if some := [s for s in strips if s["off_earth"]]:
+        off, fitted = _sums(some, "off_earth", "fitted")
+        lines.append(
+            f"{off:,} of {fitted:,} echoes ({_percent(off / fitted)}) lie below {LAND[0]:g} m or above {LAND[1]:g} m, "
+            f"where no land is: are times in nanoseconds, and directions in metres? ({_names(some)})"
         )
     if some := [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]:
         poor, fitted = _sums(some, "poor", "fitted")
@@ -220,6 +235,7 @@ def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> No
     bounds = (
         ("unreadable", "unreadable_packets", "waveforms cannot be read", WHOLE),
         ("blank", "blank", "waveforms are nothing but zeros", WHOLE),
+        ("downward", "downward", "waveforms have echoes that point down", TURN),
         ("poor", "poor", "fitted echoes fit poorly", LOOK),
         ("implausible", "implausible", "echoes are implausible", LOOK),
         ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),

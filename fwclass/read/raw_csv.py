@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,9 @@ HEAD = 65_536
 
 LOOKED_AT = 1000
 """Rows whose directions are looked at."""
+
+CLOSE = 0.7
+"""Likeness of a comment's first word to a key from which it is taken for a slip."""
 
 _LIST_MARKS = str.maketrans("[](){};,", " " * 8)
 
@@ -140,8 +144,17 @@ def _heading(path: Path) -> tuple[dict[str, str], tuple[str, ...], str, int]:
             continue
         if text.startswith("#"):
             key, _, value = text.lstrip("# ").partition(":")
-            if key.strip().lower() in KEYS:
-                metadata[key.strip().lower()] = value.strip()
+            key = key.strip().lower()
+            if key in KEYS:
+                metadata[key] = value.strip()
+            elif value.strip() and (meant := get_close_matches(key.replace("sample_", ""), KEYS, 1, CLOSE)):
+                raise InputError(
+                    "this is no known metadata",
+                    where=f"{path}, line {number}",
+                    expected=", ".join(KEYS),
+                    got=key,
+                    do=f"write {meant[0]}, or make a comment of it without a colon",
+                )
             continue
         delimiter = next((mark for mark in ",;\t" if mark in text), ",")
         names = tuple(word.strip().strip('"').strip() for word in text.split(delimiter))

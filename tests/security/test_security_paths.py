@@ -13,7 +13,7 @@ import pytest
 from fwclass import paths
 from fwclass.errors import InputError, StoreError
 from fwclass.graph.files import _matches
-from fwclass.graph.survey import _distinct
+from fwclass.graph.survey import require_distinct
 from fwclass.operate.request import Request
 from fwclass.paths import below, path_matches
 from fwclass.store.params import StoreParams
@@ -204,7 +204,7 @@ def test_a_pending_delivery_that_is_a_link_is_not_written_through(tmp_path: Path
 @pytest.mark.parametrize("stem", ["..", "a\nb", "a\x1b[31m", "a\u202eb", "a\\b", "a" * 240])
 def test_a_source_file_with_such_a_name_is_refused(stem: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no output can have") as fault:
-        _distinct([tmp_path / "good.las", tmp_path / f"{stem}.las"])
+        require_distinct([tmp_path / "good.las", tmp_path / f"{stem}.las"])
     assert "\x1b" not in str(fault.value) and "\u202e" not in str(fault.value)
 
 

@@ -349,11 +349,10 @@ def test_foreign_files_reach_gdal_through_one_door() -> None:
     assert {name for name, text in texts.items() if imports.search(text)} == {"formats/gdal.py"}
     assert {name for name, text in texts.items() if "rasterio.open(" in text} == {
         "publish/cog.py",
-        "delivery/rasters.py",
+        "publish/delivered_raster.py",
     }
-    assert (
-        'driver="GTiff"' in texts["delivery/rasters.py"] and texts["delivery/rasters.py"].count("rasterio.open(") == 1
-    )
+    reads = texts["publish/delivered_raster.py"]
+    assert 'driver="GTiff"' in reads and reads.count("rasterio.open(") == 1
     assert 'rasterio.open(raw, "w"' in texts["publish/cog.py"] and texts["publish/cog.py"].count("rasterio.open(") == 1
 
 

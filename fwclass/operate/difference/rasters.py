@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.publish.delivered_raster import delivered_raster
+
 COMPARED = ("dtm.tif", "dsm.tif")
 """Terrain and surface; the others are made of them, or of classes."""
 
@@ -39,9 +41,7 @@ def raster_changes(first: Path, second: Path) -> list[dict[str, Any]]:
 
 
 def _compare(first: Path, second: Path) -> dict[str, Any]:
-    import rasterio
-
-    with rasterio.open(first) as a, rasterio.open(second) as b:
+    with delivered_raster(first) as a, delivered_raster(second) as b:
         cells = [(f.transform.a, -f.transform.e) for f in (a, b)]
         column, row = ((b.transform.c - a.transform.c) / cells[0][0], (a.transform.f - b.transform.f) / cells[0][1])
         if cells[0] != cells[1] or abs(column - round(column)) > 1e-6 or abs(row - round(row)) > 1e-6:
@@ -63,12 +63,10 @@ def _compare(first: Path, second: Path) -> dict[str, Any]:
 
 def _rows(file: Any, first: int = 0, last: int | None = None, columns: slice | None = None) -> Iterator[NDArray]:
     """Heights of stripes of a file, NaN where there are none."""
-    from rasterio.windows import Window
-
     columns = columns or slice(0, file.width)
     for row in range(first, file.height if last is None else last, ROWS):
         rows = min(ROWS, (file.height if last is None else last) - row)
-        values = file.read(1, window=Window(columns.start, row, columns.stop - columns.start, rows))
+        values = file.read(1, window=((row, row + rows), (columns.start, columns.stop)))
         yield np.where(values == file.nodata, np.nan, values) if file.nodata is not None else values
 
 
