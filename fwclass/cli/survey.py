@@ -151,7 +151,8 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         sys.exit(PARTIAL)
     if report.get("plausibility"):
         plausibility.judge(report["plausibility"]["strips"], config.plausibility)
-    judge_ground(report["ground"], config.plausibility.accept, config.path)
+    if report.get("ground"):
+        judge_ground(report["ground"], config.plausibility.accept, config.path)
     judge_repeated(report.get("repeated"), config.plausibility)
     judge_drift(report.get("drift"), config.classify, config.survey.model or config.path)
     judge_unsure(report.get("unsure"), config.classify, config.survey.model or config.path)

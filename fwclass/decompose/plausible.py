@@ -30,6 +30,7 @@ COUNTS = (
     "waveforms",
     "blank",
     "downward",
+    "floored",
     "off_earth",
 )
 """What `Plausibility.counts` holds, in this order."""

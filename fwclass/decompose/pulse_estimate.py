@@ -218,6 +218,8 @@ def _narrow_width(
             return fwhm, rows[:0]
         best = params.width or narrowest(width[fair], error[fair])
         near = fair & (np.abs(width - best) < NEAR * best)
+        if not math.isfinite(best) or best < FEWEST_SAMPLES * waves.pulses["sample_spacing"][rows].min():
+            return fwhm, rows[:0]  # narrower than its samples can tell
         change, fwhm = abs(best - fwhm), best
         if change < STEADY * fwhm:
             break

@@ -77,24 +77,31 @@ def decompose(
     return table, links, {**judged, "returns_without_echo": lone, **_odd_waveforms(waves)}
 
 
+FLOORED = 0.25
+"""Share of a waveform's samples at 0 from which on its noise cannot be told; of a level two deviations above 0.02."""
+
 DOWNWARD, LEAST_SAMPLES = 3.0, 8
 """Times that a waveform of so many samples goes further below its mean than above it where its echoes point down."""
 
 
 def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
-    """How many pulses have samples (``waveforms``), none but zeros (``blank``), and echoes that point ``downward``."""
+    """How many pulses have samples (``waveforms``), none but zeros (``blank``), echoes that point ``downward``, and
+    among others so many zeros that their level was cut off (``floored``)."""
     rows = np.flatnonzero(np.diff(waves.offsets) > 0)
     if len(rows) == 0:
-        return {"waveforms": 0, "blank": 0, "downward": 0}
+        return {"waveforms": 0, "blank": 0, "downward": 0, "floored": 0}
     samples, first = waves.samples[: waves.offsets[-1]], waves.offsets[rows]
     length = np.diff(waves.offsets)[rows]
     highest, lowest = (f.reduceat(samples, first).astype(np.float64) for f in (np.maximum, np.minimum))
     mean = np.add.reduceat(samples, first, dtype=np.int64) / length
     down = (mean - lowest > DOWNWARD * (highest - mean)) & (length >= LEAST_SAMPLES)
+    zeros = np.add.reduceat(samples == 0, first, dtype=np.int64)
+    floored = (zeros > FLOORED * length) & (highest > 0)
     pulses = waves.pulses["pulse"][rows]
     waveforms = len(np.unique(pulses))
     blank = waveforms - len(np.unique(pulses[highest > 0]))
-    return {"waveforms": waveforms, "blank": blank, "downward": len(np.unique(pulses[down]))}
+    odd = {"downward": len(np.unique(pulses[down])), "floored": len(np.unique(pulses[floored]))}
+    return {"waveforms": waveforms, "blank": blank, **odd}
 
 
 def _judge(

@@ -41,6 +41,11 @@ LOOK = (
 )
 """What to do where a bound is passed."""
 
+FLOOR = (
+    "their level was taken off, and what lay below it cut, so that noise and false echoes cannot be told: export them "
+    "with their level"
+)
+
 TURN = "samples grow with the light here: turn the sign of a receiver that counts down (largest value less sample)"
 
 NAMED = 3
@@ -65,19 +70,21 @@ def strip_plausibility(
     were placed (`placement.describe_placement`), and how many of its packets cannot be read, of its `faults`: a share
     of its `pulses` where it has no returns."""
     checked = counts["checked"] if returns else 0
+    compared = checked or (counts["fitted"] if counts["off_earth"] else 0)  # places tell without any return
     unreadable = sum((faults or {}).get(name, 0) for name in UNREADABLE)
     return {
         "name": name,
         "returns": returns,
         **counts,
         "unexplained_share": counts["unexplained"] / checked if checked else None,
-        "implausible_share": counts["implausible"] / checked if checked else None,
+        "implausible_share": counts["implausible"] / compared if compared else None,
         "unmatched_returns_share": counts["returns_without_echo"] / returns if returns else None,
         **noise,
         "places": places,
         "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
         "blank_share": counts["blank"] / counts["waveforms"] if counts["waveforms"] else None,
         "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
+        "floored_share": counts["floored"] / counts["waveforms"] if counts["waveforms"] else None,
         "unreadable_packets": unreadable,
         "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
         "pulses": pulses,
@@ -125,6 +132,12 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
         lines.append(
             f"{down:,} of {pulses:,} waveforms ({_percent(down / pulses)}) have echoes that point down, and are not "
             f"found: {TURN} ({_names(some)})"
+        )
+    if some := [s for s in strips if (s["floored_share"] or 0.0) > TOLD_FROM]:
+        low, pulses = _sums(some, "floored", "waveforms")
+        lines.append(
+            f"{low:,} of {pulses:,} waveforms ({_percent(low / pulses)}) have more than a quarter of their samples at "
+            f"0: {FLOOR} ({_names(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
         off, fitted = _sums(some, "off_earth", "fitted")
@@ -236,6 +249,7 @@ def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> No
         ("unreadable", "unreadable_packets", "waveforms cannot be read", WHOLE),
         ("blank", "blank", "waveforms are nothing but zeros", WHOLE),
         ("downward", "downward", "waveforms have echoes that point down", TURN),
+        ("floored", "floored", "waveforms stand at 0", FLOOR),
         ("poor", "poor", "fitted echoes fit poorly", LOOK),
         ("implausible", "implausible", "echoes are implausible", LOOK),
         ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),

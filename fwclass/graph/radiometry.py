@@ -46,14 +46,14 @@ PROBES = 5
 """Tiles, about, whose beams are held against the trajectory before any range is taken from it."""
 
 
-KNOW_THE_SENSOR = (".pls", ".parquet", ".csv", "_fullwave.txt")
-"""Sources that may tell how far the sensor was end so."""
+POINTS_ALONE = (".las", ".laz")
+"""Sources that end so do not tell how far the sensor was; others, and patterns that leave it open, may."""
 
 
 def has_range(config: Config) -> bool:
     """Something tells how far the sensor was: an altitude, a trajectory, or a format that knows the sensor's place."""
     known = config.radiometry.platform_altitude is not None or bool(config.survey.trajectory.files)
-    return known or any(p.lower().endswith(KNOW_THE_SENSOR) for p in config.survey.sources)
+    return known or any(not p.lower().endswith(POINTS_ALONE) for p in config.survey.sources)
 
 
 def check_altitude(layout: Layout) -> None:

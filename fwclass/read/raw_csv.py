@@ -6,7 +6,7 @@ Lines before the heading that begin with ``#`` may hold metadata as ``# key: val
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -35,7 +35,7 @@ HEAD = 65_536
 LOOKED_AT = 1000
 """Rows whose directions are looked at."""
 
-CLOSE = 0.7
+CLOSE = 0.66
 """Likeness of a comment's first word to a key from which it is taken for a slip."""
 
 _LIST_MARKS = str.maketrans("[](){};,", " " * 8)
@@ -120,7 +120,8 @@ def is_raw_csv(path: Path) -> bool:
 
 def open_raw_csv(path: Path) -> tuple[CsvLayout, Settings]:
     """Look at metadata, heading and first rows; `InputError` for what is no table of waveforms."""
-    metadata, columns, delimiter, start = _heading(path)
+    metadata, columns, delimiter, start, others = _heading(path)
+    _refuse_slips(others, path)
     settings = Settings.of(metadata, path)
     check_columns(list(columns), settings, path)
     layout = CsvLayout(path, settings, columns, delimiter, start)
@@ -131,11 +132,25 @@ def open_raw_csv(path: Path) -> tuple[CsvLayout, Settings]:
     return CsvLayout(path, settings, columns, delimiter, start, direction), settings
 
 
-def _heading(path: Path) -> tuple[dict[str, str], tuple[str, ...], str, int]:
-    """Metadata, columns of the heading, what stands between them, and the byte behind it."""
+def _refuse_slips(others: Mapping[str, int], path: Path) -> None:
+    """`InputError` for metadata that is like a known key and none: it would be passed over."""
+    for key, number in others.items():
+        if meant := get_close_matches(key.replace("sample_", ""), KEYS, 1, CLOSE):
+            raise InputError(
+                "this is no known metadata",
+                where=f"{path}, line {number}",
+                expected=", ".join(KEYS),
+                got=key,
+                do=f"write {meant[0]}, or make a comment of it without a colon",
+            )
+
+
+def _heading(path: Path) -> tuple[dict[str, str], tuple[str, ...], str, int, dict[str, int]]:
+    """Metadata, columns of the heading, what stands between them, the byte behind it, and lines of other metadata."""
     with open_regular(path) as stream:
         head = stream.read(HEAD)
     metadata: dict[str, str] = {}
+    others: dict[str, int] = {}
     at = 0
     for number, raw in enumerate(head.splitlines(keepends=True), 1):
         at += len(raw)
@@ -147,16 +162,10 @@ def _heading(path: Path) -> tuple[dict[str, str], tuple[str, ...], str, int]:
             key = key.strip().lower()
             if key in KEYS:
                 metadata[key] = value.strip()
-            elif value.strip() and (meant := get_close_matches(key.replace("sample_", ""), KEYS, 1, CLOSE)):
-                raise InputError(
-                    "this is no known metadata",
-                    where=f"{path}, line {number}",
-                    expected=", ".join(KEYS),
-                    got=key,
-                    do=f"write {meant[0]}, or make a comment of it without a colon",
-                )
+            elif value.strip():
+                others[key] = number
             continue
         delimiter = next((mark for mark in ",;\t" if mark in text), ",")
         names = tuple(word.strip().strip('"').strip() for word in text.split(delimiter))
-        return metadata, names, delimiter, at
+        return metadata, names, delimiter, at, others
     raise InputError("the file has no heading", where=path, expected="a line that names the columns", got="none")

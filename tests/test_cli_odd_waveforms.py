@@ -1,0 +1,83 @@
+"""Waveforms that no fit can be right on: their echoes point down, their level was cut off, their times have another
+unit. Each is told, and ends with exit code 4."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rawmaker
+from commandline import fwclass
+from rawmaker import scene, write_csv, write_parquet
+
+HEAD = {"crs": "EPSG:32632", "spacing_ns": "1.0"}
+
+
+def decompose(tmp_path: Path, columns: dict, *words: str, head: dict = HEAD) -> tuple[int, str]:
+    write_parquet(tmp_path / "a.parquet", columns, head)
+    ended = fwclass("decompose", tmp_path / "a.parquet", tmp_path / "a.laz", "--overwrite", *words)
+    assert "Traceback" not in ended.stderr
+    return ended.returncode, ended.stderr
+
+
+def upside_down(columns: dict) -> dict:
+    return columns | {"samples": [np.asarray(255 - s.astype(int), s.dtype) for s in columns["samples"]]}
+
+
+def without_level(columns: dict) -> dict:
+    return columns | {"samples": [np.maximum(s.astype(int) - 12, 0).astype(s.dtype) for s in columns["samples"]]}
+
+
+def in_picoseconds(columns: dict) -> dict:
+    return columns | {"begin_ns": 1000 * columns["begin_ns"]}
+
+
+@pytest.mark.parametrize(
+    ("change", "said", "fault"),
+    [
+        (upside_down, "have echoes that point down, and are not found", "waveforms have echoes that point down"),
+        (without_level, "have more than a quarter of their samples at 0", "waveforms stand at 0"),
+        (in_picoseconds, "where no land is: are times in nanoseconds", "echoes are implausible"),
+    ],
+)
+def test_it_is_told_and_ends_with_4(tmp_path: Path, change, said: str, fault: str) -> None:
+    columns = scene(pulses=600, n=80).columns(at="sensor")
+    code, words = decompose(tmp_path, columns)
+    assert code == 0 and said not in words, words
+    code, words = decompose(tmp_path, change(columns))
+    assert code == 4 and said in words and f"more {fault} than a sound survey has" in words, words
+    assert decompose(tmp_path, change(columns), "--accept-implausible")[0] == 0
+
+
+def test_noise_alone_is_none_of_it(tmp_path: Path) -> None:
+    columns = scene(pulses=600, n=80).columns(at="sensor")
+    noise = np.random.default_rng(2).normal(12.0, 1.0, (600, 80))
+    code, words = decompose(tmp_path, columns | {"samples": list(np.rint(noise).astype(np.uint8))})
+    assert code == 0 and "point down" not in words and "at 0" not in words, words
+
+
+def test_a_pulse_narrower_than_its_samples_is_no_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rawmaker, "SIGMA", 0.7 / 2.354820045)
+    truth = scene(pulses=600, spacing=2.0, n=80)
+    code, words = decompose(tmp_path, truth.columns(), head={"crs": "EPSG:32632", "spacing_ns": "2.0"})
+    assert code in (0, 4), words
+
+
+@pytest.mark.parametrize(
+    ("slip", "meant"), [("spacing", "spacing_ns"), ("sample_spacing", "spacing_ns"), ("srs", "crs")]
+)
+def test_a_slip_in_the_metadata_of_a_text_is_refused(tmp_path: Path, slip: str, meant: str) -> None:
+    columns = scene(pulses=50, n=60).columns()
+    write_csv(tmp_path / "a.csv", columns, {**HEAD, "made by": "nobody", slip: "2"})
+    ended = fwclass("info", tmp_path / "a.csv")
+    assert ended.returncode == 1 and f"write {meant}" in ended.stderr and "a.csv, line" in ended.stderr, ended.stderr
+
+
+@pytest.mark.parametrize("pattern", ["a.parquet", "a.parq*"])
+def test_a_ground_run_of_beams_measures_no_ranges(tmp_path: Path, pattern: str) -> None:
+    write_parquet(tmp_path / "a.parquet", scene(pulses=400, n=80).columns(at="sensor"), HEAD)
+    (tmp_path / "s.yaml").write_text(f'survey: {{name: s, sources: ["{pattern}"]}}\n')
+    words = ("--workflow", "ground", "--workers", 0, "--accept-implausible")
+    ended = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "r", *words)
+    assert ended.returncode == 0, ended.stderr
