@@ -19,6 +19,9 @@ FWHM_PER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
 AREA_PER_FWHM = math.sqrt(math.pi / (4.0 * math.log(2.0)))
 """Area of a Gaussian of unit height and unit full width at half maximum."""
 
+LAND = (-500.0, 9000.0)
+"""m, heights of land: the Dead Sea's shore lies at -438, Mount Everest at 8849."""
+
 QUANTUM = 0.001
 """Step of every coordinate in the store [m]; millimetres are exact integers in float64 and, as
 differences below 16 km, in float32."""

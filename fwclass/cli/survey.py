@@ -101,6 +101,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.graph.ground_remarks import judge_ground
     from fwclass.graph.repeated import judge_repeated
     from fwclass.graph.report import REPORT
+    from fwclass.graph.report_facts import judge_place
     from fwclass.graph.report_summary import summary
     from fwclass.operate.clean import clean
     from fwclass.operate.request import replaced
@@ -151,6 +152,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         sys.exit(PARTIAL)
     if report.get("plausibility"):
         plausibility.judge(report["plausibility"]["strips"], config.plausibility)
+    judge_place(report.get("place"), config.plausibility.accept, config.path)
     if report.get("ground"):
         judge_ground(report["ground"], config.plausibility.accept, config.path)
     judge_repeated(report.get("repeated"), config.plausibility)

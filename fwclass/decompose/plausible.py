@@ -13,6 +13,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams
 from fwclass.decompose.pulse_fit import POOR
 from fwclass.decompose.quiet import QuietNoise
+from fwclass.units import LAND
 from fwclass.waveforms import IMPLAUSIBLE, Waveforms
 
 _FITTED, _VENDOR_KEPT = 0, 16
@@ -34,10 +35,6 @@ COUNTS = (
     "off_earth",
 )
 """What `Plausibility.counts` holds, in this order."""
-
-
-LAND = (-500.0, 9000.0)
-"""m, heights of land: the Dead Sea's shore lies at -438, Mount Everest at 8849."""
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
-from fwclass.decompose.plausible import LAND, UNKNOWN
+from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
 from fwclass.errors import QualityError, first_few
 from fwclass.read import beam_source, pls_waves
-from fwclass.units import METRES_PER_NS
+from fwclass.units import LAND, METRES_PER_NS
 
 TOLD_FROM = 0.1
 """Share of the echoes without a return, or of the returns without an echo, from which a remark tells it."""

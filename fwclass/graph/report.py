@@ -83,6 +83,15 @@ def write_report(
     drifted, plausible = drift_of_run(runner), plausibility_of_run(runner, survey, config)
     repeated = repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips)
     unsure = unsure_of_run(tiles, config, card) if classified else None
+    place = place_of(
+        tiles,
+        survey.crs,
+        survey.standard_time,
+        CoveredArea.joined(
+            config.publish.class_cell, [r.meta["covered"] for r in receipts_of_run(runner, "publish-rasters")]
+        ),
+        config.quality.void_spacings,
+    )
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -100,15 +109,7 @@ def write_report(
         },
         "training": training_facts(runner, names),
         "selection": selected.model_dump() if (selected := config.selection) else None,
-        "place": place_of(
-            tiles,
-            survey.crs,
-            survey.standard_time,
-            CoveredArea.joined(
-                config.publish.class_cell, [r.meta["covered"] for r in receipts_of_run(runner, "publish-rasters")]
-            ),
-            config.quality.void_spacings,
-        ),
+        "place": place,
         "sureness": sureness(tiles, classes),
         "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),
         "reliability": next((r.meta["reliability"] for r in receipts_of_run(runner, "assess")), None),
@@ -126,6 +127,7 @@ def write_report(
         "repeated": repeated,
         "remarks": [
             *on_accuracy,
+            *(place or {}).get("remarks", ()),
             *(repeated or {}).get("remarks", ()),
             *ground["remarks"],
             *(plausible or {}).get("remarks", ()),

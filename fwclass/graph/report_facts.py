@@ -11,6 +11,8 @@ from pyproj import CRS
 
 from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
+from fwclass.errors import QualityError
+from fwclass.formats.area_of_use import elsewhere, place_faults, time_faults
 from fwclass.graph.layout import Survey
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.publish.tile_facts import WORTH, least_sure_first
@@ -31,7 +33,8 @@ def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
 def place_of(
     tiles: Sequence[Receipt], crs: str | None, standard_time: bool, covered: CoveredArea, spacings: float
 ) -> dict[str, Any] | None:
-    """CRS, flight dates, area with echoes [m²] and echoes per m²; None where no tile was delivered.
+    """CRS, flight dates, area with echoes [m²] and echoes per m², what is odd about them (``remarks``), and whether no
+    echo can lie there (``elsewhere``); None where no tile was delivered.
 
     `covered`: cells with an echo; gaps of more than so many mean `spacings` of echoes are none of it.
     """
@@ -41,16 +44,34 @@ def place_of(
     points = sum(r.meta["facts"]["points"] for r in tiles)
     times = [t for r in tiles for t in r.meta["facts"]["times"] or ()]
     bounds = np.array([r.meta["facts"]["bounds"] for r in tiles])
+    low, high = bounds[:, :3].min(axis=0).tolist(), bounds[:, 3:].max(axis=0).tolist()
     area = covered.of(points, spacings)
+    untimely = time_faults(min(times), max(times)) if times else []
     authority = system.to_authority() if system is not None else None
     return {
         "crs": system.name if system is not None else None,
         "code": ":".join(authority) if authority else None,
-        "bounds": [*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 3:5].max(axis=0).tolist()],
-        "flown": [_date(min(times)), _date(max(times))] if times and standard_time else None,
+        "bounds": [*low[:2], *high[:2]],
+        "flown": [_date(min(times)), _date(max(times))] if times and standard_time and not untimely else None,
         "area": area,
         "density": points / area if area else None,
+        "remarks": [*place_faults(system, low, high), *untimely],
+        "elsewhere": elsewhere(system, low, high),
     }
+
+
+def judge_place(place: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
+    """`QualityError` where no echo can lie where the survey says; nothing where the user accepts it."""
+    if accepted or place is None or not place.get("elsewhere"):
+        return
+    raise QualityError(
+        "the echoes do not lie where their coordinate system is",
+        where=where,
+        expected="places in the area that the system is used in, at heights where land is",
+        got="; ".join(place["remarks"]),
+        do="name the right system (survey.crs), or mend the files' coordinates; --accept-implausible "
+        "(plausibility.accept=true) takes them as they are",
+    )
 
 
 def legacy_codes(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:

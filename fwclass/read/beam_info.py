@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beam_source import FAULTS, BeamSource
 from fwclass.read.beams import beam_fault
@@ -63,6 +64,8 @@ def beam_rows_info(source: BeamSource) -> dict[str, Any]:
         "faults": [
             *source.faults,
             *(flat_faults(source, source.bounds[:3], source.bounds[3:]) if flat else []),
+            *place_faults(crs, source.bounds[:3], source.bounds[3:]),
+            *time_faults(*census.gps),
             *_faults(source),
             *filter(None, [beam_fault(source)]),
         ],

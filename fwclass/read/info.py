@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError, visible
 from fwclass.formats import vector
+from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.checks import first_hole
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
@@ -148,6 +149,8 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         "faults": [
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
+            *(place_faults(crs, tally.low.tolist(), tally.high.tolist(), source.header) if has_points else []),
+            *time_faults(*tally.gps),
             *_faults(source, tally, step),
             *filter(None, [beam_fault(source), _packet_hole(source)]),
         ],

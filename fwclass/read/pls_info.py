@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beams import beam_fault
 from fwclass.read.pls_waves import FAULTS, SILENT, Pulses, Samplings, blocks_of, reach
@@ -97,6 +98,8 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
         "faults": [
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
+            *place_faults(crs, tally.low.tolist(), tally.high.tolist()),
+            *time_faults(*tally.gps),
             *_faults(source, tally),
             *filter(None, [beam_fault(source)]),
         ],

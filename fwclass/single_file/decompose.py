@@ -16,6 +16,7 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
+from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.graph.survey import given_crs
@@ -95,10 +96,11 @@ def decompose_file(
         raise InputError(
             "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
         )
-    table = Table.concat(tables)
+    table, odd_places = Table.concat(tables), []
     if table.rows:
         ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
         refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
+        odd_places = place_faults(system, ends[0], ends[1])
     flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
     whole, notes = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
@@ -117,6 +119,7 @@ def decompose_file(
         *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
         *(f"plausibility: {text}" for text in plausibility_remarks([judged], fit)),
         *notes,
+        *odd_places,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {visible(output)}",
     ]

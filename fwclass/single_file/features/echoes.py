@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.decompose.params import DecomposeParams
 from fwclass.errors import InputError
+from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
@@ -107,8 +108,16 @@ def _of_text(path: Path, crs: Any) -> FileEchoes:
         f"{len(rows):,} points",
         *([f"{lost:,} lines without usable coordinates are left out"] if lost else []),
         *([TAKEN_FOR_METRES] if cloud.crs is None else []),
+        *_odd_places(Table(columns), cloud.crs),
     )
     return FileEchoes(Table(columns), cloud.crs, notes)
+
+
+def _odd_places(table: Table, crs: Any) -> list[str]:
+    if not table.rows:
+        return []
+    low, high = ([float(f(table[a])) for a in "xyz"] for f in (np.min, np.max))
+    return place_faults(crs, low, high)
 
 
 def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
@@ -128,6 +137,7 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     table = Table.concat(tables)
     notes = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
     notes += [TAKEN_FOR_METRES] if crs is None else []
+    notes += _odd_places(table, crs)
     notes += plausibility_remarks([strip_plausibility(source.path.stem, source.n_points, counts, noise)], fit)
     notes += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass import compiling, conf
 from fwclass.errors import InputError
+from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
 from fwclass.graph.survey import given_crs
 from fwclass.ground.auto import adapt_filter
@@ -235,6 +236,8 @@ def _notes(
         notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
     elif cloud.crs is None and isinstance(cloud.source, LasSource):
         notes.append(TAKEN_FOR_METRES)
+    low, high = ([float(f(a)) for a in (cloud.x, cloud.y, cloud.z)] for f in (np.nanmin, np.nanmax))
+    notes += place_faults(cloud.crs, low, high, getattr(cloud.source, "header", None))
     if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
     if len(stray):

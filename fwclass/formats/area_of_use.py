@@ -1,0 +1,117 @@
+"""Whether places lie where their coordinate system is used, at heights where land is, and times are times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from pyproj import Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from fwclass.errors import InputError
+from fwclass.formats.crs import Records
+from fwclass.formats.linear_units import linear_units
+from fwclass.units import LAND
+
+LEAST_MARGIN, MOST_MARGIN = 1.0, 10.0
+"""Degrees around the area of a system, between these: its own width beside it, as whole countries keep one UTM zone
+far into the next ones (Bornholm lies half a zone away from Denmark's), and half of its height above and below."""
+
+LATEST_GPS = 1e10
+"""s, 300 years: no GPS time, of a week or of an epoch, is larger."""
+
+
+def place_faults(crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None) -> list[str]:
+    """What is odd about places within `low` and `high` (x, y, z in units of `crs`).
+
+    Parameters
+    ----------
+    crs : `pyproj.CRS`, or None, of which only heights are looked at, as metres.
+    header : may say the unit of heights, as `linear_units` takes it.
+
+    Returns
+    -------
+    list of str
+        A sentence for places outside of the area that the system is used in, one for heights where no land is; none of
+        numbers that are NaN, and of a system without such an area.
+    """
+    faults = [outside_of_area(crs, low, high)]
+    unit = _metres_of_height(crs, header)
+    lowest, highest = low[2] * unit, high[2] * unit
+    if lowest < LAND[0] or highest > LAND[1]:
+        faults.append(
+            f"heights from {lowest:,.1f} to {highest:,.1f} m reach where no land is, below {LAND[0]:g} m or above "
+            f"{LAND[1]:g} m: look at their unit"
+        )
+    return [fault for fault in faults if fault]
+
+
+def elsewhere(crs: Any, low: Sequence[float], high: Sequence[float]) -> bool:
+    """No place within `low` and `high` [m] can be where `crs` and z say: what `place_faults` tells holds for all."""
+    return bool(outside_of_area(crs, low, high)) or high[2] < LAND[0] or low[2] > LAND[1]
+
+
+def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> str:
+    """The sentence for a box of which neither the middle nor a corner lies near the system's area; "" for none.
+
+    `low`, `high`: least and largest x and y in units of `crs`; further numbers are not looked at.
+    """
+    if crs is None or not all(map(math.isfinite, (*low[:2], *high[:2]))):
+        return ""
+    flat = _horizontal(crs)
+    area = flat.area_of_use
+    if area is None or not flat.is_projected:
+        return ""
+    xs, ys = ([a, a, b, b, (a + b) / 2.0] for a, b in zip(low[:2], high[:2], strict=True))
+    ys = [ys[0], ys[2], ys[0], ys[2], ys[4]]
+    try:
+        lons, lats = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(xs, ys)
+    except (CRSError, ProjError):
+        return ""
+    if any(_near(area.bounds, lon, lat) for lon, lat in zip(lons, lats, strict=True)):
+        return ""
+    lon, lat = lons[4], lats[4]
+    there = f"{_degrees(lat, 'NS')} {_degrees(lon, 'EW')}" if math.isfinite(lon + lat) else "nowhere on earth"
+    west, south, east, north = area.bounds
+    return (
+        f"x {xs[4]:.0f}, y {ys[4]:.0f} is {there} in {flat.name}, which is used from {_degrees(south, 'NS')} "
+        f"{_degrees(west, 'EW')} to {_degrees(north, 'NS')} {_degrees(east, 'EW')}: are x and y swapped, or is it "
+        "another system?"
+    )
+
+
+def time_faults(first: float, last: float) -> list[str]:
+    """A sentence for GPS times [s] that are none; none for those that are, or not finite."""
+    if not max(abs(first), abs(last)) > LATEST_GPS or not math.isfinite(first + last):
+        return []
+    return [
+        f"GPS times reach {max(abs(first), abs(last)):.3g} s, {max(abs(first), abs(last)) / 3.156e7:,.0f} years: they "
+        "are not in seconds"
+    ]
+
+
+def _metres_of_height(crs: Any, header: Records | None) -> float:
+    try:
+        return linear_units(crs, header, "").z
+    except InputError:  # degrees beside heights, which are told elsewhere
+        return 1.0
+
+
+def _horizontal(crs: Any) -> Any:
+    """The part of `crs` that x and y are of; with the area that its code has where its own words name none."""
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs
+    if flat.area_of_use is None and (code := flat.to_epsg()) is not None:
+        flat = type(crs).from_epsg(code)
+    return flat
+
+
+def _near(bounds: Sequence[float], lon: float, lat: float) -> bool:
+    west, south, east, north = bounds
+    wide = (east - west) % 360.0 or 360.0
+    beside, above = (min(MOST_MARGIN, max(LEAST_MARGIN, size)) for size in (wide, (north - south) / 2.0))
+    return south - above <= lat <= north + above and (lon - west + beside) % 360.0 <= wide + 2.0 * beside
+
+
+def _degrees(angle: float, sides: str) -> str:
+    return f"{abs(angle):.1f}° {sides[angle < 0.0]}"
