@@ -48,6 +48,7 @@ class Source(ABC):
     faults : what is wrong with the file, as sentences for the user.
     target : the projected system that its places and beams are brought into as they are read; None: as they are.
     mirrored : the horizontal parts of its beams are to be turned round.
+    ranged : distances from the sensor that it gives are to be taken.
     """
 
     path: Path
@@ -65,6 +66,7 @@ class Source(ABC):
     standard_gps_time: bool
     faults: tuple[str, ...]
     mirrored: bool = False
+    ranged: bool = True
     target: str | None = None
 
     @property

@@ -86,7 +86,7 @@ def read_beam_rows(source: BeamSource, span: Span) -> Waveforms:
         "gps_time": one.time,
         "anchor_time": -one.begin,
         "segment_start": layout.start,
-        "anchor_range": one.anchor_range,
+        "anchor_range": one.anchor_range if source.ranged else np.full(len(one), np.nan),
         "outgoing_start": begins,
         "sample_spacing": one.spacing,
         "saturation": top[head],

@@ -1,4 +1,5 @@
-"""Whether the beams of a file come from one place above: what old converters and wrong exports give away.
+"""Whether the beams of a file come from one place above, and as far away as the file says: what old converters and
+wrong exports give away.
 
 Pulses that follow each other leave the sensor within a metre, so that the lines through their first samples, along the
 stored beam vectors, must meet, and above the ground. Where a sign is wrong they meet below; where axes are exchanged,
@@ -44,6 +45,13 @@ MEET = 0.1
 MOST = 0.8
 """Share of the groups that must agree."""
 
+AS_FAR = 1.25
+"""Ratio of a stored distance from the sensor to where beams meet that is told: each group meets to a tenth, `MEET`."""
+
+LOWEST_FLIGHT = 20.0
+"""m, nearer to the sensor no airborne scanner sees anything."""
+
+BEGIN = "the time of the first sample after it (begin_ns)"
 HORIZONTAL = "the sign of their horizontal parts is wrong"
 TURNED: dict[str, Callable[[Floats], Floats]] = {
     HORIZONTAL: lambda beam: beam * (-1.0, -1.0, 1.0),
@@ -53,6 +61,23 @@ TURNED: dict[str, Callable[[Floats], Floats]] = {
     "their axes x and y are exchanged": lambda beam: beam[:, [1, 0, 2]],
 }
 """What may be wrong, and what mends it."""
+
+
+@dataclass(frozen=True)
+class FirstSamples:
+    """Of every pulse, in the order of time: the place of its first sample (n, 3) [m], the unit vector of its beam away
+    from the sensor (n, 3), the distance from the sensor to that sample that the file gives, and from that sample to the
+    last one [m], both (n,) and NaN where they are not known."""
+
+    place: Floats
+    beam: Floats
+    distance: Floats
+    length: Floats
+
+    @classmethod
+    def none(cls) -> FirstSamples:
+        """Of no pulse."""
+        return cls(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -72,30 +97,44 @@ class Meeting:
 
 
 def check_beams(source: Source) -> None:
-    """`InputError` where the beams of `source` meet below the ground, or only with a sign or an axis changed."""
+    """`InputError` where the beams of `source` meet below the ground, only with a sign or an axis changed, or not as
+    far away as it says."""
     wrong = beam_fault(source)
     if wrong:
-        mends = "add --mirror-beams (read.mirror_beams: true)"
-        if source.mirrored:
-            mends = "leave --mirror-beams (read.mirror_beams) out"
         raise InputError(
             wrong,
             where=source.path,
             expected="beams of neighbouring pulses that meet above the ground, where the sensor was",
-            do=mends
-            if HORIZONTAL in wrong
-            else "export the file again, with vectors that run from the sensor down to the ground"
-            if isinstance(source, BeamSource)
-            else "export the file again, with vectors that point from the target up to the sensor",
+            do=_remedy(wrong, source),
         )
+
+
+def _remedy(wrong: str, source: Source) -> str:
+    if HORIZONTAL in wrong and source.mirrored:
+        return "leave --mirror-beams (read.mirror_beams) out"
+    if HORIZONTAL in wrong:
+        return "add --mirror-beams (read.mirror_beams: true)"
+    if BEGIN in wrong and isinstance(source, BeamSource):
+        return (
+            "give range_m of the place that x, y and z are (0 at the sensor) in metres, and begin_ns in nanoseconds, "
+            "there and back; --set read.sensor_ranges=false goes on without range_m"
+        )
+    if BEGIN in wrong:
+        return "export the file again, or go on without its distances: --set read.sensor_ranges=false"
+    if isinstance(source, BeamSource):
+        return "export the file again, with vectors that run from the sensor down to the ground"
+    return "export the file again, with vectors that point from the target up to the sensor"
 
 
 def beam_fault(source: Source) -> str:
     """What is wrong with the beams of `source`, as a sentence; "" if nothing is, or too little is there to tell."""
-    place, beam = _first_samples(source)
+    firsts = _first_samples(source)
+    place, beam = firsts.place, firsts.beam
     crossing = meeting(place, beam)
     if crossing.sound:
-        return ""
+        return _distance_fault(crossing, firsts, source.ranged)
+    if wrong := _sensor_fault(firsts):
+        return wrong
     wrong = next((words for words, turned in TURNED.items() if meeting(place, turned(beam)).sound), "")
     if not wrong:
         up = float((beam[:, 2] > 0.0).mean()) if len(beam) else 0.0
@@ -103,6 +142,39 @@ def beam_fault(source: Source) -> str:
     side = "below" if wrong == HORIZONTAL else "behind"
     where = f"{-crossing.away:.0f} m {side} the ground" if crossing.meet and crossing.away < 0.0 else "nowhere"
     return f"the beams of neighbouring pulses meet {where}: {wrong}"
+
+
+def _distance_fault(crossing: Meeting, firsts: FirstSamples, ranged: bool) -> str:
+    """That beams meet elsewhere than as far away as the file says; "" where it is silent, right, or not `ranged`."""
+    known = firsts.distance[np.isfinite(firsts.distance)] if ranged else np.empty(0)
+    stored = float(np.median(known)) if len(known) else np.nan
+    if not len(known) or crossing.away / AS_FAR <= stored <= AS_FAR * crossing.away:
+        return ""
+    return (
+        f"the beams of neighbouring pulses meet {crossing.away:.0f} m before the first samples, where the sensor was; "
+        f"by the file it was {stored:.0f} m away: the distance from the sensor to the place of a row (range_m, optical "
+        f"centre) is wrong, or {BEGIN}"
+    )
+
+
+def _sensor_fault(firsts: FirstSamples) -> str:
+    """That all samples lie beside the sensor, as where a file has its place and no time of the first sample."""
+    n = len(firsts.place) // GROUP
+    if n == 0 or np.isnan(firsts.length).all():
+        return ""
+    p, b = (v[: n * GROUP].reshape(n, GROUP, 3) for v in (firsts.place, firsts.beam))
+    turn = _root_mean_square(b - b.mean(axis=1, keepdims=True))
+    turning = turn >= STEEP
+    if turning.sum() < FEWEST:
+        return ""
+    away = float(np.median(_root_mean_square(p - p.mean(axis=1, keepdims=True))[turning] / turn[turning]))
+    last = away + float(np.nanmax(firsts.length))
+    if last >= LOWEST_FLIGHT:
+        return ""
+    return (
+        f"all samples lie within {last:.0f} m of where the beams of neighbouring pulses meet, which is the sensor: x, "
+        f"y and z are its place, and {BEGIN} is missing or wrong"
+    )
 
 
 def meeting(place: Floats, beam: Floats) -> Meeting:
@@ -134,12 +206,10 @@ def _root_mean_square(vectors: Floats) -> Floats:
     return np.asarray(np.sqrt((vectors**2).sum(axis=2).mean(axis=1)))
 
 
-def _first_samples(source: Source) -> tuple[Floats, Floats]:
-    """Places of the first samples of the first pulses, and their beams away from the sensor, one row a pulse, in the
-    order of time."""
-    nothing = np.empty((0, 3)), np.empty((0, 3))
+def _first_samples(source: Source) -> FirstSamples:
+    """Of the first pulses of a file, one row a pulse."""
     if not source.has_waves or source.waves.kind == "none" or source.n_records == 0:
-        return nothing
+        return FirstSamples.none()
     last = min(source.n_records, LOOKED_AT)
     if isinstance(source, PulseSource):
         kinds = Samplings.of(source)
@@ -148,11 +218,15 @@ def _first_samples(source: Source) -> tuple[Floats, Floats]:
         row, first = np.unique(parts.pulse, return_index=True)
         step, time = waves.step[row], waves.time[row]
         place = waves.anchor[row] - parts.begin[first, None] * step
+        distance = waves.anchor_range[row] + parts.begin[first] * np.linalg.norm(step, axis=1)
+        length = np.full(len(row), np.nan)
     elif isinstance(source, BeamSource):
         rows = turn_beams(source.layout.read(0, last), source)
         rows = rows.take(rows.fault == 0)
         step, time, place = rows.step, rows.time, rows.ends()[0]
-        row = np.arange(len(rows))
+        row, speed = np.arange(len(rows)), np.linalg.norm(step, axis=1)
+        distance = rows.anchor_range + rows.begin * speed
+        length = np.maximum(0, rows.samples.lengths - 1) * rows.spacing * speed
     else:
         las = las_of(source)
         with PointReader(las) as reader:
@@ -162,8 +236,9 @@ def _first_samples(source: Source) -> tuple[Floats, Floats]:
         row = usable[np.sort(np.unique(refs.offset[usable], return_index=True)[1])]
         step, time = refs.step[row], gps_times(las, points)[row]
         place = np.stack(coordinates(las, points), axis=1)[row] + refs.location[row, None] * step
+        distance = length = np.full(len(row), np.nan)
     if source.target is not None and len(place):
         place, step = project_beams(source.crs, CRS.from_user_input(source.target), place, step, source.path)
     order = np.argsort(time, kind="stable")
-    speed = np.linalg.norm(step, axis=1, keepdims=True)
-    return (place[order], -(step / speed)[order]) if len(row) else nothing
+    beam = -step / np.linalg.norm(step, axis=1, keepdims=True)
+    return FirstSamples(place[order], beam[order], distance[order], length[order])

@@ -22,6 +22,7 @@ class ReadParams(Params):
         into; null: such files are refused.
     use_flagged : take points that their source flags as withheld or synthetic like all others; else no ground is made
         of them, and they neither train nor are tested.
+    sensor_ranges : take the distances from the sensor that pulses carry; false: where these are wrong.
     mirror_beams : turn the horizontal parts of all beams round, which old converters stored with the wrong sign.
     """
 
@@ -30,4 +31,5 @@ class ReadParams(Params):
     missing_packets: Literal["error", "keep"]
     project_to: str | None
     use_flagged: bool
+    sensor_ranges: bool
     mirror_beams: bool

@@ -109,7 +109,7 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
         "gps_time": pulses.time[at],
         "anchor_time": -begin,
         "segment_start": layout.start,
-        "anchor_range": pulses.anchor_range[at],
+        "anchor_range": pulses.anchor_range[at] if source.ranged else np.full(len(at), np.nan),
         "outgoing_start": out_start,
         "sample_spacing": spacing,
         "saturation": top,

@@ -23,10 +23,12 @@ from fwclass.waveforms import Waveforms
 
 
 def with_settings(source: Source, params: ReadParams) -> Source:
-    """`source` as the settings have it read: with its beams turned round where `params.mirror_beams`, brought into
-    `params.project_to` where it is in degrees or geocentric."""
+    """`source` as the settings have it read: with its beams turned round where `params.mirror_beams`, without its
+    distances from the sensor unless `params.sensor_ranges`, brought into `params.project_to` where it is in degrees or
+    geocentric."""
     flat = source.crs is None or not (source.crs.is_geographic or source.crs.is_geocentric)
-    return replace(source, mirrored=params.mirror_beams, target=None if flat else params.project_to)
+    target = None if flat else params.project_to
+    return replace(source, mirrored=params.mirror_beams, ranged=params.sensor_ranges, target=target)
 
 
 def check_source(source: Source, params: ReadParams) -> None:

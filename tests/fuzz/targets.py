@@ -45,6 +45,7 @@ def _spans(path: Path) -> None:
         max_span_points=1000,
         missing_packets="error",
         mirror_beams=False,
+        sensor_ranges=True,
         use_flagged=False,
         project_to=None,
     )

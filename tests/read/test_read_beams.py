@@ -9,6 +9,7 @@ from commandline import process
 from lasmaker import METRES_PER_NS, digitise, gaussian, survey, write_las
 from lasmaker import Descriptor as OfLas
 from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, write_pls
+from rawmaker import HALF_LIGHT, scene, write_parquet
 
 from fwclass.errors import InputError
 from fwclass.read.info import info
@@ -106,6 +107,9 @@ def test_a_wrong_unit_is_told(tmp_path, params):
 
 def test_mirrored_beams_of_pulses(tmp_path, params):
     """Where anchors are near the ground. At the sensor, beams meet there whatever their signs."""
+    with pytest.raises(InputError, match="by the file it was 1 m away"):  # the optical centre of old converters
+        check_source(open_source(pls(tmp_path / "a.pls")), params)
+    params = params.model_copy(update={"sensor_ranges": False})
     check_source(open_source(pls(tmp_path / "a.pls")), params)
     wrong = pls(tmp_path / "b.pls", "mirrored")
     assert any(WORDS["mirrored"] in f for f in info(wrong)["faults"])
@@ -117,6 +121,7 @@ def test_mirrored_beams_of_pulses(tmp_path, params):
         [read_span(open_source(p), s, how) for s in index_source(open_source(p), how)]
         for p, how in ((tmp_path / "a.pls", params), (wrong, turned))
     )
+    assert np.isnan(a.pulses["anchor_range"]).all()
     for name in a.pulses:
         np.testing.assert_array_equal(a.pulses[name], b.pulses[name])
 
@@ -147,3 +152,38 @@ def test_beams_that_have_nothing_to_meet_in_are_left_alone(tmp_path, params):
         check_source(
             open_source(write_las(tmp_path / f"{name}.las", xyz[:some], waveforms=waves[:some], location=20.0)), params
         )
+
+
+def raw(path, change) -> str:
+    columns = scene(pulses=600, n=80).columns(at="sensor")
+    change(columns)
+    write_parquet(path, columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
+    return next((f for f in info(path)["faults"] if "neighbouring pulses meet" in f), "")
+
+
+def test_a_distance_that_the_beams_contradict(tmp_path, params):
+    path = tmp_path / "a.parquet"
+    assert raw(path, lambda columns: None) == ""
+    assert raw(path, lambda columns: columns.pop("range_m")) == ""
+    for wrong in (
+        lambda c: c.update(range_m=c["begin_ns"] * HALF_LIGHT),
+        lambda c: c.update(range_m=c["range_m"] - 300),
+    ):
+        fault = raw(path, wrong)
+        assert "meet 599 m before" in fault and "range_m, optical centre) is wrong" in fault, fault
+        with pytest.raises(InputError, match="give range_m of the place"):
+            check_source(open_source(path), params)
+
+
+@pytest.mark.parametrize("begin", [None, 0.0, 5.0])
+def test_a_sensor_without_times_of_the_first_samples(tmp_path, params, begin):
+    path = tmp_path / "a.parquet"
+    columns = scene(pulses=600, n=80).columns(at="sensor")
+    columns["begin_ns"] = np.full(600, 0.0 if begin is None else begin)
+    if begin is None:
+        del columns["begin_ns"]
+    write_parquet(path, columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
+    (fault,) = [f for f in info(path)["faults"] if "begin_ns" in f]
+    assert "of where the beams of neighbouring pulses meet, which is the sensor" in fault
+    with pytest.raises(InputError, match="begin_ns in nanoseconds, there and back"):
+        check_source(open_source(path), params)

@@ -20,6 +20,7 @@ PARAMS = ReadParams(
     max_span_points=1000,
     missing_packets="error",
     mirror_beams=False,
+    sensor_ranges=True,
     use_flagged=False,
     project_to=None,
 )
