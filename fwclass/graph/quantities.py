@@ -8,9 +8,12 @@ from typing import Any
 from fwclass.errors import ConfigError, first_few
 from fwclass.features.params import Asked, is_feature
 from fwclass.radiometry.stage import RADIOMETRY
-from fwclass.read.quantities import FITTED, READ, UNITS, WORDS, Quantities
+from fwclass.read.quantities import COUNTS, FITTED, READ, STEPS, Quantities, unit_of, words_of
 
 _AMPLITUDE = ("amplitude", "amplitude_sigma", "energy", *RADIOMETRY.writes)
+_STEPPED = ("amplitude", "amplitude_sigma")
+"""Of these, what is counted in steps of the samples; energies are in the samples' own unit."""
+
 _WIDTH = ("width", "width_sigma")
 _LISTED = 3
 
@@ -25,7 +28,7 @@ def quantities_by_feature(names: Iterable[str], quantities: Quantities) -> By:
         kind = quantity_of_feature(name)
         if kind:
             quantity = str(getattr(quantities, kind))
-            by_feature[name] = {"of": kind, "quantity": quantity, "unit": UNITS[quantity]}
+            by_feature[name] = {"of": kind, "quantity": quantity, "unit": unit_of(quantity)}
     return by_feature
 
 
@@ -37,21 +40,46 @@ def quantity_of_feature(name: str) -> str:
     return "width" if any(column in _WIDTH for column in reads) else ""
 
 
+def _another(name: str, one: str, other: str) -> bool:
+    """Feature or column `name` means another thing where amplitudes are `other` than where they are `one`."""
+    if one == other or quantity_of_feature(name) != "amplitude":
+        return False
+    if all(q == COUNTS or q.startswith(STEPS) for q in (one, other)):
+        return any(c in _STEPPED for c in (Asked.of([name]).reads if is_feature(name) else (name,)))
+    return True
+
+
 def joint_quantities(files: Mapping[str, Quantities], names: Iterable[str], where: object) -> Quantities:
     """What the amplitudes and widths of a survey's files are; `ConfigError` where amplitudes differ and one of the
     features `names` is made of them. Where none is, those of the first file."""
     first, quantities = next(iter(files.items()))
-    hang = [n for n in names if quantity_of_feature(n) == "amplitude"]
-    other = next((f for f, q in files.items() if q.amplitude != quantities.amplitude), None)
-    if hang and other is not None:
+    names, mixed = tuple(names), [(f, q.amplitude) for f, q in files.items() if q.amplitude != quantities.amplitude]
+    for other, kind in mixed:
+        hang = [n for n in names if _another(n, quantities.amplitude, kind)]
+        if not hang:
+            continue
+        one_step = STEPS in kind + quantities.amplitude
         raise ConfigError(
             f"the files have different kinds of amplitudes, and {first_few(hang, _LISTED)} would mix them",
             where=where,
             expected="one kind in all files",
-            got=f"{first}: {WORDS[quantities.amplitude]}; {other}: {WORDS[files[other].amplitude]}",
-            do="take them apart into surveys of one kind, or leave these features out (survey.features)",
+            got=f"{first}: {words_of(quantities.amplitude)}; {other}: {words_of(files[other].amplitude)}",
+            do="give all files the same `step` in their metadata, or take features of energy (survey.features)"
+            if one_step
+            else "take them apart into surveys of one kind, or leave these features out (survey.features)",
         )
     return quantities
+
+
+def mixed_note(files: Mapping[str, Quantities]) -> list[str]:
+    """That files count their amplitudes differently, for echoes that are delivered with them."""
+    kinds: dict[str, str] = {}
+    for name, quantities in files.items():
+        kinds.setdefault(quantities.amplitude, name)
+    if len(kinds) < 2:
+        return []
+    each = first_few([f"{name}: {words_of(kind)}" for kind, name in kinds.items()], _LISTED)
+    return [f"amplitudes are not the same quantity in all files ({each}): only energies can be compared"]
 
 
 def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], where: object) -> list[str]:
@@ -65,7 +93,7 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
         hang = [n for n in card["features"] if quantity_of_feature(n)]
         if not hang or not files:
             return []
-        kinds = sorted({WORDS[q.amplitude] for q in files.values()})
+        kinds = sorted({words_of(q.amplitude) for q in files.values()})
         return [
             f"the model's card does not say which quantity {first_few(hang, _LISTED)} {_are(hang)} made of; "
             f"here amplitudes are {' and '.join(kinds)}: train it again to be sure"
@@ -75,18 +103,18 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
         wanted = {n: str(one.get("quantity")) for n, one in learned.items() if one.get("of") == kind}
         for name, quantities in files.items():
             got = getattr(quantities, kind)
-            other = [n for n, quantity in wanted.items() if quantity != got]
+            other = [n for n, q in wanted.items() if (q != got if kind == "width" else _another(n, q, got))]
             if not other:
                 continue
             theirs = wanted[other[0]]
             if {theirs, got} == {FITTED, READ}:
-                notes.append(f"the model learned echo widths {WORDS[theirs]}; those of {name} are {WORDS[got]}")
+                notes.append(f"the model learned echo widths {words_of(theirs)}; those of {name} are {words_of(got)}")
                 continue
             raise ConfigError(
                 f"the model learned from another {'amplitude' if kind == 'amplitude' else 'echo width'}",
                 where=where,
-                expected=f"{WORDS.get(theirs, theirs)}, which {first_few(other, _LISTED)} {_are(other)} made of",
-                got=f"{name}: {WORDS[got]}",
+                expected=f"{words_of(theirs)}, which {first_few(other, _LISTED)} {_are(other)} made of",
+                got=f"{name}: {words_of(got)}",
                 do="use a model that was trained on such data, or train one without these features",
             )
     return list(dict.fromkeys(notes))

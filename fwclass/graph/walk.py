@@ -19,7 +19,7 @@ from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
 from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE, check_class_codes
-from fwclass.graph.quantities import check_learned, joint_quantities
+from fwclass.graph.quantities import check_learned, joint_quantities, mixed_note
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
 from fwclass.graph.reference import check_polygons
 from fwclass.graph.report import write_report
@@ -157,7 +157,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
     quantities = joint_quantities(survey.quantities, plan.names, f"{config.path}: survey.sources")
     notes = check_learned(learned, survey.quantities, config.survey.model) if learned else ()
-    for note in (*notes, *base_remarks(plan)):
+    for note in (*notes, *mixed_note(survey.quantities), *base_remarks(plan)):
         runner.display.say(f"note: {note}")
     plan = replace(plan, files=survey)
     polygons = require_all(runner, READ_POLYGONS.tasks(plan))

@@ -18,12 +18,16 @@ from fwclass.units import QUANTUM
 PARQUET, TEXTS = (".parquet", ".geoparquet"), (".csv", ".txt", ".tsv")
 """Names of such files end so."""
 
+FOOTPRINT_STEP = 1.0 / 16.0
+"""Of samples of GEDI, which are digitiser counts with a part after the point: 4096 of them are the most."""
+
 
 @dataclass(frozen=True)
 class OpenedTable:
     """A format's own part of a source: how its rows are read, and what it says for all of them.
 
     `levels` : counts that the range of samples which are no whole numbers is laid out in, at most.
+    `step` : of such samples, one for all files, or None; a range that has no room in it is refused where `firm`.
     """
 
     kind: str
@@ -34,6 +38,8 @@ class OpenedTable:
     notes: tuple[tuple[str, str], ...]
     faults: tuple[str, ...]
     levels: float = TOP - 1.0
+    step: float | None = None
+    firm: bool = False
 
 
 def is_beam_file(path: str | Path) -> bool:
@@ -55,13 +61,15 @@ def _open(path: Path) -> OpenedTable:
         return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
     if is_footprints(path):
         shots, kind, system, about = open_footprints(path)
-        return OpenedTable(kind, shots, system, None, False, tuple(about), ())
+        return OpenedTable(kind, shots, system, None, False, tuple(about), (), step=FOOTPRINT_STEP)
     raw, settings = open_raw_parquet(path) if path.suffix.lower() in PARQUET else open_raw_csv(path)
     faults: list[str] = []
     crs = settings.system(path, faults)
     kind = "raw waveforms, " + ("Parquet" if path.suffix.lower() in PARQUET else "text")
     notes = (("direction", raw.direction),)
-    return OpenedTable(kind, raw, crs, settings.saturation, settings.standard, notes, tuple(faults))
+    return OpenedTable(
+        kind, raw, crs, settings.saturation, settings.standard, notes, tuple(faults), step=settings.step, firm=True
+    )
 
 
 def open_beam_file(path: Path) -> BeamSource:
@@ -78,7 +86,15 @@ def open_beam_file(path: Path) -> BeamSource:
         raise InputError(
             "the file changed, or counts wrongly", where=path, expected=f"{opened.layout.n_rows} rows", got=census.rows
         )
-    scaling = census.scaling(opened.saturation, opened.levels)
+    scaling = census.scaling(opened.saturation, opened.levels, opened.step)
+    if opened.firm and opened.step is not None and scaling.step not in (opened.step, 1.0):
+        raise InputError(
+            "the samples have no room in 16 bits of these steps",
+            where=f"{path}: metadata step",
+            expected=f"at least {(census.values[1] - census.values[0]) / TOP:.3g}",
+            got=f"{opened.step:g}, for samples from {census.values[0]:g} to {census.values[1]:g}",
+            do="take a larger step, the same in all files of a survey",
+        )
     steps = () if scaling.exact else (("samples", f"counted in steps of {scaling.step:.6g} from {scaling.low:.6g} on"),)
     size = path.stat().st_size
     return BeamSource(

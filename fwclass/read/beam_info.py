@@ -10,7 +10,7 @@ from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beam_source import FAULTS, BeamSource
 from fwclass.read.beams import beam_fault
-from fwclass.read.quantities import WORDS, quantities_of
+from fwclass.read.quantities import quantities_of, words_of
 
 FEW = 8
 """A waveform of fewer samples shows no noise beside an echo."""
@@ -98,4 +98,4 @@ def describe_beam_rows(info: dict[str, Any]) -> list[tuple[str, str]]:
     if len(info["channels"]) > 1:
         rows.append(("channels", ", ".join(map(str, info["channels"]))))
     rows += [(name, text) for name, text in info["notes"]]
-    return [*rows, ("amplitudes", WORDS[info["quantities"]["amplitude"]])]
+    return [*rows, ("amplitudes", words_of(info["quantities"]["amplitude"]))]

@@ -269,15 +269,19 @@ class Census:
         """Row at which every pulse begins, and behind the last one the number of rows."""
         return np.concatenate([*self.starts, [self.rows]]).astype(np.int64)
 
-    def scaling(self, saturation: float | None, levels: float) -> Scaling:
-        """Whole samples that fit 16 bits as they are; else in steps of a power of two, at most `levels`."""
+    def scaling(self, saturation: float | None, levels: float, step: float | None = None) -> Scaling:
+        """Whole samples that fit 16 bits as they are; others in steps of `step`, and where that is None or leaves no
+        room in 16 bits of a power of two, at most `levels` of them."""
         low, high = self.values if self.samples else (0.0, 0.0)
         top = saturation if saturation is not None else next((v for v in LIMITS if high == v), None)
         if self.whole and low >= 0.0 and high <= TOP:
             return Scaling(0.0, 1.0, float(top if top is not None else TOP))
         low = min(low, 0.0) if self.whole else low
         span = max(high - low, 1e-300)
-        step = 1.0 if self.whole and span <= TOP else float(2.0 ** np.ceil(np.log2(span / levels)))
+        if self.whole and span <= TOP:
+            step = 1.0
+        elif step is None or span > TOP * step:
+            step = float(2.0 ** np.ceil(np.log2(span / levels)))
         return Scaling(low, step, TOP if top is None else min(float(TOP), max(1.0, (top - low) / step)))
 
 

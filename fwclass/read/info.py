@@ -23,7 +23,7 @@ from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import PARQUET, is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
-from fwclass.read.quantities import WORDS, quantities_of
+from fwclass.read.quantities import quantities_of, words_of
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
 
 Z_MARGIN = 100.0
@@ -309,8 +309,8 @@ def _describe_points(info_: dict[str, Any]) -> list[tuple[str, str]]:
         ("classes", _counts_text(info_["classes"])),
         *([("flags", _flags_text(info_["flags"]))] if info_["flags"] else []),
         ("extra bytes", ", ".join(info_["extra_bytes"]) or "none"),
-        ("amplitudes", WORDS[info_["quantities"]["amplitude"]]),
-        ("echo widths", WORDS[info_["quantities"]["width"]]),
+        ("amplitudes", words_of(info_["quantities"]["amplitude"])),
+        ("echo widths", words_of(info_["quantities"]["width"])),
     ]
     if waves:
         where = f"{waves['where']}, {waves['bytes']:,} bytes" if waves["where"] != "none" else waves["why_not"]

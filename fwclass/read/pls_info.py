@@ -13,7 +13,7 @@ from fwclass.formats.flat import flat_faults
 from fwclass.read.beams import beam_fault
 from fwclass.read.pls_waves import FAULTS, SILENT, Pulses, Samplings, blocks_of, reach
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
-from fwclass.read.quantities import WORDS, quantities_of
+from fwclass.read.quantities import quantities_of, words_of
 
 _MOST_COUNTED = 16
 
@@ -157,8 +157,8 @@ def describe_pulses(info: dict[str, Any]) -> list[tuple[str, str]]:
         ("outgoing", f"{info['outgoing']:,} pulses with a recorded outgoing pulse{_outgoing_text(info['outgoing'])}"),
         ("segments", f"{counts}  (of a pulse)"),
         ("waveforms", where),
-        ("amplitudes", WORDS[info["quantities"]["amplitude"]]),
-        ("echo widths", WORDS[info["quantities"]["width"]]),
+        ("amplitudes", words_of(info["quantities"]["amplitude"])),
+        ("echo widths", words_of(info["quantities"]["width"])),
     ]
     for d in waves["descriptors"]:
         anchors = ", anchors at no fixed distance from the optical centre" if d["optical_centre_ns"] is None else ""

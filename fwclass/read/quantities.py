@@ -6,7 +6,11 @@ from typing import NamedTuple
 
 from fwclass.formats.las_header import SPEC_USERS, Header
 from fwclass.read.base import Source
+from fwclass.read.beam_source import BeamSource
 from fwclass.read.las import LasSource
+
+STEPS = "steps of "
+"""Before the size of a step in the samples' unit: amplitudes of a file whose samples are no whole numbers."""
 
 COUNTS, DECIBELS, INTENSITY, FITTED, READ, NONE = "counts", "decibels", "intensity", "fitted", "read", "none"
 WORDS = {
@@ -25,16 +29,29 @@ WIDTHS = ("pulse width", "echo width")
 
 
 class Quantities(NamedTuple):
-    """What a file's columns `amplitude` and `width` are: names of `WORDS`."""
+    """What a file's columns `amplitude` and `width` are: names of `WORDS`, or `STEPS` and a number."""
 
     amplitude: str
     width: str
 
 
+def words_of(quantity: str) -> str:
+    """What a quantity is, for people; a name that nobody knows stays itself."""
+    if quantity.startswith(STEPS):
+        return f"counts of fitted echoes, in {quantity} in the file's samples"
+    return WORDS.get(quantity, quantity)
+
+
+def unit_of(quantity: str) -> str:
+    """In which a quantity is counted; "" for none."""
+    return UNITS[COUNTS if quantity.startswith(STEPS) else quantity]
+
+
 def quantities_of(source: Source) -> Quantities:
     """By the header alone; of a file whose waveforms cannot be read those of its returns."""
     if source.has_waves and source.waves.kind != "none":
-        return Quantities(COUNTS, FITTED)
+        step = source.scaling.step if isinstance(source, BeamSource) else 1.0
+        return Quantities(COUNTS if step == 1.0 else f"{STEPS}{step:.9g}", FITTED)
     names = _extra_names(source.header) if isinstance(source, LasSource) else set()
     amplitude = DECIBELS if "amplitude" in names else INTENSITY
     return Quantities(amplitude, READ if names & set(WIDTHS) else NONE)

@@ -7,7 +7,8 @@ it is the sensor); `range_m` from the sensor to the place (0 at the sensor); `gp
 rows, which follow each other, are segments or channels of one; `channel`; `outgoing`, samples of the emitted pulse, and
 `outgoing_begin_ns`, when the first of them was taken.
 
-Metadata: `crs`, `spacing_ns`, `saturation` (highest sample), `standard_gps_time` (true: GPS seconds less 10^9).
+Metadata: `crs`, `spacing_ns`, `saturation` (highest sample), `step` (of samples that are no whole numbers, of which
+amplitudes are then counts), `standard_gps_time` (true: GPS seconds less 10^9).
 
 The direction's length says what it is per: about 0.15 per nanosecond (metres), 1 a unit vector, or 0.15 times the
 spacing per sample.
@@ -35,24 +36,25 @@ PLACE, DIRECTION = ("x", "y", "z"), ("dx", "dy", "dz")
 LISTS = ("samples", "outgoing")
 OPTIONAL = ("spacing_ns", "begin_ns", "range_m", "gps_time", "pulse", "channel", "outgoing", "outgoing_begin_ns")
 REQUIRED = (*PLACE, *DIRECTION, "samples")
-KEYS = ("crs", "spacing_ns", "saturation", "standard_gps_time")
+KEYS = ("crs", "spacing_ns", "saturation", "step", "standard_gps_time")
 
 PER_NS, UNIT, PER_SAMPLE = "metres per nanosecond", "a unit vector", "metres per sample"
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the metadata say: `spacing` [ns] and `saturation` or None, `standard` time, `crs` as text or ""."""
+    """What the metadata say: `spacing` [ns], `saturation` and `step` or None, `standard` time, `crs` as text or ""."""
 
     spacing: float | None
     saturation: float | None
+    step: float | None
     standard: bool
     crs: str
 
     @classmethod
     def of(cls, metadata: Mapping[str, str], path: Path) -> Settings:
         """The settings in a file's metadata; `InputError` for a value that cannot be."""
-        spacing, saturation = (_number(metadata, key, path) for key in ("spacing_ns", "saturation"))
+        spacing, saturation, step = (_number(metadata, key, path) for key in ("spacing_ns", "saturation", "step"))
         if spacing is not None and not SPACINGS[0] <= spacing <= SPACINGS[1]:
             raise InputError(
                 "no scanner samples like this",
@@ -66,8 +68,13 @@ class Settings:
                 "this is no highest sample", where=f"{path}: metadata saturation", got=f"{saturation:g}",
                 expected="a number above 0, in the unit of the samples",
             )  # fmt: skip
+        if step is not None and not step > 0.0:
+            raise InputError(
+                "this is no step", where=f"{path}: metadata step", got=f"{step:g}",
+                expected="a number above 0, in the unit of the samples",
+            )  # fmt: skip
         standard = metadata.get("standard_gps_time", "").lower() in ("true", "1")
-        return cls(spacing, saturation, standard, metadata.get("crs", ""))
+        return cls(spacing, saturation, step, standard, metadata.get("crs", ""))
 
     def system(self, path: Path, faults: list[str]) -> Any:
         """The coordinate system, or None."""

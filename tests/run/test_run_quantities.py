@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from commandline import fwclass
 from lasmaker import survey, write_las
+from rawmaker import scene, write_parquet
 
 from fwclass.errors import ConfigError
-from fwclass.graph.quantities import check_learned, joint_quantities, quantities_by_feature
+from fwclass.graph.quantities import check_learned, joint_quantities, mixed_note, quantities_by_feature
 from fwclass.read.quantities import COUNTS, DECIBELS, FITTED, INTENSITY, NONE, READ, Quantities, quantities_of
 from fwclass.read.source import open_source
 
@@ -136,3 +137,41 @@ def test_info_says_which(trained):
         ended = fwclass("info", trained / name, "--json")
         assert json.loads(ended.stdout)["quantities"] == one._asdict()
     assert "digitiser counts" in fwclass("info", trained / "waves" / "a.las").stdout
+
+
+def volts(path, step=None, stray=None):
+    """Ground of a scene whose samples are volts, one of which may be far off."""
+    columns = scene(pulses=300, scale=1 / 512).columns()
+    columns["samples"] = [s + 1e-4 for s in columns["samples"]]
+    if stray is not None:
+        columns["samples"][7][3] = stray
+    return write_parquet(path, columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"} | ({"step": step} if step else {}))
+
+
+def test_amplitudes_are_counts_of_the_same_step_or_not_compared(tmp_path):
+    a, b = volts(tmp_path / "a.parquet"), volts(tmp_path / "b.parquet", stray=90.0)
+    files = {p.name: quantities_of(open_source(p)) for p in (a, b)}
+    assert files["a.parquet"].amplitude.startswith("steps of ") and files["a.parquet"] != files["b.parquet"]
+    with pytest.raises(ConfigError, match="give all files the same `step` in their metadata"):
+        joint_quantities(files, ["zc", "amplitude_mean_c200"], "s.yaml")
+    joint_quantities(files, ["zc", "energy"], "s.yaml")
+    assert "only energies can be compared" in mixed_note(files)[0]
+    for path, stray in ((a, None), (b, 90.0)):
+        volts(path, step="0.002", stray=stray)
+    files = {p.name: quantities_of(open_source(p)) for p in (a, b)}
+    assert files["a.parquet"] == files["b.parquet"] == Quantities("steps of 0.002", FITTED) and mixed_note(files) == []
+    joint_quantities(files, ["amplitude_mean_c200"], "s.yaml")
+    assert fwclass("decompose", a, tmp_path / "a.laz").returncode == 0
+    amplitude = np.median(laspy.read(tmp_path / "a.laz")["amplitude DN"])
+    assert 60 / 512 / 0.002 < amplitude < 120 / 512 / 0.002
+    card = {"features": ["amplitude"], "computed": {"quantities": quantities_by_feature(["amplitude"], files[a.name])}}
+    assert check_learned(card, files, "m") == []
+    with pytest.raises(ConfigError, match=r"in steps of 0\.002 in the file's samples"):
+        check_learned(card, {"c": WAVES}, "m")
+
+
+@pytest.mark.parametrize("step", ["0", "-1", "x", "1e-9"])
+def test_a_step_that_is_none(tmp_path, step):
+    path = volts(tmp_path / "a.parquet", step=step)
+    ended = fwclass("info", path)
+    assert ended.returncode == 1 and "metadata step" in ended.stderr, ended.stderr
