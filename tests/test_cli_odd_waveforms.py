@@ -50,6 +50,20 @@ def test_it_is_told_and_ends_with_4(tmp_path: Path, change, said: str, fault: st
     assert decompose(tmp_path, change(columns), "--accept-implausible")[0] == 0
 
 
+def test_info_shows_what_is_odd(tmp_path: Path) -> None:
+    columns = scene(pulses=600, n=80).columns(at="sensor")
+    path = tmp_path / "a.parquet"
+    line = ("info", path, "--waveforms", "--overwrite", "--out", tmp_path / "a.png")
+    for change, said in ((dict, ""), (upside_down, "point down"), (without_level, "a quarter of their samples at 0")):
+        write_parquet(path, change(columns), HEAD)
+        ended = fwclass(*line)
+        assert ended.returncode == (1 if change is upside_down else 0), ended.stderr
+        words = ended.stdout + ended.stderr
+        assert said in words and (said or "  ! " not in words), words
+    write_parquet(path, upside_down(columns), HEAD)
+    assert "--pulse 0" in fwclass(*line).stderr and fwclass(*line, "--pulse", 0).returncode == 0
+
+
 def test_noise_alone_is_none_of_it(tmp_path: Path) -> None:
     columns = scene(pulses=600, n=80).columns(at="sensor")
     noise = np.random.default_rng(2).normal(12.0, 1.0, (600, 80))

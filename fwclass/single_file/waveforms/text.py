@@ -13,6 +13,7 @@ def describe(report: dict[str, Any]) -> str:
     if report["noise"]["lag1"] is not None:
         lines.append(f"noise        {_noise_words(report['noise'])}")
     lines += [f"places       {text}" for text in report["places"]["remarks"]]
+    lines += [f"  ! {text}" for text in report["plausibility"]]
     if "waveforms" in report:
         lines.append(f"waveforms    {report['waveforms']:,} with {report['echoes']:,} echoes")
     for pulse in report["pulses"]:

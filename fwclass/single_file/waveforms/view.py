@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.recorded_pulse import recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.plausibility import place_remarks
+from fwclass.graph.plausibility import place_remarks, plausibility_remarks, strip_plausibility
 from fwclass.graph.pulse_picture import receiver_picture
 from fwclass.graph.sources import StripSpan
 from fwclass.publish.files import whole
@@ -88,8 +88,14 @@ def look(
         views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in wanted)
         recorded = _recorded(strip, settings)
         chosen, counts = _named_pulses(views, pulses, pulse, path) if pulses else _telling(views, pulse)
+        remarks = [] if pulses else _remarks(strip, noise, params)
     if not chosen:
-        raise InputError("no waveform of the file can be drawn", where=path, do="see `fwclass info` for what is wrong")
+        raise InputError(
+            "no waveform of the file shows an echo",
+            where=path,
+            got="; ".join(remarks),
+            do="draw some as they are (--pulse 0 --pulse 1), and see `fwclass info` for what is wrong",
+        )
     heading = f"{path.name}: {'chosen' if pulses else 'telling'} pulses, {_pulse_words(pulse)}"
     drawn = (
         (target, draw_waveforms([p for p, _ in chosen], heading)),
@@ -107,10 +113,22 @@ def look(
             "system_pulse": shape,
             "noise": dict(noise),
             "places": {**(places or {}), "remarks": place_remarks([{"name": path.stem, "places": places}])},
+            "plausibility": remarks,
             **counts,
             "pulses": [f for _, f in chosen],
         }
     )
+
+
+def _remarks(strip: FileStrip, noise: Mapping[str, Any], params: DecomposeParams) -> list[str]:
+    """What `decompose` would say of the file, but for how its echoes are placed."""
+    for _ in strip.echoes(()):
+        pass
+    source = strip.source
+    judged = strip_plausibility(
+        *(source.path.stem, source.n_points, strip.counts(), noise, None, strip.faults(), source.n_records)
+    )
+    return plausibility_remarks([judged], params)
 
 
 def _recorded(strip: FileStrip, settings: tuple[str, ...]) -> SystemPulse | None:
