@@ -70,7 +70,9 @@ def join_runs(parts: Iterable[Waveforms]) -> Waveforms:
     return _rows(whole, np.lexsort((whole.pulses["segment_start"], whole.pulses["pulse"])))
 
 
-def measure_placement(sample: Waveforms, at_returns: bool, params: DecomposeParams, pulse: SystemPulse) -> Placement:
+def measure_placement(
+    sample: Waveforms, at_returns: bool, params: DecomposeParams, pulse: SystemPulse, from_outgoing: bool = True
+) -> Placement:
     """What the sampled runs of a strip tell of its places.
 
     Parameters
@@ -78,13 +80,14 @@ def measure_placement(sample: Waveforms, at_returns: bool, params: DecomposePara
     sample : of `sample_runs`, the whole strip's.
     at_returns : anchors are returns of the vendor, not places at the sensor.
     params : ``vendor_offset``, ``offset_echoes``, ``outgoing_time`` and those of the fit.
+    from_outgoing : the format's times count from the recorded outgoing pulse, which holds where the data do not tell.
     """
     if sample.pulses.rows == 0:
         return AS_STORED
     fits = fit_waveforms(sample, params, pulse)
     if at_returns:
         return Placement(_curves(sample, fits, params, pulse) if params.vendor_offset == "auto" else ())
-    return _outgoing(sample, fits, params, pulse)
+    return _outgoing(sample, fits, params, pulse, from_outgoing)
 
 
 def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> tuple[OffsetCurve, ...]:
@@ -150,9 +153,10 @@ def _robust(values: Floats) -> tuple[float, float]:
     return middle, 1.4826 * float(np.median(np.abs(values - middle)))
 
 
-def _outgoing(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> Placement:
-    """Whether the time of the outgoing pulse is to be taken off, by `outgoing_time` and by the data."""
-    recorded = np.diff(sample.outgoing_offsets) > 0
+def _outgoing(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse, rule: bool) -> Placement:
+    """Whether the time of the outgoing pulse is to be taken off, by `outgoing_time`, by the data, and by the format's
+    `rule` where these do not tell. An outgoing pulse whose time is not known has none to take off."""
+    recorded = (np.diff(sample.outgoing_offsets) > 0) & np.isfinite(sample.pulses["outgoing_start"])
     n = len(np.unique(sample.pulses["pulse"][recorded]))
     if n == 0:
         return AS_STORED
@@ -162,15 +166,17 @@ def _outgoing(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Sys
         return Placement((), subtract, subtract, "the setting says so", **evidence)
     if np.isnan(sample.pulses["anchor_range"][recorded]).all():
         return Placement((), False, False, "its anchors have no fixed distance from the sensor", **evidence)
-    roughness = _roughness(sample, fits, outgoing_times(sample, params, pulse))
+    late = outgoing_times(sample, params, pulse)
+    by_rule = f"so by the format's rule; it is {np.median(late[recorded]):+.2f} ns"
+    roughness = _roughness(sample, fits, late)
     if roughness is None:
-        return Placement((), True, True, "too few neighbouring pulses to tell, so by the format's rule", **evidence)
+        return Placement((), rule, rule, f"too few neighbouring pulses to tell, {by_rule}", **evidence)
     (stored, less), ranges = roughness
     evidence |= {"places": (stored, less), "ranges": ranges}
     words = f"places along the line are rough by {stored:.3f} m as stored, by {less:.3f} m less that time"
-    subtract = _smoother(stored, less, True)
-    if _smoother(stored, less, False) != subtract:
-        words += ", which does not tell, so by the format's rule"
+    subtract = _smoother(stored, less, rule)
+    if _smoother(stored, less, not rule) != subtract:
+        words += f", which does not tell, {by_rule}"
     return Placement((), subtract, _smoother(*ranges, subtract), words, **evidence)
 
 

@@ -257,5 +257,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=6)
-PLACES = Computation(name="places", version=2)
+PLACES = Computation(name="places", version=3)
 DECOMPOSE = Computation(name="decompose", version=10, writes=ECHO_COLUMNS)

@@ -22,7 +22,7 @@ from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.read.source import open_source
+from fwclass.read.source import PulseSource, open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import READ, ReadParams, index_source, read_span
 from fwclass.run.inputs import TABLE, PartInputs
@@ -103,6 +103,7 @@ def index_strip(here: StageInputs, params: ReadParams) -> Result:
         "points": source.n_points,
         "pulses": sum(s.n_pulses for s in spans) if source.has_waves else 0,
         "point_format": source.point_format,
+        "from_outgoing": isinstance(source, PulseSource),
     }
 
 
@@ -188,7 +189,8 @@ def measure_places(here: StageInputs, params: DecomposeParams, sample: int) -> R
     inputs, index = here.inputs, here.inputs.meta("index", here.part)
     parts = here.parts("read")
     runs = join_runs(sample_runs(waveforms_of(p, inputs, returns=False), int(index["pulses"]), sample) for p in parts)
-    placement = measure_placement(runs, index["points"] > 0, params, pulse_of(int(here.part), inputs))
+    pulse = pulse_of(int(here.part), inputs)
+    placement = measure_placement(runs, index["points"] > 0, params, pulse, index["from_outgoing"])
     write_json(here.directory / PLACES_FILE, placement.to_json())
     return {"places": describe_placement(placement), "sampled": runs.pulses.rows}
 
@@ -255,7 +257,7 @@ def link_table(inputs: PartInputs, part: str) -> Table:
 
 INDEX = Stage(
     "index",
-    3,
+    4,
     "strip",
     "point",
     index_strip,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from lasmaker import METRES_PER_NS, digitise, gaussian, write_las
 from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, write_pls
+from rawmaker import SIGMA, scene, write_parquet
 
 from fwclass import conf
 from fwclass.decompose.plausible import COUNTS
@@ -206,3 +207,24 @@ def test_outgoing_times_do_not_depend_on_chunks(tmp_path):
     whole, parts = echoes(path, "pulse.sample=200"), echoes(path, "pulse.sample=200", "read.chunk_pulses=37")
     np.testing.assert_array_equal(whole[0], parts[0])
     assert whole[3] == parts[3]
+
+
+@pytest.mark.parametrize("begin", [None, -3.0])
+def test_a_raw_tables_begin_is_when_the_light_passed(tmp_path, begin):
+    """An outgoing pulse that lies 5 ns later by its own clock, or whose time nobody knows, moves no echo."""
+    truth = scene(pulses=400)
+    columns = truth.columns(at="sensor")
+    pulse = np.rint(150 * np.exp(-0.5 * ((np.arange(20) - 8.0) / SIGMA) ** 2) + 12).astype(np.uint16)
+    columns["outgoing"] = [pulse] * 400
+    if begin is not None:
+        columns["outgoing_begin_ns"] = np.full(400, begin)
+    path = write_parquet(tmp_path / "a.parquet", columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
+    words, (judged,) = decompose_file(path, tmp_path / "a.laz", (), True)
+    las = laspy.read(tmp_path / "a.laz")
+    order = np.argsort(np.asarray(las.gps_time), kind="stable")
+    assert np.abs(np.median(np.asarray(las.z)[order] - truth.place[:, 2])) < 0.01
+    told = judged["places"]["outgoing_time"]
+    if begin is None:
+        assert told is None and "outgoing" not in words
+    else:
+        assert not told["from_outgoing"] and "is not taken off" in words and "it is +5.00 ns" in words
