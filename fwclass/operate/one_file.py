@@ -14,9 +14,6 @@ from fwclass.read.source import open_source
 from fwclass.store.atomic import write_text
 from fwclass.store.url import Url
 
-EVERYWHERE = 1e8
-"""Edge of the area that would train, if anything did [m]."""
-
 
 def survey_of(source: Path, out: Any) -> tuple[Path, Any]:
     """The configuration that `source` is, or that is written for it, and the run directory.
@@ -26,7 +23,7 @@ def survey_of(source: Path, out: Any) -> tuple[Path, Any]:
     if _is_configuration(source):
         from fwclass import conf as configuration
 
-        name = configuration.load(source, ()).survey.name
+        name = configuration.load(source, (), classifies=False).survey.name
         return source, out if out is not None else Path("runs") / f"{name}-backscatter"
     root = out if out is not None else Path("runs") / f"{_name(source)}-backscatter"
     if isinstance(root, Url):
@@ -63,16 +60,9 @@ def _name(source: Path) -> str:
 
 
 def _text(source: Path) -> str:
-    edge = EVERYWHERE
     return f"""# Written by fwclass for one file; nothing is classified.
 survey:
   name: {json.dumps(_name(source))}
   directory: {json.dumps(str(source.parent))}
   sources: [{json.dumps(glob.escape(source.name))}]
-  reference: {{kind: source}}
-  classes:
-    - {{name: ground, code: 2, codes: [2]}}
-    - {{name: other, code: 1, codes: [1]}}
-areas:
-  train: [[{-edge}, {-edge}, {edge}, {edge}]]
 """

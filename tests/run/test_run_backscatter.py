@@ -1,17 +1,22 @@
-"""Voxels, profiles, samples as points and stacked echoes through a whole run."""
+"""Voxels, profiles, samples as points and stacked echoes through a whole run; nothing is classified, so no class,
+label or training area is asked for."""
 
 import hashlib
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import zarr
+from commandline import fwclass
+from rawmaker import scene, write_parquet
 from runmaker import walk
 
 from fwclass.workflows import WORKFLOWS
 
 pytestmark = pytest.mark.slow
 
+HEAD = {"crs": "EPSG:32632", "spacing_ns": "1.0"}
 PRODUCTS = ("voxels.write=true", "profile.write=true", "samples.write=true", "stack.enabled=true", "stack.gap=0.5")
 
 
@@ -98,3 +103,30 @@ def test_the_workflow_has_stages_of_the_classification_in_its_order():
     order = [s.name for s in WORKFLOWS["classification"].stages]
     places = [order.index(s.name) for s in WORKFLOWS["backscatter"].stages]
     assert places == sorted(places)
+
+
+@pytest.mark.parametrize("command", ["voxels", "profile"])
+def test_a_survey_without_classes(tmp_path: Path, command: str) -> None:
+    write_parquet(tmp_path / "a.parquet", scene(pulses=300).columns(), HEAD)
+    (tmp_path / "s.yaml").write_text("survey: {name: s, directory: ., sources: [a.parquet]}\n")
+    for source, root in (("s.yaml", "survey"), ("a.parquet", "file")):
+        ended = fwclass(command, tmp_path / source, "--out", tmp_path / root, "--workers", 0)
+        assert ended.returncode == 0, ended.stderr
+    one, other = (zarr.open_group(next((tmp_path / r).glob("*.zarr")), mode="r") for r in ("survey", "file"))
+    assert sorted(one) == sorted(other) and len(list(one))
+    for name in one:
+        np.testing.assert_array_equal(one[name][...], other[name][...])
+
+
+def test_the_store_of_a_classified_run_serves(tmp_path: Path) -> None:
+    write_parquet(tmp_path / "a.parquet", scene(pulses=300).columns(), HEAD)
+    (tmp_path / "s.yaml").write_text("survey: {name: s, directory: ., sources: [a.parquet]}\n")
+    assert (
+        fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "r", "--workers", 0, "--workflow", "ground").returncode
+        == 0
+    )
+    ended = fwclass("voxels", tmp_path / "s.yaml", "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode == 0
+    lines = {words[0]: line for line in ended.stderr.splitlines() if (words := line.split())}
+    for stage in ("read", "pulse", "decompose", "tile", "ground"):
+        assert "computed" not in lines.get(stage, ""), lines[stage]
