@@ -26,6 +26,7 @@ areas: {train: [[0, 0, 5, 10]], gap: 0.5}
 tile: {size: 5.0}
 train: {trees: 5}
 seams: {width: 0.75, share: 1.0}
+plausibility: {accept: true}  # made-up places lie nowhere in a UTM zone
 """
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
@@ -21,10 +21,14 @@ def street() -> None:
     """Street-tree crowns from a vehicle's 2-D scanner, frame by frame (docs/street.md)."""
 
 
-def _config(conf: Path | None, settings: tuple[str, ...]) -> Any:
-    """The sections of a street's configuration, or the base's."""
+def _config(conf: Path | None, settings: tuple[str, ...], model: Path | None = None) -> Any:
+    """The sections of a street's configuration; without one the base's, with the mounting that `model` learned with."""
     from fwclass import conf as configuration
+    from fwclass.graph.street import learned_mounting
+    from fwclass.store.models import load_model
 
+    if conf is None and model is not None and (mounting := learned_mounting(load_model(model))) is not None:
+        settings = (*(f"street.mounting.{name}={json.dumps(value)}" for name, value in mounting.items()), *settings)
     return configuration.load(conf if conf is not None else "street-sim", settings)
 
 
@@ -81,6 +85,7 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) 
 @click.option("--assess/--no-assess", default=True, help="Judge the model on the returns that are left (default: yes).")
 @SET
 @OVERWRITE
+@ACCEPT_IMPLAUSIBLE
 @JSON
 def train(
     conf: Path, target: Path, method: str | None, settings: tuple[str, ...], as_json: bool, **options: Any
@@ -89,13 +94,17 @@ def train(
     from fwclass.cli.model import _known
     from fwclass.single_file.street.train import describe
     from fwclass.single_file.street.train import train as training
+    from fwclass.street.soundness import judge_recording
 
     if method is not None:
         settings = (*settings, f"train.method={_known(method, '--method')}")
-    summary = training(_config(conf, settings), target, say=_say, **options)
+    config = _config(conf, settings)
+    accepted = options.pop("accept_implausible") or config.plausibility.accept
+    summary = training(config, target, say=_say, **options)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
+    judge_recording(summary["implausible"], accepted, conf)
 
 
 @street.command()
@@ -107,6 +116,7 @@ def train(
 @SCHEDULER
 @WORKERS
 @OVERWRITE
+@ACCEPT_IMPLAUSIBLE
 @JSON
 def classify(
     recording: Path, output: Path, model: Path, conf: Path | None, settings: tuple[str, ...], **options: Any
@@ -118,8 +128,9 @@ def classify(
     from fwclass.single_file.street.online import describe_batch
     from fwclass.single_file.street.output import prepare
     from fwclass.store.temporary import temporary_directory
+    from fwclass.street.soundness import judge_recording
 
-    config = _config(conf, settings)
+    config = _config(conf, settings, model)
     count = config.run.workers if options["workers"] is None else options["workers"]
     job = Work(recording.resolve(), model.resolve(), config.street, TrajectoryFiles.of(config))
     check(job)
@@ -132,6 +143,7 @@ def classify(
     click.echo(describe_batch(summary, output), err=True)
     if options["as_json"]:
         click.echo(json.dumps(summary, indent=1))
+    judge_recording(summary["implausible"], options["accept_implausible"] or config.plausibility.accept, recording)
 
 
 @street.command()
@@ -144,6 +156,7 @@ def classify(
 @CONF
 @SET
 @OVERWRITE
+@ACCEPT_IMPLAUSIBLE
 @JSON
 def run(
     source: str, model: Path, target: Path, pace: str, conf: Path | None, settings: tuple[str, ...], **options: Any
@@ -156,13 +169,15 @@ def run(
     from fwclass.graph.street_recordings import TrajectoryFiles
     from fwclass.single_file.street.online import Run, describe
     from fwclass.single_file.street.online import run as work
+    from fwclass.street.soundness import judge_recording
 
-    config = _config(conf, settings)
+    config = _config(conf, settings, model)
     job = Run(source, model, target, pace == "recorded", options["overwrite"], TrajectoryFiles.of(config))
     summary = work(job, config.street, _say)
     click.echo(describe(summary, target), err=True)
     if options["as_json"]:
         click.echo(json.dumps(summary, indent=1))
+    judge_recording(summary["implausible"], options["accept_implausible"] or config.plausibility.accept, source)
 
 
 @street.command()

@@ -16,7 +16,7 @@ from fwclass.assess.intervals import DRAWS, LEVEL, SEED, intervals
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Model, assemble, class_index
 from fwclass.schema import Table
@@ -29,6 +29,8 @@ from fwclass.train.baselines.stage import train_other
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, draw, join
 from fwclass.train.stage import card, grow_trees
+
+Tell = Callable[[Path, list[str]], None]
 
 BLOCK = 100
 """Frames whose rows are held at a time."""
@@ -60,7 +62,8 @@ def feature_parameters(params: StreetParams) -> dict[str, Any]:
             "features": params.features,
             "window": params.window,
             "most_frames": params.most_frames,
-        }
+        },
+        "mounting": params.mounting.model_dump(mode="json"),
     }
 
 
@@ -85,6 +88,28 @@ def params_of(model: Model, params: StreetParams, where: object) -> StreetParams
     return changed
 
 
+def learned_mounting(model: Model) -> dict[str, Any] | None:
+    """How the scanner sat where `model` learned; None where its card does not say."""
+    mounting = model.card.get("computed", {}).get("mounting")
+    return dict(mounting) if isinstance(mounting, Mapping) else None
+
+
+def model_remarks(model: Model, params: StreetParams) -> list[str]:
+    """Settings of `params` that the model's own stand for, and another mounting than it learned with."""
+    learned = {**feature_parameters(params)["street"], **model.card["computed"]["street"]}
+    said = [
+        f"street.{name} is the model's, {learned[name]}, not {value}"
+        for name, value in feature_parameters(params)["street"].items()
+        if learned[name] != value
+    ]
+    mounting, here = learned_mounting(model), params.mounting.model_dump(mode="json")
+    other = [name for name in here if mounting and mounting.get(name) != here[name]]
+    if other:
+        words = ", ".join(f"{name} {mounting[name]} there, {here[name]} here" for name in other if mounting)
+        said.append(f"the model learned with another mounting ({words}): heights and sides count from the scanner")
+    return said
+
+
 @dataclass(frozen=True)
 class Rows:
     """Returns of some frames, in order.
@@ -107,11 +132,14 @@ class Rows:
         return Rows(self.X[rows], self.codes[rows], self.key[rows], self.place[rows], self.depth[rows])
 
 
-def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Rows]:
-    """All returns of the recordings, by blocks of frames."""
+def rows_of(
+    paths: Sequence[Path], params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY, tell: Tell | None = None
+) -> Iterator[Rows]:
+    """All returns of the recordings, by blocks of frames; `tell` takes what each recording shows that no sound one does
+    (`implausible`), after its last frame."""
     for number, path in enumerate(paths):
         parts: list[Rows] = []
-        for at, one in enumerate(frames_with_features(path, params, trajectory)):
+        for at, one in enumerate(frames_with_features(path, params, trajectory, tell)):
             parts.append(_rows(number, at, one))
             if len(parts) == BLOCK:
                 yield join_rows(parts)
@@ -121,11 +149,11 @@ def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: TrajectoryF
 
 
 def frames_with_features(
-    path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY
+    path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY, tell: Tell | None = None
 ) -> Iterator[Seen]:
-    """The frames of a recording with their features."""
-    track, ring = Track(params), None
-    for frame in open_on_trajectory(path, params, trajectory).frames():
+    """The frames of a recording with their features; `tell` as `rows_of` has it."""
+    track, ring, recording = Track(params), None, open_on_trajectory(path, params, trajectory)
+    for frame in recording.frames():
         placed = track.take(frame)
         if placed is None:
             continue
@@ -135,6 +163,8 @@ def frames_with_features(
             yield from ring.take(placed)
     if ring is not None:
         yield from ring.rest()
+    if tell is not None:
+        tell(path, implausible(recording, track.counts(), params))
 
 
 def _rows(recording: int, at: int, seen: Seen) -> Rows:

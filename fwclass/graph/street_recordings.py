@@ -26,6 +26,7 @@ from fwclass.street.line_scans import Cutter, Turning, check_times, measure_scan
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_columns import MOST_BEAMS
 from fwclass.street.recordings import open_recording
+from fwclass.street.soundness import OUTSIDE, SECOND, recording_faults
 
 LAS_SUFFIXES = (".las", ".laz")
 
@@ -116,11 +117,12 @@ class Way:
 class OnTrajectory:
     """A recording whose frames are placed along the way of a trajectory: by its length in plan, straight between fixes.
 
-    The trajectory's clock is the frames'. Frames outside its time have no place.
+    The trajectory's clock is the frames'. Frames outside its time have no place, and are counted.
     """
 
     recording: Recording
     trajectory: TrajectoryFiles
+    left_out: Counter[str] = field(default_factory=Counter)
 
     @property
     def about(self) -> Mapping[str, Any]:
@@ -130,8 +132,25 @@ class OnTrajectory:
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
         way = self.trajectory.way()
+        self.left_out.clear()
         for frame in self.recording.frames():
-            yield replace(frame, place=float(way.place(frame.time)))
+            place = float(way.place(frame.time))
+            self.left_out[OUTSIDE] += math.isnan(place)
+            yield replace(frame, place=place)
+
+
+def implausible(
+    recording: Recording | None,
+    counts: Mapping[str, Any],
+    params: StreetParams,
+    stream: Mapping[str, int] | None = None,
+) -> list[str]:
+    """What no sound recording shows (`recording_faults`), after its frames were taken; `counts` of `Track.counts`,
+    `stream`: frames of a stream that were lost, by cause."""
+    left_out = getattr(recording, "left_out", {})
+    rows = recording.source.n_points if isinstance(recording, LasRecording) else counts["frames"]
+    what = "points" if isinstance(recording, LasRecording) else "frames"
+    return recording_faults(counts, params, left_out, (rows, what), stream or {})
 
 
 def open_on_trajectory(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Recording:
@@ -231,7 +250,7 @@ class LasRecording:
                     number += 1
         for one in cutter.rest():
             yield self._frame(number, cutter, one, scan)
-        self.left_out.update({"second in a beam": cutter.doubled, "beyond the field": cutter.outside})
+        self.left_out.update({SECOND: cutter.doubled, "beyond the field": cutter.outside})
 
     def _frame(self, number: int, cutter: Cutter, scan_points: tuple[NDArray[Any], ...], scan: Scan) -> Frame:
         time, ranges, labels = cutter.beams(*scan_points)
@@ -248,7 +267,7 @@ class LasRecording:
         here = np.zeros(len(time), bool)
         here[timed] = np.isfinite(self._way.place(time[timed]))
         self.left_out["later returns"] += int((~first).sum())
-        self.left_out["outside the trajectory's time"] += int((first & ~here).sum())
+        self.left_out[OUTSIDE] += int((first & ~here).sum())
         time, codes = time[here], np.asarray(points["classification"], np.uint8)[here]
         away = np.stack(coordinates(self.source, points), axis=1)[here] - self._way.position(time)
         course = self._way.course(time)

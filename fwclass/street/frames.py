@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.street.params import MountingParams, ScannerParams, StreetParams
 from fwclass.street.place_kernels import CAUSES, place_frame
+from fwclass.street.soundness import FEWEST_ROAD, Soundness
 from fwclass.street.sphere_kernels import UNIT
 
 
@@ -150,6 +151,9 @@ FARTHEST = 2000.0
 FASTEST, LATEST, ROUND_THE_EARTH = 100.0, 1e10, 4e7
 """Speeds [m/s], times [s] and places [m] beyond these are no values."""
 
+STILL = 0.0005
+"""m between frames, up to which a vehicle stands."""
+
 FAULTS = (
     "out of order",
     "doubled",
@@ -168,10 +172,12 @@ FAULTS = (
 class Track:
     """Takes frames one after the other: leaves out what cannot be used, and places the others along the road.
 
-    What it says of a frame follows from the frames before it alone: the same on-line and in a recording.
+    What it says of a frame follows from the frames before it alone: the same on-line and in a recording. A vehicle that
+    nothing tells the way of stands where it `may_stand`, else it is an error.
     """
 
     params: StreetParams
+    may_stand: bool = False
     faults: Counter[str] = field(default_factory=Counter)
     missing: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(CAUSES), np.int64))
     frames: int = 0
@@ -179,6 +185,7 @@ class Track:
     returns: int = 0
     blind: int = 0
     geometry: Geometry | None = None
+    sound: Soundness = field(init=False)
     _time: float = math.nan
     _number: int = -1
     _along: float = 0.0
@@ -186,6 +193,10 @@ class Track:
     _given: float = math.nan
     _steps: list[float] = field(default_factory=list)
     _road: float = math.nan
+    _moved: bool = False
+
+    def __post_init__(self) -> None:
+        self.sound = Soundness(self.params)
 
     @property
     def period(self) -> float:
@@ -211,23 +222,24 @@ class Track:
         if not abs(frame.time) <= LATEST:
             self.faults["out of order"] += 1
             return False
-        step = frame.time - self._time if self.used else 0.0
+        step, leaps = frame.time - self._time if self.used else 0.0, False
         if self.used and -self.params.clock_jump <= step <= 0:
             self.faults["doubled" if step == 0 else "out of order"] += 1
             return False
         period = self.period
         if abs(step) > self.params.clock_jump:
             self.faults["clock leaps"] += 1
+            leaps = True
             step = period if math.isfinite(period) and step < 0 else max(step, 0.0)
         elif math.isfinite(period) and step > 1.5 * period:
             self.faults["dropped before"] += round(min(step / period, 1e9)) - 1
         if self.used and len(self._steps) < 99 and step > 0:
             self._steps.append(step)
-        self._advance(frame, step)
+        self._advance(frame, step, leaps)
         self._time = frame.time
         return True
 
-    def _advance(self, frame: Frame, step: float) -> None:
+    def _advance(self, frame: Frame, step: float, leaps: bool) -> None:
         place, speed_given = self._within(frame.place, ROUND_THE_EARTH), self._within(frame.speed, FASTEST)
         if math.isfinite(place):
             moved = place - self._given if math.isfinite(self._given) else 0.0
@@ -239,18 +251,22 @@ class Track:
             if speed is None:
                 self.faults["no speed"] += 1
                 speed = self._speed
+            if not math.isfinite(speed) and self.may_stand:
+                speed = 0.0
             if not math.isfinite(speed):
                 raise InputError(
                     "nothing tells how the vehicle moved",
-                    where="the recording's first frame",
-                    expected="a column speed or place, or street.speed",
-                    got="neither",
-                    do="give --set street.speed=M_PER_S, or odometry in the recording",
+                    where=f"frame {frame.number}",
+                    expected="a column speed or place, a trajectory of this time, or street.speed",
+                    got=f"none of them at {frame.time:.3f} s",
+                    do="give --set street.speed=M_PER_S, or odometry in the recording (fwclass street info)",
                 )
             self._speed = speed
             moved = speed * step
         self._along += moved
+        self._moved = abs(moved) > STILL
         if self.used:
+            self.sound.move(moved, step, speed_given, math.isfinite(place), leaps)
             self.faults["reversing"] += moved < 0
             self.faults["standing"] += moved == 0
 
@@ -270,6 +286,7 @@ class Track:
         below = -0.5 * self.params.mounting.height
         near = self.params.road_half_width
         count = place_frame(frame.ranges, geometry.direction, *limits, near, below, x, y, z, r, self.missing, under)
+        self.sound.see(frame.ranges, limits[0], geometry.direction, (y, z, r), self._moved)
         here = beams - int(np.isnan(r).sum())
         self.returns += here
         self.blind += here == 0
@@ -287,8 +304,5 @@ class Track:
             "blind": self.blind,
             "missing": dict(zip(CAUSES, self.missing.tolist(), strict=True)),
             "faults": {name: self.faults[name] for name in FAULTS if self.faults[name]},
+            "sound": self.sound.facts(),
         }
-
-
-FEWEST_ROAD = 5
-"""Returns beside the vehicle that tell the height of the road; with fewer the last one holds."""

@@ -120,7 +120,8 @@ def measure_scanner(time: NDArray[np.float64], angle: NDArray[np.float64], most_
             where=where,
             expected=f"{100 * REGULAR:g} % of the frames a whole number of periods apart",
             got=f"{100 * even:.0f} % at a period of {1000 * period:.3f} ms",
-            do="give one line scanner's points alone (user data or point source tell scanners apart)",
+            do="give one line scanner's points alone (user data or point source tell scanners apart), and check that "
+            "the trajectory is the scanner's own way, its height too",
         )
     step = _step(angle, edges)
     beams = round((high - low) / step) + 1 if step > 0 else 0

@@ -79,6 +79,44 @@ class StreamParams(Params):
     stall: float = Field(gt=0, le=86_400)
 
 
+class SoundParams(Params):
+    """What a sound recording shows of itself; beyond it a command ends with exit code 4, after its work.
+
+    Attributes
+    ----------
+    every : frames between two that ranges and road are measured on.
+    max_left_out : share of the frames that are left out, or lack a speed or place. max_leaps : of those after a leap of
+    the clock. max_leap_road : share of the road that lies in such leaps. least_returns : share of the ranges that are
+    returns. max_frozen : of the frames that repeat the one before. max_same : of the returns that have one range.
+    least_road : of the frames in which the road is seen where beams look at it. height [m], height_share : between
+    mounting and road, the larger counts. slope : of the road across the track [deg]. fastest : median speed [m/s].
+    ratio : of the ways by place and by speed. change : of a range that counts as one [m]; growth : of the changes over
+    half a second, over those from frame to frame, that a standing vehicle does not see, in at least `stood` frames;
+    standing : share of the moving one's growth that wind makes. max_outside, max_second : share of the
+    points of a LAS file outside of the trajectory's time, and in a beam that has one.
+    """
+
+    every: int = Field(ge=1, le=1000)
+    max_left_out: float = Field(ge=0, le=1)
+    max_leaps: float = Field(ge=0, le=1)
+    max_leap_road: float = Field(ge=0, le=1)
+    least_returns: float = Field(ge=0, le=1)
+    max_frozen: float = Field(ge=0, le=1)
+    max_same: float = Field(ge=0, le=1)
+    least_road: float = Field(ge=0, le=1)
+    height: float = Field(gt=0, le=20)
+    height_share: float = Field(ge=0, le=1)
+    slope: float = Field(gt=0, le=90)
+    fastest: float = Field(gt=0, le=100)
+    ratio: float = Field(ge=1, le=100)
+    change: float = Field(gt=0, le=10)
+    standing: float = Field(ge=0, le=10)
+    stood: int = Field(ge=1, le=1_000_000)
+    growth: float = Field(ge=1, le=100)
+    max_outside: float = Field(ge=0, le=1)
+    max_second: float = Field(ge=0, le=1)
+
+
 class StreetParams(Params):
     """Frames, neighbourhoods and features.
 
@@ -111,6 +149,7 @@ class StreetParams(Params):
     share: float = Field(gt=0, lt=1)
     chunk: int = Field(ge=1, le=1_000_000)
     prescription: PrescriptionParams
+    sound: SoundParams
     stream: StreamParams
 
     @model_validator(mode="after")

@@ -19,7 +19,8 @@ def place_frame(ranges, direction, low, high, near, below, x, y, z, r, missing, 
 
     Parameters
     ----------
-    ranges : float32 (beams,) [m]. direction : float64 (beams, 3), of the beams. low, high : valid ranges [m].
+    ranges : float32 (beams,) [m]; 0 is none. direction : float64 (beams, 3), of the beams.
+    low, high : valid ranges begin at low and end before high [m]: scanners give their furthest range for no return.
     near, below : returns with \\|y\\| < near and z < below [m] are the road beside the vehicle.
     x, y, z : int32 (beams,), filled [units]; x may be empty. r : float32 (beams,), filled, NaN without a return.
     missing : int64, `CAUSES` of ranges that are no return, added up.
@@ -33,9 +34,9 @@ def place_frame(ranges, direction, low, high, near, below, x, y, z, r, missing, 
             cause = 2
         elif math.isinf(range_):
             cause = 3
-        elif range_ < low:
+        elif range_ < low or range_ == 0.0:
             cause = 0
-        elif range_ > high:
+        elif range_ >= high:
             cause = 1
         if cause >= 0:
             missing[cause] += 1

@@ -17,6 +17,9 @@ from fwclass.street.frames import Frame, Scan
 MOST_BEAMS = 30_000
 """Of a frame; scanners have up to 25 200."""
 
+FULL = 1.01
+"""Turns that beams may go around: a step more than one."""
+
 NUMBERS = ("frame", "time", "speed", "place", "angle_min", "angle_increment", "range_min", "range_max")
 LISTS = ("ranges", "labels", "intensities")
 COLUMNS = (*NUMBERS, *LISTS)
@@ -89,14 +92,7 @@ def frame_of(
         )
     number = numbers.get("frame", math.nan)
     own = scan_of(numbers, scan, len(ranges))
-    if not 0 < own.step <= math.pi:
-        raise InputError(
-            "beams have no step",
-            where=f"{path}: row {at + 1}",
-            expected="an angle_increment above 0, in radians",
-            got=own.step,
-            do="mend it, or name the scanner (street.scanner)",
-        )
+    check_scan(own, f"{path}: row {at + 1}")
     return Frame(
         int(number) if math.isfinite(number) else at,
         numbers["time"],
@@ -106,6 +102,35 @@ def frame_of(
         numbers.get("place", math.nan),
         labels,
     )
+
+
+def check_scan(scan: Scan, where: str) -> None:
+    """`InputError` for beams that no scanner has."""
+    if scan.step < 0:
+        raise InputError(
+            "the beams turn downwards",
+            where=where,
+            expected="an angle_increment above 0: angles grow upwards",
+            got=scan.step,
+            do="reverse the ranges of every frame; angle_min is then the angle of what was the last beam",
+        )
+    if not 0 < scan.step <= math.pi:
+        raise InputError(
+            "beams have no step",
+            where=where,
+            expected="an angle_increment above 0, in radians",
+            got=scan.step,
+            do="give it in the recording, or leave it out: street.scanner's holds then",
+        )
+    turn = 2.0 * math.pi
+    if scan.step * (scan.beams - 1) > FULL * turn or abs(scan.first) > FULL * turn:
+        raise InputError(
+            "the beams go more than once around",
+            where=where,
+            expected="angle_min and angle_increment in radians",
+            got=f"{scan.beams} beams from {scan.first:g} by {scan.step:g}",
+            do="if these are degrees: multiply them by 0.0174533",
+        )
 
 
 def settings_of(settings: Mapping[str, Any], scan: Scan) -> Scan:

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fwclass.street.frames import Frame, Scan
+from fwclass.street.recording_columns import FULL
 
 MAGIC = b"FWS1"
 HEAD = struct.Struct("<4sIQdddddffI")
@@ -55,7 +56,12 @@ class Decoder:
             if len(self._held) < HEAD.size:
                 return
             _, beams, number, time, speed, place, first, step, low, high, crc = HEAD.unpack_from(self._held)
-            sane = 0 < beams <= self.most_beams and math.isfinite(time) and 0 < step <= math.pi
+            sane = (
+                0 < beams <= self.most_beams
+                and math.isfinite(time)
+                and 0 < step <= math.pi
+                and step * (beams - 1) <= FULL * 2.0 * math.pi
+            )
             if not sane or not math.isfinite(first) or not 0 <= low < high or number >= 1 << 63:
                 self._skip("impossible frame")
                 continue

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import crown_accuracy, params_of
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
+from fwclass.graph.street import crown_accuracy, model_remarks, params_of
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.model import Model
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -30,7 +30,7 @@ from fwclass.street.params import StreetParams
 from fwclass.street.prescription import segments
 from fwclass.street.ring import Ring
 
-FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 1
+FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 2
 PART = "frames.bin"
 _COLUMNS = {"number": "<i8", "time": "<f8", "place": "<i8", "road": "<f8"}
 _GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "labels": "u1"}
@@ -61,7 +61,8 @@ def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     files: dict[str, BinaryIO] = {}
     kept: tuple[str, ...] = ()
     try:
-        for frame in open_on_trajectory(work.recording, work.params, work.trajectory).frames():
+        recording = open_on_trajectory(work.recording, work.params, work.trajectory)
+        for frame in recording.frames():
             placed = track.take(frame)
             if placed is None:
                 continue
@@ -86,6 +87,7 @@ def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
         "kept": list(kept),
         "scan": [used.beams, used.first, used.step, used.range_min, used.range_max],
         "counts": track.counts(),
+        "implausible": implausible(recording, track.counts(), work.params),
     }
 
 
@@ -136,6 +138,7 @@ def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, h
 def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str, Any]:
     """Classify a recording into `target` (see `output`), judged where it has labels; plain data."""
     model = load_model(work.model)
+    remarks = model_remarks(model, work.params)
     work = replace(work, params=params_of(model, work.params, work.model))
     about = [str(work.recording), model_digest(work.model), work.params.model_dump(mode="json")]
     first = Task(FRAMES, "all", VERSION, about, partial(read, work))
@@ -163,6 +166,8 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         **meta["counts"],
         "neighbourhood": {"most_frames": most, "held": most_frames, "cut": cut},
         "accuracy": accuracy,
+        "implausible": meta["implausible"],
+        "remarks": remarks,
         "street": work.params.model_dump(mode="json"),
     }
     return finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
@@ -21,7 +21,7 @@ def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJ
     A recording that ends in damage is told up to there.
     """
     recording = open_on_trajectory(path, params, trajectory)
-    track = Track(params if params.speed is not None else params.model_copy(update={"speed": 0.0}))
+    track = Track(params, may_stand=True)
     times: list[float] = []
     places: list[int] = []
     labels = np.zeros(256, np.int64)
@@ -63,7 +63,11 @@ def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJ
         "speed": [round(float(v), 3) for v in _speeds(way, np.array(times))],
         "labels": {str(k): int(n) for k, n in enumerate(labels) if n},
     }
-    return {**summary, "remarks": remarks + _remarks(summary, params)}
+    return {
+        **summary,
+        "remarks": remarks + _remarks(summary, params),
+        "implausible": implausible(recording, summary, params) if summary["moves"] else [],
+    }
 
 
 def _speeds(way: Any, times: Any) -> list[float]:
@@ -139,4 +143,5 @@ def describe(summary: dict[str, Any]) -> str:
     if summary["labels"]:
         lines.append("labels      " + ", ".join(f"{k}: {n}" for k, n in summary["labels"].items()))
     lines += [f"remark      {text}" for text in summary["remarks"]]
+    lines += [f"  ! {text}" for text in summary["implausible"]]
     return "\n".join(lines)

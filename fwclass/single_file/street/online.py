@@ -20,8 +20,8 @@ import numpy as np
 from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import params_of
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
+from fwclass.graph.street import model_remarks, params_of
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.model import Model
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
@@ -29,7 +29,7 @@ from fwclass.single_file.street.sources import from_recording, listening, place_
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
 from fwclass.street.answers import ANSWERS, END, Answer, Writer, make_answer
-from fwclass.street.frames import Frame, Scan, Track
+from fwclass.street.frames import Frame, Recording, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import Prescriber, Segment
 from fwclass.street.ring import Ring, Seen
@@ -140,6 +140,7 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         The user ended it; the files are whole.
     """
     model = load_model(job.model)
+    remarks = model_remarks(model, params)
     params = params_of(model, params, job.model)
     if job.source.startswith("tcp://"):
         place_of(job.source)
@@ -149,7 +150,7 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
     warm(model, params)
     with interruptible() as ended, ExitStack() as stack, without_garbage():
         faults: Counter[str] = Counter()
-        frames, stream = _source(job, params, ended, say, stack)
+        frames, stream, recording = _source(job, params, ended, say, stack)
         files = Files(job.target, params, int(model.codes[0]))
         loop, latency, late = Loop(model, params), Latency(), 0
         broken: InputError | None = None
@@ -171,6 +172,7 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
     summary = _summary(loop, latency, late, faults, params)
+    summary |= {"implausible": implausible(recording, summary, params, summary["stream"]), "remarks": remarks}
     summary = finish(job.target, None, summary)
     if broken is not None:
         raise broken
@@ -190,15 +192,15 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
 
 def _source(
     job: Run, params: StreetParams, ended: Callable[[], bool], say: Callable[[str], None], stack: ExitStack
-) -> tuple[Iterator[tuple[Frame, float]], Any]:
+) -> tuple[Iterator[tuple[Frame, float]], Any, Recording | None]:
     if job.source == "-":
         stream = standard_input(params.stream, ended)
-        return stream.frames(), stream
+        return stream.frames(), stream, None
     if job.source.startswith("tcp://"):
         stream = stack.enter_context(listening(job.source, params.stream, ended, say))
-        return stream.frames(), stream
+        return stream.frames(), stream, None
     recording = open_on_trajectory(Path(job.source), params, job.trajectory)
-    return from_recording(recording, job.paced, ended), None
+    return from_recording(recording, job.paced, ended), None, recording
 
 
 def warm(model: Model, params: StreetParams) -> None:
@@ -276,8 +278,17 @@ def describe(summary: dict[str, Any], target: Path) -> str:
 
 
 def output_lines(summary: dict[str, Any], target: Path) -> list[str]:
-    """Where answers and prescription lie."""
-    return [f"answers      {target}", f"prescription {summary['segments']} segments: {target / CSV}"]
+    """How the scanner sat, what is implausible, and where answers and prescription lie."""
+    mounting, height = summary["street"]["mounting"], summary["sound"]["scanner_height"]
+    turned = "".join(f", {name} {mounting[name]:g}°" for name in ("roll", "pitch", "yaw") if mounting[name])
+    measured = "" if height is None else f" (measured: {height:.2f} m)"
+    return [
+        f"mounting     looks {mounting['side']}, {mounting['height']:g} m above the road{measured}{turned}",
+        *(f"remark       {text}" for text in summary["remarks"]),
+        *(f"  ! {text}" for text in summary["implausible"]),
+        f"answers      {target}",
+        f"prescription {summary['segments']} segments: {target / CSV}",
+    ]
 
 
 def describe_batch(summary: dict[str, Any], target: Path) -> str:

@@ -26,13 +26,19 @@ def train(
     params, classes, split = config.street, config.classes, Split.of(config)
     names, way = feature_names(params), TrajectoryFiles.of(config)
     say(f"features     {len(names)} of {len(paths)} recordings")
-    sample = sample_of(rows_of(paths, params, way), names, split, classes, config.train.samples_per_class)
+    odd: dict[str, list[str]] = {}
+
+    def tell(path: Path, faults: list[str]) -> None:
+        odd.update({path.name: faults} if faults else {})
+
+    sample = sample_of(rows_of(paths, params, way, tell), names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
     model = fit_model(sample, params, config.train, config.compare, classes)
     with temporary_directory("street", target.parent) as beside:
         save_model(beside / "model", model)
         deliver(beside / "model", target, overwrite)
     summary: dict[str, Any] = {"model": str(target), "card": dict(model.card), "accuracy": None, "remarks": []}
+    summary["implausible"] = [f"{name}: {fault}" for name, faults in odd.items() for fault in faults]
     if assess:
         say("assessing    the returns that did not train")
         try:
@@ -58,6 +64,7 @@ def describe(summary: dict[str, Any]) -> str:
     if summary["accuracy"]:
         lines += crown_lines(summary["accuracy"])
     lines += [f"remark       {n}" for n in summary["remarks"]]
+    lines += [f"  ! {text}" for text in summary["implausible"]]
     return "\n".join([*lines, f"model        {summary['model']}"])
 
 

@@ -1,0 +1,293 @@
+"""Whether a recording is what it says: measured on its own frames as they pass, told, and judged at its end."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import QualityError
+from fwclass.street.params import StreetParams
+from fwclass.street.sphere_kernels import UNIT
+
+HELD = 2000
+"""Values of a measure that are kept; beyond, every other one goes, and half as many come."""
+
+FEWEST_ROAD = 5
+"""Returns beside the vehicle that tell where the road is."""
+
+LAG = 20
+"""Frames apart, half a second, over which what a beam sees changes more than from one frame to the next if it moves."""
+
+WIDE = 0.5
+"""m, over which returns must spread to tell how it leans."""
+
+
+@dataclass
+class Thinned:
+    """The values of a measure, evenly over a recording of any length; which are kept follows from their order alone."""
+
+    values: list[float] = field(default_factory=list)
+    every: int = 1
+    seen: int = 0
+
+    def add(self, value: float) -> None:
+        """One more value."""
+        if self.seen % self.every == 0:
+            self.values.append(value)
+            if len(self.values) > HELD:
+                self.values, self.every = self.values[::2], 2 * self.every
+        self.seen += 1
+
+    @property
+    def median(self) -> float | None:
+        """The middle one; None of none."""
+        return float(np.median(self.values)) if self.values else None
+
+
+@dataclass
+class Soundness:
+    """What the used frames of a recording show of themselves.
+
+    Attributes
+    ----------
+    frozen : frames whose ranges are those of the frame before to the last digit, though the vehicle moved.
+    changed : (state, lag, sum and count): shares of the beams whose range changed by more than `SoundParams.change`
+        since the frame before, and since the one `LAG` before, while the vehicle stood (0) or moved (1) all the time.
+    """
+
+    params: StreetParams
+    frozen: int = 0
+    moved: int = 0
+    leap: float = 0.0
+    length: float = 0.0
+    by_place: float = 0.0
+    by_speed: float = 0.0
+    looked: int = 0
+    road: Thinned = field(default_factory=Thinned)
+    slope: Thinned = field(default_factory=Thinned)
+    speed: Thinned = field(default_factory=Thinned)
+    changed: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 2, 2)))
+    same: Counter[float] = field(default_factory=Counter)
+    sampled_returns: int = 0
+    _down: NDArray[np.bool_] | None = None
+    _before: deque[tuple[NDArray[np.float32], bool]] = field(default_factory=lambda: deque(maxlen=LAG))
+    _seen: int = 0
+
+    def move(self, moved: float, step: float, speed: float, placed: bool, leaps: bool) -> None:
+        """How far the vehicle went [m] in a `step` [s]; the `speed` that the frame gives [m/s] or NaN, whether its way
+        was taken from places, and whether the clock leapt."""
+        self.length += abs(moved)
+        if leaps:
+            self.leap += abs(moved)
+        elif step > 0:
+            self.speed.add(abs(moved) / step)
+            if placed and math.isfinite(speed):
+                self.by_place += abs(moved)
+                self.by_speed += abs(speed) * step
+
+    def see(
+        self,
+        ranges: NDArray[np.float32],
+        low: float,
+        direction: NDArray[np.float64],
+        placed: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]],
+        moved: bool,
+    ) -> None:
+        """A frame that is used: its `ranges` as they came, the nearest valid one `low` [m], the `direction` of its
+        beams (`Geometry`), and y, z and r that `place_frame` made of them."""
+        r = placed[2]
+        if self._before:
+            last = self._before[-1][0]
+            if moved:
+                self.moved += 1
+                self.frozen += not np.isnan(r).all() and bool(np.array_equal(r, last, equal_nan=True))
+            if len(self._before) == LAG and all(state is moved for _, state in self._before):
+                for lag, other in enumerate((last, self._before[0][0])):
+                    with np.errstate(invalid="ignore"):
+                        apart = np.abs(r - other)
+                        share = float((apart > self.params.sound.change).mean())
+                    self.changed[int(moved), lag] += (share, 1.0)
+        self._before.append((r, moved))
+        if self._seen % self.params.sound.every == 0:
+            self._measure_ranges(r[~np.isnan(r)])
+            self._measure_road(ranges < low, direction, placed)
+        self._seen += 1
+
+    def _measure_ranges(self, valid: NDArray[np.float32]) -> None:
+        self.sampled_returns += len(valid)
+        if len(valid):
+            values, counts = np.unique(valid, return_counts=True)
+            top = int(counts.argmax())
+            if counts[top] > 0.5 * self.params.sound.max_same * len(valid) and (
+                float(values[top]) in self.same or len(self.same) < HELD
+            ):
+                self.same[float(values[top])] += int(counts[top])
+
+    def _measure_road(self, blocked: NDArray[np.bool_], direction: NDArray[np.float64], placed: Any) -> None:
+        (y, z, r), near = placed, self.params.road_half_width
+        if self._down is None:
+            aside = np.abs(direction[:, 1]) * self.params.mounting.height
+            self._down = (direction[:, 2] < 0.0) & (aside < near * np.abs(direction[:, 2]))
+        self.looked += int((self._down & ~blocked).sum()) >= FEWEST_ROAD
+        beside = ~np.isnan(r) & (np.abs(y) < near / UNIT) & (z < 0)
+        if int(beside.sum()) < FEWEST_ROAD:
+            return
+        up, across = z[beside] * UNIT, y[beside] * UNIT
+        self.road.add(float(np.median(up)))
+        if np.ptp(across) > WIDE:
+            self.slope.add(math.degrees(math.atan(np.polyfit(across, up, 1)[0])))
+
+    def facts(self) -> dict[str, Any]:
+        """What was measured, plain data; None where nothing tells."""
+        top, most = self.same.most_common(1)[0] if self.same else (None, 0)
+        growth = [float(one[1, 0] / one[0, 0]) if one[0, 0] > 0.0 else None for one in self.changed]
+        return {
+            "scanner_height": None if self.road.median is None else -self.road.median,
+            "road_slope_deg": self.slope.median,
+            "road_seen_share": self.road.seen / self.looked if self.looked else None,
+            "frozen_share": self.frozen / self.moved if self.moved else 0.0,
+            "same_range": top,
+            "same_share": most / self.sampled_returns if self.sampled_returns else 0.0,
+            "growth_standing": growth[0],
+            "growth_moving": growth[1],
+            "stood_frames": int(self.changed[0, 0, 1]),
+            "speed": self.speed.median,
+            "place_over_speed": self.by_place / self.by_speed if self.by_speed else None,
+            "leap_metres": self.leap,
+            "metres": self.length,
+        }
+
+
+OUTSIDE, SECOND = "outside the trajectory's time", "second in a beam"
+"""Why frames, or points of a LAS file, have no place or no beam."""
+
+
+def recording_faults(
+    counts: Mapping[str, Any],
+    params: StreetParams,
+    left_out: Mapping[str, int],
+    rows: tuple[int, str],
+    stream: Mapping[str, int],
+) -> list[str]:
+    """What no sound recording shows, a sentence each, with the bound that it passes; none of a sound one.
+
+    Parameters
+    ----------
+    counts : of `Track.counts`.
+    left_out : points of a LAS file, or frames, by `OUTSIDE` and `SECOND`; rows : how many of which there are.
+    stream : frames of a stream that were lost, by cause.
+    """
+    sound, said, facts = params.sound, [], counts["sound"]
+    frames, used, faults = counts["frames"], counts["used"], counts["faults"]
+    if not used:
+        return []
+    lost = {name: faults[name] for name in ("doubled", "out of order", "other beams") if faults.get(name)}
+    lost |= {name: n for name, n in stream.items() if name != "garbage bytes" and n}
+    every = frames + sum(stream.get(name, 0) for name in lost)
+    if sum(lost.values()) > sound.max_left_out * every:
+        each = ", ".join(f"{n:,} {name}" for name, n in lost.items())
+        said.append(f"{sum(lost.values()):,} of {every:,} frames are left out: {each}")
+    if faults.get("clock leaps", 0) > sound.max_leaps * frames:
+        said.append(
+            f"{faults['clock leaps']:,} of {frames:,} frames come after a leap of the clock by more than "
+            f"{params.clock_jump:g} s: are times in seconds?"
+        )
+    elif facts["leap_metres"] > sound.max_leap_road * facts["metres"]:
+        said.append(
+            f"{facts['leap_metres']:,.1f} of {facts['metres']:,.1f} m of road lie in leaps of the clock, where nothing "
+            "tells how the vehicle went: cut the recording there"
+        )
+    for cause, words in (
+        ("impossible speed or place", "have a speed or place that no vehicle has: are they in metres and seconds?"),
+        ("no speed", "have no speed, and the last one was taken: mend the column speed"),
+    ):
+        if faults.get(cause, 0) > sound.max_left_out * frames:
+            said.append(f"{faults[cause]:,} of {frames:,} frames {words}")
+    ranges = counts["returns"] + sum(counts["missing"].values())
+    if counts["returns"] < sound.least_returns * ranges:
+        cause, n = max(counts["missing"].items(), key=lambda item: item[1])
+        said.append(
+            f"{counts['returns']:,} of {ranges:,} ranges are returns, {n:,} are {cause}: are they in metres, and their "
+            "limits too?"
+        )
+    if facts["frozen_share"] > sound.max_frozen:
+        said.append(
+            f"{100 * facts['frozen_share']:.1f} % of the frames repeat the one before to the last digit while the "
+            "vehicle moves: a scanner, or its driver, that hangs"
+        )
+    if facts["same_share"] > sound.max_same:
+        said.append(
+            f"{100 * facts['same_share']:.1f} % of the returns have one range, {facts['same_range']:g} m: a code for "
+            "no return? write NaN for it, or set the recording's range_max"
+        )
+    said += _mounting_faults(facts, params) + _way_faults(facts, params)
+    for cause, most, words in (
+        (OUTSIDE, sound.max_outside, "give that of the whole drive, in the recording's time"),
+        (SECOND, sound.max_second, "is the trajectory that of the scanner itself, at its own time?"),
+    ):
+        if left_out.get(cause, 0) > most * rows[0]:
+            said.append(f"{left_out[cause]:,} of {rows[0]:,} {rows[1]} are {cause}: {words}")
+    return said
+
+
+def judge_recording(faults: Sequence[str], accepted: bool, where: object) -> None:
+    """`QualityError` of `recording_faults`; nothing where there is none, or the user accepts them."""
+    if faults and not accepted:
+        raise QualityError(
+            "the recording is not what it says",
+            where=where,
+            expected="what street.sound allows (docs/street.md)",
+            got="; ".join(faults),
+            do="mend it, and run again; --accept-implausible (plausibility.accept=true) takes it as it is",
+        )
+
+
+def _mounting_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:
+    """What the road beside the vehicle says against `street.mounting`."""
+    sound, mounting = params.sound, params.mounting
+    seen, height, slope = facts["road_seen_share"], facts["scanner_height"], facts["road_slope_deg"]
+    if seen is not None and seen < sound.least_road:
+        return [
+            f"the road beside the vehicle is seen in {100 * seen:.0f} % of the frames, though beams look there by "
+            f"street.mounting (height {mounting.height:g} m, roll {mounting.roll:g}°): is the scanner the other way "
+            "up, or its first angle another?"
+        ]
+    if height is None:
+        return []
+    said = []
+    if abs(height - mounting.height) > max(sound.height, sound.height_share * mounting.height):
+        said.append(
+            f"the road lies {height:.2f} m below the scanner, and street.mounting.height is {mounting.height:g} m"
+        )
+    if slope is not None and abs(slope) > sound.slope:
+        said.append(
+            f"the road leans by {slope:.1f}° across the track: is street.mounting.roll ({mounting.roll:g}°) right, and "
+            "its sign?"
+        )
+    return said
+
+
+def _way_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:
+    """What speed, places and the frames say against each other."""
+    sound, said = params.sound, []
+    if facts["speed"] is not None and facts["speed"] > sound.fastest:
+        said.append(f"the vehicle goes {facts['speed']:,.1f} m/s: are speed and place in metres, and times in seconds?")
+    ratio = facts["place_over_speed"]
+    if ratio is not None and not 1.0 / sound.ratio <= ratio <= sound.ratio:
+        said.append(f"places go {ratio:.3g} times as far as the speed says: one of the columns has another unit")
+    stood, went = facts["growth_standing"], facts["growth_moving"]
+    if facts["stood_frames"] < sound.stood or stood is None or stood < sound.growth:
+        return said
+    if went is None or stood - 1.0 > sound.standing * (went - 1.0):
+        said.append(
+            f"the vehicle stands in {facts['stood_frames']:,} frames by its speed or place, and yet the scene passes: "
+            f"ranges change {stood:.2f} times as much over {LAG} frames as over one"
+            + (f" ({went:.2f} where it moves)" if went is not None else "")
+        )
+    return said
