@@ -115,5 +115,8 @@ def tell_failures(failures: list[Any], request: Any = None) -> None:
             click.echo(f"    alone: {alone}", err=True)
     if len(failures) > TOLD:
         click.echo(f"  and {len(failures) - TOLD} more; `fwclass status` lists all", err=True)
-    again = shlex.join(["fwclass", *redacted_words(sys.argv[1:])])
+    words = redacted_words(sys.argv[1:])
+    if any("--verify" in outcome.message for outcome in failures) and "--verify" not in words:
+        words = [*words, "--verify"]
+    again = shlex.join(["fwclass", *words])
     click.echo(f"mend the cause and run the same again; only the missing parts are made: {again}", err=True)

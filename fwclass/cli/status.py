@@ -196,6 +196,13 @@ def status(
             if not verify:
                 raise
             _verify_alone(location, fault, as_json)
+        if Path(request.conf).is_absolute() and not Path(request.conf).is_file():
+            raise ConfigError(
+                "the configuration that the run was made with is not there any more",
+                where=conf_or_run,
+                expected=request.conf,
+                do=f"name where it is now: fwclass status NEW.yaml --out {conf_or_run}",
+            )
         config = configured(request.conf, request.settings, workflow_of(request.workflow).classifies)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():

@@ -98,6 +98,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.classify.unsure import judge_unsure
     from fwclass.graph import plausibility
     from fwclass.graph.drift import judge_drift
+    from fwclass.graph.earlier import judge_sources
     from fwclass.graph.ground_remarks import judge_ground
     from fwclass.graph.repeated import judge_repeated
     from fwclass.graph.report import REPORT
@@ -152,6 +153,8 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         sys.exit(PARTIAL)
     if report.get("plausibility"):
         plausibility.judge(report["plausibility"]["strips"], config.plausibility)
+    if before is not None and shown is not None and before.number != shown.number:
+        judge_sources(report.get("earlier"), config.plausibility.accept, config.path)
     judge_place(report.get("place"), config.plausibility.accept, config.path)
     if report.get("ground"):
         judge_ground(report["ground"], config.plausibility.accept, config.path)

@@ -9,6 +9,7 @@ from fwclass import __version__
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.graph.corrections import CORRECTIONS
+from fwclass.graph.earlier import since_earlier
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.repeated import repeated_facts
@@ -61,7 +62,7 @@ def write_report(
     Both are written beside, to be published with the rest. Where this run made nothing new, the report of the run that
     did is left as it is.
     """
-    standing = _standing(config, runner)
+    standing = _standing(config, runner, survey)
     if standing is not None:
         return standing
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
@@ -92,6 +93,7 @@ def write_report(
         ),
         config.quality.void_spacings,
     )
+    earlier = since_earlier(runner, REPORT, config.survey.name, files["files"])
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -110,6 +112,7 @@ def write_report(
         "training": training_facts(runner, names),
         "selection": selected.model_dump() if (selected := config.selection) else None,
         "place": place,
+        "earlier": earlier,
         "sureness": sureness(tiles, classes),
         "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),
         "reliability": next((r.meta["reliability"] for r in receipts_of_run(runner, "assess")), None),
@@ -127,6 +130,7 @@ def write_report(
         "repeated": repeated,
         "remarks": [
             *on_accuracy,
+            *(earlier or {}).get("remarks", ()),
             *(place or {}).get("remarks", ()),
             *(repeated or {}).get("remarks", ()),
             *ground["remarks"],
@@ -168,7 +172,7 @@ def _classes(config: Config, source: Mapping[int, int]) -> list[dict[str, Any]]:
     return [*own, *({"name": name, "code": code} for code, name in others.items())]
 
 
-def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
+def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] | None:
     """The report that is there, if it still tells everything; it goes into the next generation too."""
     if any(o.status != "skipped" for o in runner.outcomes.values()):
         return None
@@ -180,6 +184,7 @@ def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
         standing.get("config") != _plain(config.raw)
         or standing.get("failed")
         or standing.get("outputs") != delivered_files(runner)
+        or ((standing.get("sampling") or {}).get("corrections") is None) != (survey.corrections is None)
     ):
         return None
     if (

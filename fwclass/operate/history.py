@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -15,6 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fwclass import __version__
@@ -100,6 +102,7 @@ class Entry:
     clock: float = field(default_factory=time.monotonic)
     last: dict[str, Any] = field(default_factory=dict)
     accuracy: Mapping[str, float | None] | None = None
+    tested_by: str | None = None
     echoes: int | None = None
 
     def begin(self, runner: Any) -> None:
@@ -124,6 +127,7 @@ class Entry:
             "parts": {status: counts.get(status, 0) for status in COUNTED},
             "generation": self.generation,
             "accuracy": None if self.accuracy is None else dict(self.accuracy),
+            "tested_by": self.tested_by,
             "echoes": self.echoes,
             "message": message,
         }
@@ -136,13 +140,15 @@ class Entry:
             return ""
         now, kappa = round(accuracy["overall_accuracy"], 6), accuracy["kappa"]
         self.accuracy = {"overall_accuracy": now, "kappa": None if kappa is None else round(kappa, 6)}
-        earlier = next((r for r in reversed(past_runs(self.location, LOOKED_BACK)) if _overall(r) is not None), None)
+        self.tested_by = by = tested_by(report)
+        past = (r for r in reversed(past_runs(self.location, LOOKED_BACK)) if _overall(r) is not None)
+        earlier = next((r for r in past if r.get("tested_by", by) == by), None)
         before = _overall(earlier or {})
         if earlier is None or before is None or before - now < LOSS:
             return ""
         return (
             f"LOST        {100 * (before - now):.1f} points of overall accuracy against the run of {earlier['began']} "
-            f"({100 * before:.1f} %); fwclass diff says what changed"
+            f"({100 * before:.1f} %)" + ("; fwclass diff says what changed" if isinstance(self.location, Path) else "")
         )
 
     def _facts(self) -> dict[str, Any]:
@@ -168,6 +174,14 @@ class Entry:
             history.append(self.location, line)
         except (OSError, StoreError) as fault:
             sys.stderr.write(f"the history in {self.location} could not be written: {why_not(fault)}\n")
+
+
+def tested_by(report: Mapping[str, Any]) -> str:
+    """What accuracies hang on besides the classifier, as a digest: classes, test areas and reference."""
+    config = report.get("config") or {}
+    survey = config.get("survey") or {}
+    facts = [*(survey.get(name) for name in ("classes", "reference", "corrections")), config.get("areas")]
+    return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 def why_not(fault: OSError | StoreError) -> str:

@@ -240,6 +240,8 @@ class Directory:
                     got=f"a link to {(self.root / name).readlink()}",
                     do="put the whole run directory there: --out",
                 )
+        if (self.root / CURRENT).is_dir() and not (self.root / CURRENT).is_symlink():
+            raise self._copied()
         for name in (
             CURRENT,
             "laz",
@@ -274,6 +276,21 @@ class Directory:
             return (self.root / CURRENT).readlink().name, ANY
         except FileNotFoundError:
             return None
+        except OSError:
+            if not (self.root / CURRENT).is_dir():
+                raise
+            raise self._copied() from None
+
+    def _copied(self) -> StoreError:
+        """What to say of a run directory whose links became files."""
+        return StoreError(
+            "the run directory was copied without its links",
+            where=self.root / CURRENT,
+            expected="a link to the delivery that is shown",
+            got="a directory",
+            do="copy the run again with its links (cp -a, rsync -a, tar); to read this delivery alone, "
+            f"fwclass.open({str(self.root / CURRENT)!r}) opens it",
+        )
 
     def point(self, name: str, facts: Mapping[str, Any], mark: Mark | None) -> None:
         """Lead readers to a generation, in place of what `mark` marks: one rename; then links for what is new in it,

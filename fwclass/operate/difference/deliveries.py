@@ -87,11 +87,19 @@ def _delivery(run: Path, number: int | None) -> Delivery:
     else:
         chosen = next((g for g in generations.all() if g.number == number), None)
     if chosen is None:
+        if (run / "manifest.json").is_file():
+            raise ConfigError(
+                "this is a delivery that was copied out of its run, and runs are compared",
+                where=run,
+                expected="a run directory, with its generations",
+                got="one delivery",
+                do="copy the whole run directory (cp -a); fwclass.open reads this one",
+            )
         raise ConfigError(
             "the run has no such delivery" if number is not None else "nothing was delivered there",
             where=run,
             expected="one of " + (", ".join(g.name for g in generations.all()) or "none"),
-            got=number,
+            got="none of them" if number is None else number,
             do="fwclass history lists what was delivered; run.keep_generations says how many stay",
         )
     report, listed = chosen.path / "report.json", generations.manifest(chosen) or {}

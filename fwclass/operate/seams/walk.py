@@ -60,6 +60,14 @@ def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Di
     except ConfigError:
         raise
     except FwclassError as fault:
+        if look.store.generations.current() is not None and not look.libraries:
+            raise StoreError(
+                "the run's parts were removed, and seams are compared with them",
+                where=where,
+                expected="a run with its store",
+                got="a delivery alone (fwclass clean, or run.keep_intermediate: false)",
+                do="run the survey again with --set run.keep_intermediate=true, then fwclass seams",
+            ) from fault
         raise StoreError("the run is not finished", where=where, got=fault.what, do="finish it first") from fault
     layout = plan.layout
     only = asked.tiles

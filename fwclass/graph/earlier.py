@@ -1,0 +1,68 @@
+"""What the delivery that a run follows had, and its own has not: sources that are gone, or another survey's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fwclass.errors import DamagedError, QualityError, first_few
+from fwclass.run.runner import Runner
+from fwclass.store.atomic import read_json
+
+NAMED = 5
+"""Sources that are named."""
+
+
+def since_earlier(runner: Runner, name: str, survey: str, files: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """What changed since the delivery that is shown now; None where there is none, or it cannot be read.
+
+    Parameters
+    ----------
+    name : of its report. survey : name of the survey. files : of this run, as `source_files` has them.
+
+    Returns
+    -------
+    dict
+        ``lost_sources`` with path, points and pulses, and ``remarks``.
+    """
+    path = runner.store.generations.shown(name)
+    try:
+        before = read_json(path) if path is not None else None
+        there = list(before["input"]["files"]) if before is not None else []
+        lost = [
+            {key: f.get(key) for key in ("path", "points", "pulses")}
+            for f in there
+            if f["path"] not in {one["path"] for one in files}
+        ]
+    except (DamagedError, OSError, KeyError, TypeError, AttributeError):
+        return None
+    if before is None:
+        return None
+    remarks = []
+    if before.get("survey") != survey:
+        remarks.append(f"the delivery before this one is of another survey, {before.get('survey')}: is --out right?")
+    if lost:
+        remarks.append(f"{lost_words(lost)} of the delivery before this one, and not found any more")
+    return {"lost_sources": lost, "remarks": remarks}
+
+
+def lost_words(lost: Sequence[Mapping[str, Any]]) -> str:
+    """Sources in words, with what they held."""
+    each = [f"{f['path']} ({f['points'] or f['pulses'] or 0:,} {'points' if f['points'] else 'pulses'})" for f in lost]
+    return f"{first_few(each, NAMED)} {'is a source' if len(lost) == 1 else 'are sources'}"
+
+
+def judge_sources(facts: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
+    """`QualityError` where a source of the delivery before is gone; nothing where the user accepts it."""
+    if accepted or not facts or not facts["lost_sources"]:
+        return
+    raise QualityError(
+        "sources of the delivery before are gone",
+        where=f"{where}: survey.sources",
+        expected="every file that was delivered before",
+        got=f"{lost_words(facts['lost_sources'])} that is not found any more"
+        if len(facts["lost_sources"]) == 1
+        else f"{lost_words(facts['lost_sources'])} that are not found any more",
+        do="put them back and run again; if they are to be left out, nothing is to be done: the next delivery is held "
+        "against this one (--accept-implausible says so at once)",
+    )
