@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import html
 import json
+import struct
 from pathlib import Path
 
 import pytest
 from commandline import fwclass
-from lasmaker import survey
+from lasmaker import evlr_head, survey
+from smallsurvey import small_survey
 
 CONFIG = """
 survey:
@@ -120,3 +122,31 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     )
     told = fwclass("run", tmp_path / "one.yaml", "--out", tmp_path / "r")
     assert told.returncode == 2 and "given twice" in told.stderr and "no training area" in told.stderr
+
+
+@pytest.mark.parametrize(
+    ("place", "count"),
+    [(lambda size: size - 60, 2), (lambda size: size + 1, 1), (lambda size: 400, 1), (lambda size: 0, 1)],
+    ids=["one more than there is", "behind the end", "among the points", "nowhere"],
+)
+def test_extended_records_that_are_not_where_the_header_says_stop_what_copies_them_first(tmp_path, place, count):
+    """They were missed when the last stage of all copied them."""
+    config, source = small_survey(tmp_path), tmp_path / "a.las"
+    data = bytearray(source.read_bytes() + evlr_head("vendor", 9, 0))
+    struct.pack_into("<QI", data, 235, place(len(data)), count)
+    source.write_bytes(data)
+    before = left(tmp_path)
+    for words in (
+        ("run", config, "--out", "r", "--workers", 0),
+        ("plan", config, "--out", "r"),
+        ("ground", source, "o.laz", "--method", "slope"),
+        ("normalize", source, "o.laz", "--method", "slope"),
+    ):
+        ended = fwclass(*words, cwd=tmp_path)
+        assert ended.returncode == 1 and "extended record" in ended.stderr, ended.stderr
+        assert "decompose" not in ended.stderr and left(tmp_path) == before
+    told = fwclass("info", source, cwd=tmp_path)
+    assert told.returncode == 0 and f"promises {count} extended records" in told.stdout
+    struct.pack_into("<QI", data, 235, len(data) - 60, 1)
+    source.write_bytes(data)
+    assert fwclass("plan", config, "--out", "r", cwd=tmp_path).returncode == 0

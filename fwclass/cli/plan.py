@@ -73,9 +73,10 @@ def plan(
     check_free(root, overwrite)
     number = config.run.workers if workers is None else workers
     _check(config, workflow)
-    facts = survey_facts(config, root)
+    copied = DELIVER_STRIP in chosen.stages
+    facts = survey_facts(config, root, copied)
     check_areas(config, facts.box)
-    if DELIVER_STRIP in chosen.stages:
+    if copied:
         check_class_codes({s.path.name: s.point_format for s in facts.sources}, with_model(config))
     settled, stages = (config, STAGES) if chosen.settle is None else (chosen.settle(config), chosen.stages)
     estimate = make_plan(settled, facts, number, room_at(root), stages=stages)

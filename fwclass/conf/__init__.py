@@ -21,6 +21,9 @@ from fwclass.ground.terrain.params import MOST_CELLS
 from fwclass.ground.tuning_params import largest_halo
 from fwclass.redact import redacted_setting
 
+NAMED = 20
+"""Faults of a configuration that a message tells."""
+
 __all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
 
 
@@ -133,8 +136,9 @@ def _raise(faults: Sequence[ConfigError], where: object) -> None:
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        lines = [f"{k}. {f.what}: {f.got or ''} {f.do or ''}".strip(" :") for k, f in enumerate(faults, 1)]
-        raise ConfigError(f"the configuration has {len(faults)} faults", where=where, got="; ".join(lines))
+        lines = [f"{k}. {f.what}: {f.got or ''} {f.do or ''}".strip(" :") for k, f in enumerate(faults[:NAMED], 1)]
+        more = [f"and {len(faults) - NAMED} more"] if len(faults) > NAMED else []
+        raise ConfigError(f"the configuration has {len(faults)} faults", where=where, got="; ".join(lines + more))
 
 
 def checked(name: str, value: Any, where: object) -> Any:
@@ -173,6 +177,8 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
         return f"{key} is missing"
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
         return f"{key}: {error['msg'].removeprefix('Value error, ')}"  # several keys that do not fit one another
+    if error["type"] == "too_long":
+        return f"{key}: at most {error['ctx']['max_length']:,} are wanted (got {error['ctx']['actual_length']:,})"
     kind = "" if error["type"] in _RULES else error["type"].split("_")[0]
     wanted = _RULES.get(error["type"]) or _WANTED.get(kind, error["msg"].removeprefix("Value error, "))
     if name == "schedule" and error["loc"] and error["loc"][0] in SECRET:

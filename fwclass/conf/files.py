@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,7 @@ class _Loader(_Strict, yaml.SafeLoader):
 
 def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
     keys = [loader.construct_object(k, deep=True) for k, _ in node.value]
-    twice = {str(k) for k in keys if keys.count(k) > 1}
+    twice = {str(k) for k, count in Counter(keys).items() if count > 1}
     if twice:
         raise yaml.constructor.ConstructorError(
             None, None, f"key given twice: {', '.join(sorted(twice))}", node.start_mark

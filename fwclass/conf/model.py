@@ -14,7 +14,7 @@ from fwclass.classes import MOST_LETTERS, ClassDef
 from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
-from fwclass.conf.sets import Selection, feature_set, listed_once
+from fwclass.conf.sets import MOST_FEATURES, Selection, feature_set, listed_once
 from fwclass.contours.params import ContourParams
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
 from fwclass.errors import ConfigError, visible
@@ -42,6 +42,9 @@ from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
 from fwclass.water.params import WaterParams
 
+MOST_CODES = 255
+"""Codes of classes that there are: 1 to 255."""
+
 
 class Section(BaseModel):
     """Keys of a configuration: frozen, and closed to any other key."""
@@ -57,7 +60,7 @@ class ClassSection(Section):
 
     name: str = Field(min_length=1, max_length=MOST_LETTERS)
     code: int
-    codes: tuple[int, ...]
+    codes: tuple[int, ...] = Field(max_length=MOST_CODES)
     legacy_code: int | None = None
 
     @model_validator(mode="before")
@@ -133,10 +136,10 @@ class SurveySection(Section):
     crs: str | None
     reference: ReferenceSection
     trajectory: TrajectorySection
-    features: str | tuple[str, ...] = Field(min_length=1)
+    features: str | tuple[str, ...] = Field(min_length=1, max_length=MOST_FEATURES)
     model: str | None
     base_model: str | None
-    classes: tuple[ClassSection, ...]
+    classes: tuple[ClassSection, ...] = Field(max_length=MOST_CODES)
 
 
 class TrajectorySection(Section):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,13 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fwclass.conf.files import conf_directory, read
-from fwclass.errors import ConfigError, nearest
+from fwclass.errors import ConfigError, first_few, nearest
+
+NAMED = 20
+"""Features that a message names."""
+
+MOST_FEATURES = 10_000
+"""Of a set, or of a survey; each is a column of every echo."""
 
 
 class EachSection(BaseModel):
@@ -19,6 +26,11 @@ class EachSection(BaseModel):
 
     bases: tuple[str, ...]
     scales: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """How many features these are."""
+        return len(self.bases) * len(self.scales)
 
 
 class SelectionStep(BaseModel):
@@ -71,14 +83,14 @@ def shipped_sets() -> tuple[str, ...]:
 
 
 def feature_set(name: str, beside: Path | None = None, where: object = "--set") -> FeatureSet:
-    """The set of that name, or in the file of that path (relative to here, or to the directory `beside`).
+    """The set of that name, or in the file of that path: relative to the directory `beside`, or else to here.
 
     `where` tells in an error who asked for it.
     """
     known = shipped_sets()
     if name in known:
         return _read(conf_directory() / "features" / f"{name}.yaml")
-    for path in (Path(name), *([beside / name] if beside else [])):
+    for path in (*([beside / name] if beside else []), Path(name)):
         if path.is_file():
             return _read(path)
     raise ConfigError(
@@ -98,6 +110,15 @@ def _read(path: Path) -> FeatureSet:
         raise ConfigError(
             "this is not a feature set", where=path, expected="about, source, features, each", got=faults
         ) from fault
+    number = len(file.features) + sum(each.count for each in file.each)
+    if number > MOST_FEATURES:
+        raise ConfigError(
+            "a feature set with too many features",
+            where=path,
+            expected=f"at most {MOST_FEATURES:,}",
+            got=f"{number:,}",
+            do="leave some bases or scales out",
+        )
     names = [*file.features, *(f"{b}_{s}" for each in file.each for s in each.scales for b in each.bases)]
     if not names:
         raise ConfigError("a feature set without features", where=path, do="list some under `features:`")
@@ -113,7 +134,7 @@ def _selection(written: dict[str, object] | None) -> Selection | None:
 
 def listed_once(names: Sequence[str], where: object) -> tuple[str, ...]:
     """`names`, or a `ConfigError` where one stands twice."""
-    twice = sorted({n for n in names if names.count(n) > 1})
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
-        raise ConfigError("a feature is listed twice", where=where, got=", ".join(twice), do="take one out")
+        raise ConfigError("a feature is listed twice", where=where, got=first_few(twice, NAMED), do="take one out")
     return tuple(names)

@@ -69,7 +69,7 @@ class FeaturesParams(Params):
         would count are dense, too: see `features.dense`.
     """
 
-    also: tuple[str, ...]
+    also: tuple[str, ...] = Field(max_length=10_000)
     cell_x: float = Field(ge=0.01, le=10_000)
     cell_y: float = Field(ge=0.01, le=10_000)
     normal_radius: float = Field(ge=0.01, le=100)

@@ -96,6 +96,11 @@ class LasHead:
         return count or self._get("<I", 107)
 
     @property
+    def least_end(self) -> int:
+        """No record behind the points begins before this byte."""
+        return self.point_offset + (0 if self.compressed else self.points * self.point_size)
+
+    @property
     def packets_start(self) -> int:
         """First byte of waveform packets in the file, 0 without any."""
         return self._get("<Q", AT_PACKETS) if self.minor >= 3 else 0
@@ -170,9 +175,11 @@ def read_head(path: Path) -> LasHead:
 
 
 def read_extended(file: BinaryIO, head: LasHead, start: int) -> Record:
-    """The extended record at `start`; `InputError` if its header does not lie in the file."""
-    if not head.point_offset <= start <= head.file_size - EVLR_HEADER:
-        raise broken(head.path, "an extended record lies outside the file", f"below {head.file_size}", start)
+    """The extended record at `start`; `InputError` if its header does not lie behind the points, in the file."""
+    last = head.file_size - EVLR_HEADER
+    if not head.least_end <= start <= last:
+        wanted = f"a record that begins between the bytes {head.least_end} and {last}, behind the points"
+        raise broken(head.path, "an extended record lies outside its place in the file", wanted, f"byte {start}")
     file.seek(start)
     _, user, number, length, _ = struct.unpack("<H16sHQ32s", file.read(EVLR_HEADER))
     return Record(text(user), number, start, length, b"")

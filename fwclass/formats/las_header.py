@@ -147,7 +147,8 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
     check_scales(path, scales, offsets)
     b = struct.unpack_from("<6d", head, 179)
     vlrs = _vlrs(stream, path, header_size, n_vlrs, points_start)
-    evlrs = _evlrs(stream, first_evlr, n_evlrs, size, faults)
+    points_end = points_start + (0 if compressed else n_points * record_length)
+    evlrs = _evlrs(stream, first_evlr, n_evlrs, points_end, size, faults)
     return Header(
         path,
         size,
@@ -248,11 +249,13 @@ def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tup
     return tuple(records)
 
 
-def _evlrs(stream: BinaryIO, start: int, count: int, size: int, faults: list[str]) -> tuple[Record, ...]:
+def _evlrs(
+    stream: BinaryIO, start: int, count: int, points_end: int, size: int, faults: list[str]
+) -> tuple[Record, ...]:
     records: list[Record] = []
     at = start
     for i in range(count):
-        record = evlr_at(stream, at, size)
+        record = evlr_at(stream, at, size) if at >= points_end else None
         if record is None:
             faults.append(f"the header promises {count} extended records, {i} lie in the file")
             break

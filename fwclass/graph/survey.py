@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,10 +36,11 @@ from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.tiling import CLOUD_ROWS, max_of, min_of
 from fwclass.grid import Box
 from fwclass.paths import name_fault
+from fwclass.publish.strips import check_records
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
-from fwclass.read.source import BeamSource, Source, open_source, refuse_other_system
+from fwclass.read.source import BeamSource, LasSource, Source, open_source, refuse_other_system
 from fwclass.read.stage import check_source, read_cloud, with_settings
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner
@@ -122,8 +124,9 @@ def directory_of(config: Config, root: Path) -> Path | Url:
     return path if path.is_absolute() else (config.path.parent / path).resolve()
 
 
-def gather(config: Config, runner: Runner) -> Survey:
-    """Find and check all files before anything is computed; simulate them first where the survey has none."""
+def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
+    """Find and check all files before anything is computed; simulate them first where the survey has none. `copied`:
+    strips are delivered, so that all of their records must be where the headers place them."""
     if config.simulate is not None:
         if isinstance(runner.store.where, Url):
             raise ConfigError(
@@ -137,7 +140,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
     places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = open_all(places, config)
+    opened = open_all(places, config, copied)
     require_distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
     if not full:
@@ -182,13 +185,16 @@ def gather(config: Config, runner: Runner) -> Survey:
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more_files)
 
 
-def open_all(places: Sequence[Location], config: Config) -> list[Source]:
-    """Every source, opened and checked; `InputError` naming all that cannot be used."""
+def open_all(places: Sequence[Location], config: Config, copied: bool = False) -> list[Source]:
+    """Every source, opened and checked, also for what a copy of its points needs where they are `copied`; `InputError`
+    naming all that cannot be used."""
     opened, faults = [], []
     for place in places:
         try:
             source = with_settings(open_source(local(place)), config.read)
             check_source(source, config.read)
+            if copied and isinstance(source, LasSource):
+                check_records(source.path)
             opened.append(source)
         except InputError as fault:
             faults.append(fault)
@@ -229,8 +235,7 @@ def require_distinct(paths: Sequence[Path]) -> None:
                 got=fault,
                 do="rename it: strips are delivered under their source's name",
             )
-    stems = [p.stem for p in paths]
-    twice = sorted({s for s in stems if stems.count(s) > 1})
+    twice = sorted(stem for stem, count in Counter(p.stem for p in paths).items() if count > 1)
     if twice:
         raise InputError(
             "two files of the survey have the same name",

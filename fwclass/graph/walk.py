@@ -151,8 +151,9 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     classes into strips."""
     stages = tuple(stages)
     config, plan = plan.config, replace(plan, providers=providers(plan, stages))
-    survey = gather(config, runner)
-    if delivers and DELIVER_STRIP in stages:
+    copied = delivers and DELIVER_STRIP in stages
+    survey = gather(config, runner, copied)
+    if copied:
         check_class_codes({s.path.name: s.point_format for s in survey.strips}, config)
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
     quantities = joint_quantities(survey.quantities, plan.names, f"{config.path}: survey.sources")

@@ -67,7 +67,7 @@ def _beside(path: Path, endings: tuple[str, ...]) -> Path | None:
 def _internal(head: LasHead) -> Packets | None:
     with head.path.open("rb") as file:
         listed = extended_records(file, head)
-        here = head.point_offset <= head.packets_start <= head.file_size - EVLR_HEADER
+        here = head.least_end <= head.packets_start <= head.file_size - EVLR_HEADER
         records = [read_extended(file, head, head.packets_start), *listed] if here else listed
         packets = [r for r in records if r.number == WAVEFORM_PACKETS]
     if not packets:

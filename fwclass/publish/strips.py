@@ -119,6 +119,14 @@ def write_strip_laz(
     }
 
 
+def check_records(source: Path) -> None:
+    """`InputError` where `write_strip_laz` would refuse the header of `source`, or one of its records; no point is
+    read."""
+    head = read_head(source)
+    with source.open("rb") as file:
+        extended_records(file, head)
+
+
 def _check(head: LasHead, output: Path, classes: NDArray[np.uint8], extra: Mapping[str, NDArray]) -> None:
     if output.exists() and output.samefile(head.path):
         raise ConfigError(

@@ -26,7 +26,7 @@ from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
 from fwclass.model import Contextual, Layered, Model, TwoLayer
 from fwclass.model.ranges import RangeCounter
-from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
+from fwclass.publish.strips import LEGACY_MAX, check_records, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
 from fwclass.read.points import classes_of
@@ -206,6 +206,7 @@ def _checked_source(job: ClassifyJob) -> LasSource:
             got=job.output.suffix or "no suffix",
             do="name the output with one of these endings",
         )
+    check_records(job.source)
     return source
 
 

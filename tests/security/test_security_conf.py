@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from fwclass import conf
 from fwclass.cli import main  # noqa: F401 - what a command would have loaded is not counted
-from fwclass.conf.files import merge, plain, read
+from fwclass.conf.files import _mapping, merge, plain, read
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
+from fwclass.single_file.ground.params import ground_params
 
 ABSURD = (1e308, 10**18, -1e308)
 
@@ -243,3 +246,95 @@ def test_a_number_of_thousands_of_digits_is_refused_however_it_is_written(number
     with pytest.raises(ConfigError, match="cannot be read") as fault:
         conf.load(tmp_path / "s.yaml")
     assert "too long" in str(fault.value) and len(str(fault.value)) < 2000
+
+
+SMALL = """survey:
+  name: small
+  sources: [a.las]
+  reference: {kind: source}
+  features: [zc]
+  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 5, codes: [5]}]
+areas: {train: [[0, 0, 1, 1]], gap: 0.5}
+"""
+
+
+def many(text: str, count: int) -> str:
+    """A list of `count` entries, ``{}`` of which is their number."""
+    return f"[{', '.join(text.format(k) for k in range(count))}]"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("survey:", "".join(f"k{k}: 1\n" for k in range(28_000)) + "survey:"),
+        ("[zc]", many("f{}", 30_000)),
+        ("codes: [5]", f"codes: {many('2', 80_000)}"),
+        ("classes: [", f"classes: {many('{{name: a{0}, code: 2, codes: [2]}}', 5_000)[:-1]}, "),
+    ],
+    ids=["sections", "features", "codes", "classes"],
+)
+def test_thousands_of_anything_are_refused_in_a_few_lines(before: str, after: str, tmp_path: Path) -> None:
+    """Each was held against all others, and all were told in a message of 13 MB."""
+    path = tmp_path / "a.yaml"
+    path.write_text(SMALL.replace(before, after, 1))
+    with pytest.raises(ConfigError, match=r"at most|faults") as fault:
+        conf.load(path)
+    assert len(str(fault.value)) < 20_000
+
+
+def test_keys_are_not_held_against_each_other() -> None:
+    """50 s of the processor for a file of 220 KB."""
+    compared = 0
+
+    class Key(str):
+        __hash__ = str.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            nonlocal compared
+            compared += 1
+            return str.__eq__(self, other)
+
+    node = SimpleNamespace(value=[(Key(f"k{n}"), n) for n in range(1000)], start_mark=None)
+    assert len(_mapping(SimpleNamespace(construct_object=lambda one, deep: one), node)) == 1000
+    assert compared < 5000
+
+
+def test_a_feature_set_says_how_many_features_it_has_before_they_are_made(tmp_path: Path) -> None:
+    path, names = tmp_path / "a.yaml", many("f{}", 4000)
+    path.write_text(f"each: [{{bases: {names}, scales: {names}}}]\n")
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match="too many features") as fault:
+            feature_set(str(path))
+        assert tracemalloc.get_traced_memory()[1] < 64 << 20 and "16,000,000" in str(fault.value)
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_feature_set_is_that_beside_its_survey_whatever_lies_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stranger's directory had the same name, and was asked first."""
+    for name, feature in (("mine", "zc"), ("theirs", "density_c100")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "own.yaml").write_text(f"features: [{feature}]\n")
+    path = tmp_path / "mine" / "s.yaml"
+    path.write_text(SMALL.replace("[zc]", "own.yaml"))
+    monkeypatch.chdir(tmp_path / "theirs")
+    assert conf.load(path).features_asked == ("zc",)
+
+
+@pytest.mark.parametrize(
+    "name", ["../presets/ground", "ground.yaml", "/etc/passwd", "./mine", "", "..", "a\0b", "about"]
+)
+def test_a_preset_is_one_that_comes_with_fwclass(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No name of one leads to a file, and none beside the survey or here is looked for."""
+    for place in ("mine", "presets/ground.yaml", "conf/presets/ground.yaml"):
+        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / place).write_text("mine: {method: slope}\n")
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "a.yaml"
+    path.write_text(SMALL + f"ground: {{preset: {json.dumps(name)}}}\n")
+    for ask in (lambda: conf.load(path), lambda: ground_params(None, name)):
+        with pytest.raises(ConfigError, match="no such preset"):
+            ask()

@@ -116,10 +116,11 @@ class SurveyFacts:
         )
 
 
-def survey_facts(config: Config, root: Path) -> SurveyFacts:
+def survey_facts(config: Config, root: Path, copied: bool = False) -> SurveyFacts:
     """Headers of all files of the survey, and a sample of the one with most points.
 
     `root` is the run directory: a simulated survey that lies there is taken, otherwise the simulator's numbers.
+    `copied`: strips will be delivered.
 
     Raises
     ------
@@ -130,7 +131,7 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
     if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):
         return simulated_facts(config)
     places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = open_all(places, config)
+    opened = open_all(places, config, copied)
     full = [s for s in opened if s.n_records]
     if not full:
         raise InputError(

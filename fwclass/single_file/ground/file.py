@@ -23,7 +23,7 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
-from fwclass.single_file.ground.output import check_output, check_packets, write_points
+from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.steps import Tell, quiet
@@ -91,7 +91,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     publish, terrain = conf.section("publish", job.settings), conf.section("terrain", job.settings)
     tell("reading")
     cloud = read_point_cloud(job.source, given_crs(job.crs, "--crs"))
-    check_packets(cloud, job.output, job.overwrite)
+    check_copy(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, job.keep_classes, job.use_flagged)
     if job.rasters:
         check_extent(cloud, shown, terrain.cell, publish.cog_block)

@@ -19,7 +19,7 @@ from fwclass.publish.heights import NO_HEIGHT
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
 from fwclass.single_file.ground.file import GROUND, came_as_noise, classes_of, filter_cloud, shown_points
-from fwclass.single_file.ground.output import check_output, check_packets, write_points
+from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.rasters import check_extent
 from fwclass.single_file.ground.steps import Tell, quiet
@@ -76,7 +76,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     params = conf.section("terrain", job.settings, {"terrain": own})
     tell("reading")
     cloud = read_point_cloud(job.source, given_crs(job.crs, "--crs"))
-    check_packets(cloud, job.output, job.overwrite)
+    check_copy(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, True, job.use_flagged)
     check_extent(cloud, cloud.usable, params.cell)
     flags, method = _ground(cloud, shown, job, tell)

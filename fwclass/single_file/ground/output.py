@@ -14,7 +14,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantise
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
-from fwclass.publish.strips import write_strip_laz
+from fwclass.publish.strips import check_records, write_strip_laz
 from fwclass.publish.text import write_text
 from fwclass.read.cloud import PointCloud
 from fwclass.read.las import LasSource
@@ -86,9 +86,13 @@ def _require_writable(path: Path) -> None:
         ) from fault
 
 
-def check_packets(cloud: PointCloud, output: Path, overwrite: bool) -> None:
-    """`ConfigError` if waveforms would go onto a file that is there already and is not the source's own."""
-    if not isinstance(cloud.source, LasSource) or not cloud.source.has_waves or output.suffix.lower() not in LAS:
+def check_copy(cloud: PointCloud, output: Path, overwrite: bool) -> None:
+    """`InputError` where a LAS file cannot be copied as its header says, and `ConfigError` if waveforms would go onto a
+    file that is there already and is not the source's own."""
+    if not isinstance(cloud.source, LasSource) or output.suffix.lower() not in LAS:
+        return
+    check_records(cloud.path)
+    if not cloud.source.has_waves:
         return
     own = cloud.source.waves.path
     outside = own is not None and cloud.source.waves.kind == "external"
