@@ -12,7 +12,7 @@ import stat
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -25,6 +25,9 @@ CACHE = "NUMBA_CACHE_DIR"
 THREADS = "NUMBA_NUM_THREADS"
 CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF"}
 """For this process's own children: nothing is imported from where they start, no grid of a datum is fetched."""
+
+_fresh = ExitStack()
+"""The directory of compiled code that ends with this process, where there is one."""
 
 _before: dict[str, str | None] = {}
 """What the variables that were set here held before."""
@@ -109,10 +112,10 @@ def kernel_cache() -> Path:
         place, fault = Path("~/.cache"), str(error)
     if fault:
         message = f"compiled code cannot be kept in {place}: {fault}; it is compiled anew for this command"
-        import tempfile  # loads much that most commands do not need
+        from fwclass.temporary import temporary_directory  # loads much that most commands do not need
 
-        place = Path(tempfile.mkdtemp(prefix="fwclass-kernels-"))
-        atexit.register(_remove, place, os.getpid())
+        place = _fresh.enter_context(temporary_directory("kernels"))
+        atexit.register(_remove, os.getpid())
         sys.stderr.write(f"fwclass: {message}\n")
     _set(CACHE, str(place))
     return place
@@ -137,11 +140,9 @@ def _not_private(place: Path) -> str:
     return "" if os.access(place, os.W_OK | os.X_OK) else "it cannot be written to"
 
 
-def _remove(place: Path, maker: int) -> None:
-    import shutil
-
+def _remove(maker: int) -> None:
     if os.getpid() == maker:
-        shutil.rmtree(place, ignore_errors=True)
+        _fresh.close()
 
 
 @contextmanager

@@ -8,11 +8,14 @@ import lasmaker
 import numpy as np
 import pytest
 import yaml
+from click.testing import CliRunner
 from commandline import fwclass
 
 from fwclass import conf
+from fwclass.cli import cli
+from fwclass.errors import InputError
 from fwclass.grid import Box
-from fwclass.operate.draft import areas
+from fwclass.operate.draft import areas, survey
 from fwclass.operate.draft.areas import ClassPlaces, best_split
 
 CODES = np.array([2, 5, 6])
@@ -155,3 +158,19 @@ def test_places_far_apart_cost_no_memory():
     places.add(x, np.zeros(len(x)), codes)
     split = best_split(places, [(2,), (6,)], Box(-1e17, 0.0, 1e17, 1.0), 20.0)
     assert split is not None and split.train.tolist() == split.test.tolist() == [500, 500]
+
+
+def test_a_draft_is_planned_without_a_file_beside_the_sources(tmp_path, monkeypatch):
+    """A killed `init` left one there."""
+    town(tmp_path)
+    there = []
+
+    def facts(config, root):
+        there.append(sorted(p.name for p in root.iterdir()))
+        raise InputError("looked")
+
+    monkeypatch.setattr(survey, "survey_facts", facts)
+    with monkeypatch.context() as here:
+        here.chdir(tmp_path)
+        assert CliRunner().invoke(cli, ["init", "a.las"]).exit_code == 0
+    assert there == [["a.las"]]

@@ -259,8 +259,9 @@ def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
     """
     from fwclass.publish.onnx_forest import onnx_forest
     from fwclass.single_file.ground.output import check_places
-    from fwclass.store.atomic import move_into_place, staged
+    from fwclass.store.atomic import move_into_place
     from fwclass.store.models import load_forest
+    from fwclass.temporary import temporary_directory
 
     if out.suffix.lower() != f".{form}":
         raise ConfigError(
@@ -272,7 +273,7 @@ def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
         )
     check_places(model, [out], overwrite)
     content = onnx_forest(load_forest(model))
-    with staged(out.parent) as directory:
+    with temporary_directory("export", out.parent) as directory:
         (directory / out.name).write_bytes(content)
         move_into_place(directory / out.name, out)
     click.echo(f"{out}: {form}, {out.stat().st_size / 1e6:.1f} MB", err=True)

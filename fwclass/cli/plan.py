@@ -95,10 +95,11 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
     from fwclass.errors import FwclassError
     from fwclass.operate.estimate.trial import run_trial, trial_of
     from fwclass.operate.estimate.whole import make_plan
-    from fwclass.store.atomic import staged
+    from fwclass.temporary import temporary_directory
 
     trial_ = trial_of(estimate, count, root)
-    with staged(root / "plan") as scratch:
+    (root / "plan").mkdir(parents=True, exist_ok=True)
+    with temporary_directory("trial", root / "plan") as scratch:
         with open_runner(scratch, estimate.workers, None, estimate.config.run) as runner:
             keys = run_trial(trial_, runner, count, estimate.halo)
             failures, store = runner.failures, runner.store

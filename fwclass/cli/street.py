@@ -127,8 +127,8 @@ def classify(
     from fwclass.single_file.street.batch import classify as work
     from fwclass.single_file.street.online import describe_batch
     from fwclass.single_file.street.output import prepare
-    from fwclass.store.temporary import temporary_directory
     from fwclass.street.soundness import judge_recording
+    from fwclass.temporary import temporary_directory
 
     config = _config(conf, settings, model)
     count = config.run.workers if options["workers"] is None else options["workers"]

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from fwclass.conf.files import conf_directory, find, merge, read, setting
+from fwclass.conf.files import conf_directory, find, merge, plain, read, setting
 from fwclass.conf.model import PARAMS, Config
 from fwclass.conf.schedule import SECRET
 from fwclass.errors import ConfigError, nearest
@@ -24,7 +24,7 @@ from fwclass.redact import redacted_setting
 NAMED = 20
 """Faults of a configuration that a message tells."""
 
-__all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
+__all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "load_text", "preset", "presets", "section"]
 
 
 def load(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = True) -> Config:
@@ -39,6 +39,11 @@ def load(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = Tr
         change = merge(change, setting(text))
     raw = _lay_over(change)
     return build(path, raw, _origin(path, settings), classifies)
+
+
+def load_text(text: str, path: Path) -> Config:
+    """As `load`, of a text that is to stand at `path`."""
+    return build(path, _lay_over(plain(text)))
 
 
 def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any] | None = None) -> Any:

@@ -6,9 +6,8 @@ import os
 import re
 import shutil
 import socket
-import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -25,10 +24,16 @@ def _sweep(path: Path) -> None:
     """Remove what processes of this host that are gone have left beside `path` of an output of its name."""
     pattern = re.compile(re.escape(f".{path.name}.{_host()}-") + r"(\d+)\.part")
     with os.scandir(path.parent) as entries:
-        leftovers = [(entry.path, match) for entry in entries if (match := pattern.match(entry.name))]
-    for name, match in leftovers:
-        if not psutil.pid_exists(int(match[1])):
-            Path(name).unlink(missing_ok=True)
+        leftovers = [(entry, match) for entry in entries if (match := pattern.match(entry.name))]
+    for entry, match in leftovers:
+        with suppress(FileNotFoundError):  # another process has swept it
+            mine = entry.stat(follow_symlinks=False).st_uid == os.geteuid()
+            process = int(match[1])
+            if mine and (process == os.getpid() or not psutil.pid_exists(process)):
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    Path(entry.path).unlink()
 
 
 @contextmanager
@@ -64,7 +69,8 @@ def whole_directory(path: Path) -> Iterator[Path]:
             do="name another",
         )
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    _sweep(path)
+    beside = path.with_name(f".{path.name}.{_host()}-{os.getpid()}.part")
     try:
         beside.mkdir()
         yield beside

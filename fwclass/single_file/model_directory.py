@@ -15,7 +15,7 @@ from fwclass.model import Model
 from fwclass.store.atomic import files_below, sync
 from fwclass.store.model_rows import ModelRows, rows_facts, save_rows
 from fwclass.store.models import CARD, load_model, save_model
-from fwclass.store.temporary import temporary_directory
+from fwclass.temporary import temporary_directory
 
 
 def check_target(target: Path, overwrite: bool) -> None:

@@ -35,7 +35,7 @@ from fwclass.run.part import Task
 from fwclass.schema import Table
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
-from fwclass.store.temporary import temporary_directory
+from fwclass.temporary import temporary_directory
 from fwclass.tile.params import TileParams
 from fwclass.waveforms import Waveforms
 

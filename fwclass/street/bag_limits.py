@@ -5,13 +5,13 @@ from __future__ import annotations
 import io
 import shutil
 import sqlite3
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from fwclass.paths import strange_kind
+from fwclass.temporary import temporary_directory
 
 CHUNK = 64 << 20
 """Bytes of a chunk; recorders close one at 768 kB, and begin another with the next message."""
@@ -91,16 +91,31 @@ def limit_library() -> None:
     def whole(file: Any, mode: str) -> Any:
         """A database that is compressed as a whole, which is looked at before the library opens it."""
         most = CHUNK + SWOLLEN * file.seek(0, io.SEEK_END)
-        unpacked = tempfile.NamedTemporaryFile(prefix="fwclass-bag-")  # noqa: SIM115 - the library closes it
-        with _Swelling(zstd.open(file, mode), most, file.seek(0)) as packed:
-            shutil.copyfileobj(packed, unpacked)
-        unpacked.flush()
-        unpacked.seek(0)
-        if _is_database(Path(unpacked.name)):
-            _check_database(Path(unpacked.name))
-        return unpacked
+        with temporary_directory("bag") as directory:
+            unpacked = directory / "unpacked"
+            with _Swelling(zstd.open(file, mode), most, file.seek(0)) as packed, unpacked.open("wb") as out:
+                shutil.copyfileobj(packed, out)
+            if _is_database(unpacked):
+                _check_database(unpacked)
+            return unpacked.open("rb")  # which outlives its name
 
     two.zstd = SimpleNamespace(decompress=frame, open=whole)
+    two.TemporaryDirectory = _BagDirectory
+
+
+class _BagDirectory:
+    """In the place of the library's own directory for databases that it decompresses: what a killed process leaves of
+    it goes with the next."""
+
+    def __init__(self) -> None:
+        self._made = temporary_directory("bag")
+
+    def __enter__(self) -> str:
+        self.name = str(self._made.__enter__())
+        return self.name
+
+    def __exit__(self, *fault: Any) -> None:
+        self._made.__exit__(*fault)
 
 
 class _Swelling:

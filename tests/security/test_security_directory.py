@@ -300,7 +300,7 @@ def refused(home: Path) -> str:
         assert place != home and stat.S_IMODE(place.stat().st_mode) == 0o700 and place.stat().st_uid == os.geteuid()
         assert os.environ[isolation.CACHE] == str(place)
     finally:
-        isolation._remove(place, os.getpid())
+        isolation._remove(os.getpid())
     return told.getvalue()
 
 

@@ -15,10 +15,11 @@ from fwclass.formats.geoparquet import header
 from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
 from fwclass.operate.difference.rasters import DIFFERS, raster_changes
-from fwclass.store.atomic import move_into_place, read_json, staged
+from fwclass.store.atomic import move_into_place, read_json
 from fwclass.store.digests import digest_now
 from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
+from fwclass.temporary import temporary_directory
 
 SHOWN = 10
 """Rows of a list that are shown; JSON has all settings and files, and so many places."""
@@ -215,7 +216,7 @@ def write_places(path: Path, changes: ClassChanges, crs: str | None) -> None:
     """Every place with changed echoes as a GeoPackage, layer ``places``: how many ``changed`` in each; `crs` as WKT."""
     places = changes.places()
     path.parent.mkdir(parents=True, exist_ok=True)
-    with staged(path.parent) as directory:
+    with temporary_directory("places", path.parent) as directory:
         layer_file = directory / path.name
         fields = {"changed": np.array([n for _, n in places], np.int64)}
         write_layer(layer_file, "places", "Polygon", rectangles([box.bounds for box, _ in places]), fields, crs)

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import re
-import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -293,14 +292,11 @@ def _area_lines(classes: Sequence[Meaning], split: Split | None) -> list[str]:
 
 def _tile_lines(text: str, beside: Path) -> str:
     """`tile.size` where another than the default suits the survey, by `fwclass plan`."""
-    with tempfile.NamedTemporaryFile("w", suffix=".yaml", dir=beside, prefix=".", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        try:
-            config = conf.load(file.name)
-            plan = make_plan(config, survey_facts(config, beside), config.run.workers, room_at(beside))
-        except FwclassError:
-            return ""  # what is missing stands in the notes; `fwclass plan` says the rest
+    try:
+        config = conf.load_text(text, beside / "survey.yaml")
+        plan = make_plan(config, survey_facts(config, beside), config.run.workers, room_at(beside))
+    except FwclassError:
+        return ""  # what is missing stands in the notes; `fwclass plan` says the rest
     if plan.best is None or plan.best.size == config.tile.size:
         return ""
     return f"\ntile:\n  size: {plan.best.size:g}    # m, by `fwclass plan`\n"

@@ -15,7 +15,8 @@ from fwclass.operate.estimate.estimate import MIB
 from fwclass.operate.estimate.picture import plan_picture
 from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.operate.estimate.whole import Plan, as_json
-from fwclass.store.atomic import move_into_place, staged, write_json
+from fwclass.store.atomic import move_into_place, write_json
+from fwclass.temporary import temporary_directory
 
 NAMES = ("tiles.gpkg", "plan.png", "plan.json")
 
@@ -37,7 +38,7 @@ def deliver(plan: Plan, root: Path) -> tuple[Path, ...]:
     target = root / "plan"
     paths = tuple(target / n for n in NAMES)
     target.mkdir(parents=True, exist_ok=True)
-    with staged(target) as directory:
+    with temporary_directory("plan", target) as directory:
         write_gpkg(plan, directory / NAMES[0])
         (directory / NAMES[1]).write_bytes(plan_picture(plan))
         write_json(directory / NAMES[2], as_json(plan, paths))

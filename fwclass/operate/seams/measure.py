@@ -24,7 +24,7 @@ from fwclass.run.progress import Display
 from fwclass.schema import IDENTITY, Table
 from fwclass.store.arrays import arrays_at, read_arrays
 from fwclass.store.tables import read_table
-from fwclass.store.temporary import temporary_directory
+from fwclass.temporary import temporary_directory
 
 
 @dataclass(frozen=True)

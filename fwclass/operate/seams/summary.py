@@ -11,8 +11,9 @@ from fwclass.formats.geopackage import points, rectangles, write_layer
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.measure import BlockShiftEffect
 from fwclass.operate.seams.places import ShiftedSquare
-from fwclass.store.atomic import move_into_place, staged
+from fwclass.store.atomic import move_into_place
 from fwclass.store.url import Url
+from fwclass.temporary import temporary_directory
 
 NAMED = 5
 """Columns that are named of those that differ."""
@@ -159,7 +160,7 @@ def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
             fields["differ"].append(wrong)
     listed = [{"stage": s.stage, **e} for s in result.bounded for e in s.examples]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with staged(path.parent) as directory:
+    with temporary_directory("seams", path.parent) as directory:
         write_layer(directory / path.name, "strips", "Polygon", rectangles(bounds), fields, crs)
         if listed:
             places = points((e["x"], e["y"]) for e in listed)

@@ -37,7 +37,7 @@ from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
-from fwclass.store.temporary import temporary_directory
+from fwclass.temporary import temporary_directory
 from fwclass.tile.stage import morton
 
 SECTIONS = (*OF_ECHOES, "tile", "publish")

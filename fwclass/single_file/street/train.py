@@ -12,8 +12,8 @@ from fwclass.graph.street import Split, by_model, fit_model, judge_answers, reco
 from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
-from fwclass.store.temporary import temporary_directory
 from fwclass.street.ring import feature_names
+from fwclass.temporary import temporary_directory
 
 
 def train(

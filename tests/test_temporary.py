@@ -9,15 +9,20 @@ import sys
 import tempfile
 from pathlib import Path
 
+import bagmaker
 import pytest
 
-from fwclass.store import temporary
-from fwclass.store.temporary import temporary_directory
+sys.path.insert(0, str(Path(__file__).parent / "fuzz"))
+
+import seeds
+
+from fwclass import temporary
+from fwclass.temporary import temporary_directory
 
 HOLD = """
 import sys
 from pathlib import Path
-from fwclass.store.temporary import temporary_directory
+from fwclass.temporary import temporary_directory
 with temporary_directory("parts", Path(sys.argv[1])) as directory:
     (directory / "a").write_bytes(bytes(1000))
     print(directory, flush=True)
@@ -81,3 +86,61 @@ def test_one_that_is_taken_for_left_before_it_is_locked_is_made_again(
     monkeypatch.setattr(temporary.os, "open", late)
     with temporary_directory("parts", tmp_path) as directory:
         assert len(made) == 3 and str(directory) == made[2] and directory.is_dir()
+
+
+KERNELS = """
+from fwclass.isolation import kernel_cache
+(kernel_cache() / "a").write_bytes(bytes(1000))
+END
+"""
+BAG = """
+import sys
+from pathlib import Path
+from fwclass.street.frames import Scan
+from fwclass.street.recording_bag import BagRecording
+frames = BagRecording(Path(sys.argv[1]), Scan(19, -0.9, 0.1, 0.1, 30.0), None).frames()
+next(frames)
+END
+"""
+EXPORT = """
+import sys
+from pathlib import Path
+from fwclass.publish.files import whole_directory
+with whole_directory(Path(sys.argv[1])) as beside:
+    (beside / "a").write_bytes(bytes(1000))
+    END
+"""
+KILLED = "__import__('os').kill(__import__('os').getpid(), 9)"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a directory away")
+def test_what_belongs_to_another_user_stays(tmp_path: Path) -> None:
+    theirs = tmp_path / ".fwclass-parts-1"
+    theirs.mkdir()
+    os.chown(theirs, 65534, 65534)
+    with temporary_directory("parts", tmp_path):
+        pass
+    assert list(tmp_path.iterdir()) == [theirs]
+
+
+@pytest.mark.parametrize(
+    ("work", "kind"),
+    [(KERNELS, "fwclass-kernels-"), (BAG, "fwclass-bag-"), (EXPORT, ".out.")],
+    ids=["kernels", "bag", "export"],
+)
+def test_what_a_killed_command_left_goes_with_the_next_one(work: str, kind: str, tmp_path: Path) -> None:
+    """Compiled code that can be kept nowhere, a bag that is decompressed as a whole, a folder that is written."""
+    bagmaker.write_bag2(tmp_path / "bag", seeds._frames(), compression="file")
+    room = tmp_path / "room"
+    room.mkdir()
+    settings = {**os.environ, "TMPDIR": str(room), "XDG_CACHE_HOME": "/proc/none", "NUMBA_CACHE_DIR": ""}
+
+    def ended(end: str) -> int:
+        given = room / "out" if work is EXPORT else tmp_path / "bag"
+        words = [sys.executable, "-c", work.replace("END", end), str(given)]
+        return subprocess.run(words, env=settings, capture_output=True, check=False).returncode
+
+    assert ended(KILLED) == -signal.SIGKILL
+    assert [p.name.startswith(kind) for p in room.iterdir()] == [True]
+    assert ended("pass") == 0
+    assert [p.name for p in room.iterdir() if p.name.startswith(kind)] == []
