@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from fwclass.graph.shape_files import read_as, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.graph.water import Points
+from fwclass.graph.water import Points, near_echoes
 from fwclass.grid import Box, quantise
 from fwclass.read.polygons import open_polygons, read_lines, reproject
 from fwclass.run.part import Name
@@ -31,13 +31,21 @@ OFF = 1.0
 Floats = NDArray[np.float64]
 
 
-def read_breaklines(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Result:
-    """Places every `step` [m] at most along the lines, with heights between those of their points."""
+def read_breaklines(
+    here: StageInputs,
+    crs: str | None,
+    layer: str,
+    own_crs: str | None,
+    step: float,
+    near: tuple[float, float, float, float],
+) -> Result:
+    """Places every `step` [m] at most along the lines in the box `near` [m], with heights between those of their
+    points."""
     path = here.file()
     shapes, z = read_lines(open_polygons(path, layer))
     if own_crs is not None and crs is not None:
         shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
-    knots = knots_along(shapes.x, shapes.y, z, shapes.ring_start, step)
+    knots = knots_along(shapes.x, shapes.y, z, shapes.ring_start, step, near)
     write_arrays(here.directory / FILE, {n: quantise(v) for n, v in zip("xyz", knots, strict=True)})
     return {"lines": shapes.parts, "knots": len(knots[0])}
 
@@ -93,6 +101,10 @@ READ_BREAKLINES = Stage(
     "part",
     read_breaklines,
     when=_is_wanted,
-    arguments=lambda plan: {**read_as(plan.survey.breaklines, plan.survey.crs), "step": plan.config.terrain.thin},
+    arguments=lambda plan: {
+        **read_as(plan.survey.breaklines, plan.survey.crs),
+        "step": plan.config.terrain.thin,
+        "near": near_echoes(plan),
+    },
     source=lambda plan, part: source_of(plan.survey.breaklines),
 )

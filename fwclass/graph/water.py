@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError, first_few
 from fwclass.graph.shape_files import read_as, read_shapes, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.grid import Box, Window, millimetres
+from fwclass.grid import Box, Window, joint_box, millimetres
+from fwclass.ground.stage import TERRAIN
 from fwclass.label.polygons import Polygons, owners
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
@@ -83,10 +84,25 @@ def water_of(here: StageInputs) -> Water | None:
     return Water(Polygons.from_arrays(arrays), arrays["level"], (arrays["knot_x"], arrays["knot_y"], arrays["knot_z"]))
 
 
+def near_echoes(plan: Plan) -> tuple[float, float, float, float]:
+    """xmin, ymin, xmax, ymax [m] of all that blocks of the terrain read, also where `fwclass seams` shifts them, and
+    shores: the same whatever the tiles."""
+    edge, terrain = plan.config.terrain.block, plan.config.terrain
+    box = joint_box(block.box for block in plan.layout.blocks(edge))
+    return box.grown(edge + TERRAIN.halo(terrain) + plan.config.water.shore).bounds
+
+
 def read_water(
-    here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float, stretch: float
+    here: StageInputs,
+    crs: str | None,
+    layer: str,
+    own_crs: str | None,
+    step: float,
+    stretch: float,
+    near: tuple[float, float, float, float],
 ) -> Result:
-    """Polygons of water in whole millimetres of the survey's system, and places every `step` [m] along their shores."""
+    """Polygons of water in whole millimetres of the survey's system, and places every `step` [m] along their shores in
+    the box `near` [m]."""
     path = here.file()
     shapes = read_shapes(path, crs, layer, own_crs)
     features = np.zeros(1 + int(shapes.feature.max(initial=0)), np.int16)
@@ -99,7 +115,7 @@ def read_water(
             got=f"{polygons.parts:,}",
             do="leave out the small ones, or those outside the survey",
         )
-    line = shoreline(polygons.x, polygons.y, polygons.ring_start, polygons.part_start, step, stretch)
+    line = shoreline(polygons.x, polygons.y, polygons.ring_start, polygons.part_start, step, stretch, near)
     arrays = {"shore_x": line.x, "shore_y": line.y, "body": line.body, "stretch": line.stretch}
     write_arrays(here.directory / FILE, {**polygons.arrays(), **arrays, "feature": shapes.feature})
     return {"bodies": polygons.parts, "invalid": shapes.invalid}
@@ -220,6 +236,7 @@ READ_WATER = Stage(
         **read_as(plan.survey.water, plan.survey.crs),
         "step": plan.config.terrain.thin,
         "stretch": plan.config.water.stretch,
+        "near": near_echoes(plan),
     },
     source=lambda plan, part: source_of(plan.survey.water),
 )

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 
+Ends = tuple[NDArray[Any], NDArray[Any]]
+"""A coordinate of the beginnings and of the ends of edges."""
+
+Bounds = tuple[float, float, float, float]
+"""xmin, ymin, xmax, ymax in the unit of the lines."""
+
 MOST = 10_000_000
-"""Places along the lines of a file; every 0.5 m they are 5000 km."""
+"""Places along the lines of a file, near the survey; every 0.5 m they are 5000 km."""
+
+
+LONGEST = 4.0e7
+"""m, around the Earth: no edge of a line is longer."""
 
 
 def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
@@ -18,14 +30,23 @@ def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
     return np.flatnonzero(~last)
 
 
-def divide(length: NDArray[np.float64], step: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def divide(
+    x: Ends, y: Ends, length: NDArray[np.float64], step: float, box: Bounds | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Places at the beginning of every edge and `step` at most apart on it: the number of its edge, and the share of
     its length that lies before the place.
 
-    `InputError` where these are more than `MOST`.
+    `x`, `y`: where edges begin and end. Of edges that leave the `box` the places in it are made, and one or two beside.
+    `InputError` where these are more than `MOST`, and for an edge beyond `LONGEST`.
     """
     whole = np.maximum(1, np.ceil(length / step))
-    if not whole.sum() <= MOST:
+    first, last = np.zeros(len(whole)), whole
+    if box is not None:
+        enter, leave = _shares_in(x, y, box)
+        with np.errstate(invalid="ignore"):  # a length without end
+            first, last = np.maximum(0, np.floor(enter * whole) - 1), np.minimum(whole, np.ceil(leave * whole) + 2)
+    count = np.maximum(0, last - first)
+    if not ((length <= LONGEST).all() and count.sum() <= MOST):
         raise InputError(
             "lines are too long",
             where="water.file or breaklines.file",
@@ -33,17 +54,39 @@ def divide(length: NDArray[np.float64], step: float) -> tuple[NDArray[np.int64],
             got=f"{length.sum() / 1000:.3g} km",
             do="check the file and its coordinate system, or leave out what is outside the survey",
         )
-    number = whole.astype(np.int64)
+    number = count.astype(np.int64)
     edge = np.repeat(np.arange(len(length)), number)
-    return edge, (np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number)) / number[edge]
+    place = np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number) + first[edge]
+    return edge, place / whole[edge]
+
+
+def _shares_in(x: Ends, y: Ends, box: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """From which share of its length to which each edge lies in the box; the first is more than the last where it does
+    not (Liang & Barsky 1984)."""
+    enter, leave = np.zeros(len(x[0])), np.ones(len(x[0]))
+    for (begin, end), low, high in zip((x, y), box[:2], box[2:], strict=True):
+        way = end - begin
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_low, to_high = (low - begin) / way, (high - begin) / way
+        still, inside = way == 0, (begin >= low) & (begin <= high)
+        enter = np.maximum(enter, np.where(still, np.where(inside, 0.0, 2.0), np.minimum(to_low, to_high)))
+        leave = np.minimum(leave, np.where(still, 1.0, np.maximum(to_low, to_high)))
+    return enter, leave
 
 
 def knots_along(
-    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], ring_start: NDArray[np.int64], step: float
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    ring_start: NDArray[np.int64],
+    step: float,
+    box: Bounds | None = None,
 ) -> tuple[NDArray[np.float64], ...]:
     """x, y, z [m] of places every `step` [m] at most along lines, their last points among them, with heights between
-    those of the points."""
+    those of the points; those in `box` [m] and some beside."""
     at = edges(ring_start, len(x))
-    edge, share = divide(np.hypot(x[at + 1] - x[at], y[at + 1] - y[at]), step)
+    with np.errstate(over="ignore"):
+        length = np.hypot(x[at + 1] - x[at], y[at + 1] - y[at])
+    edge, share = divide((x[at], x[at + 1]), (y[at], y[at + 1]), length, step, box)
     a, ends = at[edge], ring_start[1:] - 1
     return tuple(np.append(v[a] + share * (v[a + 1] - v[a]), v[ends]) for v in (x, y, z))

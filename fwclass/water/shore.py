@@ -9,7 +9,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.units import QUANTUM
-from fwclass.water.along import divide, edges
+from fwclass.water.along import Bounds, divide, edges
 
 NEAREST = 4
 """Places of a shoreline that are held against each other; hardly ever are more as near as each other."""
@@ -39,6 +39,7 @@ def shoreline(
     part_start: NDArray[np.int64],
     step: float,
     stretch: float,
+    box: Bounds | None = None,
 ) -> Shoreline:
     """Places every `step` [m] at most along the rings of bodies, which are cut into pieces of `stretch` [m].
 
@@ -48,6 +49,7 @@ def shoreline(
     ----------
     x, y : (points,) [mm], rings one after another, each closed.
     ring_start, part_start : points of every ring, rings of every body.
+    box : xmin, ymin, xmax, ymax [m]; places in it are made, and some beside.
     """
     at = edges(ring_start, len(x))
     ring = np.searchsorted(ring_start, at, "right") - 1
@@ -57,7 +59,8 @@ def shoreline(
     along -= along[np.searchsorted(body, body)]
     turned = (x[at] > x[at + 1]) | ((x[at] == x[at + 1]) & (y[at] > y[at + 1]))
     low, high = np.where(turned, at + 1, at), np.where(turned, at, at + 1)  # a shared side gets the same places
-    edge, share = divide(length, step)
+    wanted = None if box is None else (box[0] / QUANTUM, box[1] / QUANTUM, box[2] / QUANTUM, box[3] / QUANTUM)
+    edge, share = divide((x[low], x[high]), (y[low], y[high]), length, step, wanted)
     places = [np.rint(v[low[edge]] + share * (v[high[edge]] - v[low[edge]])).astype(np.int64) for v in (x, y)]
     piece = np.floor((along[edge] + share * length[edge]) / stretch).astype(np.int64)
     single = _of_one(np.column_stack(places), body[edge])

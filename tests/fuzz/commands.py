@@ -272,7 +272,7 @@ def _export(folder: Path) -> list[Case]:
 COMMANDS = {
     "info": Command(_info, 30),
     "init": Command(lambda folder: given(_clouds(folder), "init", "{}"), 10),
-    "shapes": Command(_shapes, 0.5, 1 << 30),  # docs/security.md: lines of any length are places every `terrain.thin`
+    "shapes": Command(_shapes, 0.5),
     "backscatter": Command(_backscatter, 0.5),
     "info-waveforms": Command(_waveforms, 2),
     "ground": Command(_ground, 12),
