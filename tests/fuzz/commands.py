@@ -297,6 +297,11 @@ COMMANDS = {
     ),
     "stored-seams": Command(run_cases.parts("seams", "r", "--share", "1"), 0.5),
     "stored-verify": Command(run_cases.parts("status", "r", "--verify"), 1),
+    "chunk-run": Command(
+        run_cases.chunks("run", "c.yaml", "--out", "r", "--workers", "0", "--set", "train.trees=6"), 0.5
+    ),
+    "chunk-verify": Command(run_cases.chunks("status", "r", "--verify"), 0.5),
+    "chunk-look": Command(run_cases.chunks("look", "r"), 0.5),
     "look": Command(run_cases.parts("look", "r", kinds=("waved", "grouped"), also="r/generations/"), 2),
     "view-export": Command(run_cases.delivery("view", "r", "--export", "d"), 1),
     "view-large": Command(run_cases.delivery("view", "r", "--export", "d", "--set", "view.whole=1000"), 1),

@@ -104,6 +104,21 @@ def parts(*words: str, kinds: tuple[str, ...] = ("run",), also: str = "r/store/"
     return cases
 
 
+def chunks(*words: str) -> Made:
+    """A command on a run directory in which chunks of Zarr arrays are damaged, as disks do it: digests stay."""
+
+    def cases(folder: Path) -> list[Case]:
+        files = _ran("grouped")
+        return _cases(files, [n for n in files if is_chunk(n)], [], words, "chunks")
+
+    return cases
+
+
+def is_chunk(name: str) -> bool:
+    """Whether a file of a run holds a chunk of a Zarr array."""
+    return ".zarr/" in name and not name.endswith("zarr.json")
+
+
 def delivery(*words: str) -> Made:
     """A command on a run directory in which what was delivered is damaged."""
 
