@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict
@@ -35,14 +35,13 @@ from fwclass.delivery.viewed_relabel import Relabelling
 from fwclass.delivery.viewed_span import Span, finite, span_of
 from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
-from fwclass.publish.octree import echo_hashes
 from fwclass.publish.palette import colours, css
-from fwclass.schema import IDENTITY, Table
+from fwclass.schema import IDENTITY
 from fwclass.store.run_store import Store
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
-from fwclass.view.pyramid import Node, Pyramid, levels_of, order_blocks
+from fwclass.view.pyramid import Node, Pyramid
 from fwclass.view.scene import ECHOES
 from fwclass.view.worklist import UnsureEchoes, WorkList
 
@@ -247,7 +246,7 @@ class ViewedRun:
         key = self._key_of(node)
         if not key:
             return self._skim()
-        return self._tile(key) if key in self.tiles else OpenTile({}, np.empty(0, np.int64), {})
+        return self._tile(key) if key in self.tiles else OpenTile.empty(self.pyramid)
 
     def _key_of(self, node: Node) -> str:
         """The tile that a node lies in, "" for one over several."""
@@ -284,14 +283,7 @@ class ViewedRun:
         return first + at, index
 
     def _tile(self, key: str) -> OpenTile:
-        return self._open.get(key, lambda: self._opened(key), lambda tile: tile.size)
-
-    def _opened(self, key: str) -> OpenTile:
-        return self._arranged(self._read(key))
-
-    def _arranged(self, columns: Mapping[str, NDArray]) -> OpenTile:
-        level = levels_of(self.pyramid, _rank(columns))
-        return OpenTile(columns, *order_blocks(self.pyramid, level, columns["x"], columns["y"]))
+        return self._open.get(key, lambda: OpenTile(self.pyramid, self._read(key)), lambda tile: tile.size)
 
     def _read(self, key: str) -> dict[str, NDArray]:
         columns = self._columns(key, (*DRAWN, *IDENTITY))
@@ -304,7 +296,7 @@ class ViewedRun:
         """The echoes of the levels that squares of several tiles have."""
         with self._lock:
             if self._skimmed is None:
-                self._skimmed = self._arranged(self._coarsest())
+                self._skimmed = OpenTile(self.pyramid, self._coarsest())
             return self._skimmed
 
     def _coarsest(self) -> dict[str, NDArray]:
@@ -313,27 +305,29 @@ class ViewedRun:
         return {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
 
     def _coarse(self, number: int, key: str) -> dict[str, NDArray]:
-        columns = self._read(key)
-        rank = _rank(columns)
+        tile = self._tile(key)
         limit = self.pyramid.limit(self.pyramid.coarse) if self.pyramid.coarse >= 0 else 0
-        rows = np.flatnonzero(rank < np.uint64(limit))
-        return {**{n: v[rows] for n, v in columns.items()}, "tile": np.full(len(rows), number), "row": rows}
+        rows = np.flatnonzero(tile.rank < np.uint64(limit))
+        return {**{n: v[rows] for n, v in tile.columns.items()}, "tile": np.full(len(rows), number), "row": rows}
 
     def _row_of(self, node: Node, row: int) -> tuple[str, int]:
         """Tile, and row of it, of an echo of a block."""
-        opened = self._holder(node)
-        first, last = opened.nodes.get(node, (0, 0))
-        if not first <= first + row < last:
-            raise InputError("no such echo", where=node, expected=f"0 to {last - first - 1}", got=row)
-        at = int(opened.order[first + row])
+        opened, at = self._echo_at(node, row)
         if "row" in opened.columns:
             return list(self.tiles)[int(opened.columns["tile"][at])], int(opened.columns["row"][at])
         return "{}_{}".format(*self.pyramid.tile_of(node)), at
 
+    def _echo_at(self, node: Node, row: int) -> tuple[OpenTile, int]:
+        """What holds an echo of a block, and its row there."""
+        opened = self._holder(node)
+        first, last = opened.nodes.get(node, (0, 0))
+        if not 0 <= row < last - first:
+            raise InputError("no such echo", where=node, expected=f"0 to {last - first - 1}", got=row)
+        return opened, int(opened.order[first + row])
+
     def _pulse_of(self, node: Node, row: int) -> tuple[int, int]:
         """Strip and pulse of an echo of a block."""
-        opened = self._holder(node)
-        at = opened.order[opened.nodes[node][0] + row]
+        opened, at = self._echo_at(node, row)
         return int(opened.columns["strip"][at]), int(opened.columns["pulse"][at])
 
     # ------------------------------------------------------------------ columns
@@ -442,10 +436,6 @@ class ViewedRun:
             mine = slice(bounds[number], bounds[number + 1])
             out[mine] = self._tile_bytes(key, name)[row[mine]]
         return out
-
-
-def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
-    return echo_hashes(Table({n: columns[n] for n in IDENTITY}))
 
 
 def plain_value(value: Any) -> Any:

@@ -3,27 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.view.pyramid import Node
+from fwclass.publish.octree import echo_hashes
+from fwclass.schema import IDENTITY, Table
+from fwclass.view.pyramid import Node, Pyramid, levels_of, order_blocks
 
 
-@dataclass(frozen=True)
 class OpenTile:
-    """A tile's columns, the order of its echoes in blocks, and the span of every node in that order."""
+    """A tile's columns, and when blocks are asked for the order of its echoes in them.
 
-    columns: Mapping[str, NDArray]
-    order: NDArray[np.int64]
-    nodes: Mapping[Node, tuple[int, int]]
+    Attributes
+    ----------
+    columns : places and `IDENTITY` of the echoes, and what else is wanted of them.
+    """
+
+    def __init__(self, pyramid: Pyramid, columns: Mapping[str, NDArray]) -> None:
+        self.columns, self._pyramid = columns, pyramid
+        self._blocks: tuple[NDArray[np.int64], dict[Node, tuple[int, int]]] | None = None
+
+    @classmethod
+    def empty(cls, pyramid: Pyramid) -> OpenTile:
+        """One without echoes."""
+        return cls(pyramid, {n: np.empty(0) for n in ("x", "y", *IDENTITY)})
+
+    @property
+    def rank(self) -> NDArray[np.uint64]:
+        """The hash of every echo, which its level follows from."""
+        return echo_hashes(Table({n: self.columns[n] for n in IDENTITY}))
+
+    @property
+    def order(self) -> NDArray[np.int64]:
+        """Rows of the echoes as they stand in blocks, node after node."""
+        return self._arranged[0]
+
+    @property
+    def nodes(self) -> Mapping[Node, tuple[int, int]]:
+        """The nodes, and the first and last place of each in `order`."""
+        return self._arranged[1]
+
+    @property
+    def _arranged(self) -> tuple[NDArray[np.int64], dict[Node, tuple[int, int]]]:
+        if self._blocks is None:  # no lock: threads that meet here get the same
+            c = self.columns
+            self._blocks = order_blocks(self._pyramid, levels_of(self._pyramid, self.rank), c["x"], c["y"])
+        return self._blocks
 
     @property
     def size(self) -> int:
         """Bytes of memory that the columns and their order take."""
-        return int(sum(v.nbytes for v in self.columns.values()) + self.order.nbytes)
+        return int(sum(v.nbytes for v in self.columns.values()) + 8 * len(self.columns["x"]))
 
     @cached_property
     def place(self) -> NDArray[np.int32]:

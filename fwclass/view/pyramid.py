@@ -17,6 +17,9 @@ from fwclass.kernel import kernel
 MAX_LEVEL = 60
 """Bits of the hash that levels may use."""
 
+DIGIT = 11
+"""Bits that keys are sorted by at a time: the counts of their values fit a processor's nearest cache."""
+
 Node = tuple[int, int, int]
 """Level, column and row of a square, counted from the south-west corner of the root."""
 
@@ -124,15 +127,25 @@ def order_blocks(
 
     Inside a block echoes follow a Z-order curve: neighbours compress well.
     """
-    key, morton = np.empty(len(x), np.uint64), np.empty(len(x), np.uint32)
+    key, morton = np.empty(len(x), np.uint64), np.empty(len(x), np.uint64)
     _keys(level, x, y, pyramid.size, pyramid.joined, *pyramid.corner, key, morton)
-    order = np.lexsort((morton, key))
-    firsts = np.flatnonzero(np.diff(key[order], prepend=np.uint64(0xFFFFFFFFFFFFFFFF))).tolist()
+    order = sorted_rows(key, sorted_rows(morton, np.arange(len(x))))
+    of = key[order]
+    new = np.ones(len(of), bool)
+    new[1:] = of[1:] != of[:-1]
     nodes = {}
-    for first, last in pairwise([*firsts, len(order)]):
-        k = int(key[order[first]])
+    for first, last in pairwise([*np.flatnonzero(new).tolist(), len(of)]):
+        k = int(of[first])
         nodes[k >> 58, k >> 29 & 0x1FFFFFFF, k & 0x1FFFFFFF] = (first, last)
     return order, nodes
+
+
+def sorted_rows(key: NDArray[np.uint64], order: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows `order` by their keys, those with the same one as they were. Linear in their number: keys of blocks differ
+    in few of their bits, and those alone are looked at."""
+    out = order.copy()
+    _sort(key, out, np.empty_like(out), np.empty(1 << DIGIT, np.int64))
+    return out
 
 
 @kernel
@@ -157,7 +170,33 @@ def _keys(level, x, y, size, joined, west, south, key, morton):  # type: ignore[
         key[n] = (np.uint64(level[n]) << np.uint64(58)) | (np.uint64(i) << np.uint64(29)) | np.uint64(j)
         a = min(max(int((u - i) * 65536.0), 0), 65535)
         b = min(max(int((v - j) * 65536.0), 0), 65535)
-        code = np.uint32(0)
+        code = np.uint64(0)
         for bit in range(16):
-            code |= np.uint32((a >> bit & 1) << (2 * bit)) | np.uint32((b >> bit & 1) << (2 * bit + 1))
+            code |= np.uint64((a >> bit & 1) << (2 * bit)) | np.uint64((b >> bit & 1) << (2 * bit + 1))
         morton[n] = code
+
+
+@kernel
+def _sort(key, order, spare, counts):  # type: ignore[no-untyped-def]
+    """Radix sort from the lowest bits up, past those in which no two keys differ; the result is in `order`."""
+    n, mask = len(order), np.uint64(len(counts) - 1)
+    differ = np.uint64(0)
+    for k in range(n):
+        differ |= key[order[k]] ^ key[order[0]]
+    shift = 0
+    while shift < 64 and differ >> np.uint64(shift):
+        if not differ >> np.uint64(shift) & np.uint64(1):
+            shift += 1
+            continue
+        counts[:] = 0
+        for k in range(n):
+            counts[key[order[k]] >> np.uint64(shift) & mask] += 1
+        first = 0
+        for value in range(len(counts)):
+            first, counts[value] = first + counts[value], first
+        for k in range(n):
+            value = key[order[k]] >> np.uint64(shift) & mask
+            spare[counts[value]] = order[k]
+            counts[value] += 1
+        order[:] = spare
+        shift += DIGIT

@@ -10,7 +10,7 @@ import pytest
 
 from fwclass.view.blocks import BYTES, DRAWN, HEAD, STEP, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
-from fwclass.view.pyramid import Pyramid, levels_of, order_blocks
+from fwclass.view.pyramid import Pyramid, levels_of, order_blocks, sorted_rows
 
 SIZE = 50.0
 TILES = np.array([[10, 20], [11, 20], [10, 21], [12, 22]])
@@ -95,6 +95,24 @@ def test_levels_follow_the_hash_alone() -> None:
     c = cloud(50_000)
     level = levels_of(Pyramid.over(TILES, 50_000, SIZE, 2000, 50_000), c["rank"])
     assert (np.diff(level[np.argsort(c["rank"])]) >= 0).all()
+
+
+@pytest.mark.parametrize("bits", [0, 1, 11, 12, 23, 40, 64])
+@pytest.mark.parametrize("shift", [0, 5, 58])
+def test_rows_are_sorted_as_numpy_sorts_them(bits: int, shift: int) -> None:
+    """With many that are equal, none or all; those stay as they were."""
+    rng = np.random.default_rng(bits)
+    for n in (0, 1, 2, 3000):
+        key = rng.integers(0, 1 << bits, n, np.uint64) if bits < 64 else rng.integers(0, 2**64 - 1, n, np.uint64)
+        key = (key << np.uint64(shift)) | np.uint64(1)
+        order = rng.permutation(n)
+        assert np.array_equal(sorted_rows(key, order), order[np.argsort(key[order], kind="stable")])
+
+
+def test_nothing_has_no_blocks() -> None:
+    none = np.empty(0)
+    order, nodes = order_blocks(Pyramid.over(TILES, 1, SIZE, 10, 10), none.astype(np.int8), none, none)
+    assert not len(order) and nodes == {}
 
 
 def test_columns_keep_what_has_no_value() -> None:

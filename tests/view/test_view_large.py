@@ -96,6 +96,14 @@ def test_the_first_picture_opens_no_tile(run: Path, monkeypatch: pytest.MonkeyPa
     assert scene.level("strip", 0)
 
 
+def test_what_is_read_for_the_coarse_levels_is_not_read_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, read = ViewedRun(open_run(run), conf.section("view", SMALL)), []
+    columns = scene._read
+    monkeypatch.setattr(scene, "_read", lambda key: read.append(key) or columns(key))
+    drawn = sum(b.shape[1] for k in scene.pyramid.levels() for b in blocks(scene.level(ECHOES, k), BYTES).values())
+    assert drawn == scene.echoes and sorted(read) == sorted(scene.tiles)
+
+
 def test_an_overview_that_does_not_know_its_pulses_is_said(run: Path, tmp_path: Path) -> None:
     """Its digest may fit: whoever can write the run can write its manifest."""
     delivery, other = open_run(run), tmp_path / "other.las"
