@@ -30,7 +30,7 @@ from fwclass.delivery.viewed_colours import (
 )
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
-from fwclass.delivery.viewed_pair import check_same_place, known_by, tiles_of
+from fwclass.delivery.viewed_pair import check_same_place, known_by, same_echo, tiles_of
 from fwclass.delivery.viewed_relabel import Relabelling
 from fwclass.delivery.viewed_span import Span, finite, span_of
 from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
@@ -170,7 +170,11 @@ class ViewedRun:
 
     def _about(self, tile: str, row: int, values: dict[str, Any]) -> dict[str, Any]:
         classes, rows = self._classes(self._tile(tile), tile)
-        return {"tile": tile, "row": row, "values": values, "corrected": int(classes[row]) if row in rows else None}
+        about = {"tile": tile, "row": row, "values": values, "corrected": int(classes[row]) if row in rows else None}
+        if self._other is not None:
+            twin = same_echo(self._other, values)
+            about["other"] = {n: plain_value(v) for n, v in twin.items()} if twin else None
+        return about
 
     def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
         return self._behind.pulse(strip, pulse)

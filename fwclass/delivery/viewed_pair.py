@@ -7,9 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import InputError
+from fwclass.schema import IDENTITY
 from fwclass.store.run_location import address_of
+
+TOLD = ("classification", "confidence")
+"""Of an echo, beside the other run's."""
+
+MOVED = 1.0
+"""m, further than another decomposition moves an echo."""
 
 
 def check_same_place(one: Delivery, other: Delivery) -> None:
@@ -38,6 +46,21 @@ def tiles_of(other: Delivery, tile: Mapping[str, Any]) -> list[str]:
         for t in other.tiles
         if all(t["bounds"][k] <= high[k] and low[k] <= t["bounds"][3 + k] for k in (0, 1))
     ]
+
+
+def same_echo(other: Delivery, values: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Class and confidence in another run of the echo with the identity and, within `MOVED`, the place of `values`.
+
+    None where it has none; a confidence that it does not know is NaN.
+    """
+    x, y = values["x"], values["y"]
+    near = {"bounds": [x - MOVED, y - MOVED, 0.0, x + MOVED, y + MOVED, 0.0]}
+    for tile in tiles_of(other, near):
+        columns = table_columns(other.table(tile), (*IDENTITY, *TOLD))
+        rows = np.flatnonzero(np.logical_and.reduce([columns[n] == values[n] for n in IDENTITY]))
+        if len(rows):
+            return {n: columns[n][rows[0]] if n in columns else np.nan for n in TOLD}
+    return None
 
 
 def known_by(one: Delivery, other: Delivery) -> str:

@@ -13,6 +13,7 @@ import subprocess
 import tarfile
 import threading
 import time
+from contextlib import suppress
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -51,8 +52,9 @@ for (let k = 0; k < 400 && Object.keys(out).length < 8; k += 1) {
 const x = c.clientWidth * ((k * 7) % 29 + 0.5) / 29, y = c.clientHeight * (0.1 + 0.8 * ((k * 5) % 23) / 23);
 delete fwclass.stats.wave_ms; delete fwclass.stats.why_ms; fwclass.stats.echo = null;
 if (!fwclass.click(x, y)) continue;
-const wait = async (done) => { while (!done()) await new Promise((go) => setTimeout(go, 2)); };
-await wait(() => fwclass.stats.echo); await wait(() => fwclass.stats.wave_ms && fwclass.stats.why_ms);
+const end = performance.now() + 20000, wait = async (done) => {
+while (!done() && performance.now() < end) await new Promise((go) => setTimeout(go, 2)); return done(); };
+if (!await wait(() => fwclass.stats.echo && fwclass.stats.wave_ms && fwclass.stats.why_ms)) return out;
 const strip = fwclass.stats.echo.values.strip; out[strip] ??= [];
 out[strip].push([fwclass.stats.wave_ms, fwclass.stats.why_ms]); } return out; })()"""
 
@@ -149,6 +151,31 @@ def test_a_lasso_beside_another_library() -> None:
     print(f"\na million places: {min(ours):.2f} CPU-s, shapely {min(theirs):.2f}, ratio {min(ours) / min(theirs):.2f}")
 
 
+def page_memory() -> int:
+    """Bytes that are the largest page's own of all browsers that run below this process (proportional set size)."""
+    below, out = {os.getpid()}, [0]
+    for about in sorted(Path("/proc").glob("[0-9]*/stat"), key=lambda p: int(p.parent.name)):
+        with suppress(OSError):
+            if int(about.read_text().rpartition(")")[2].split()[1]) in below:
+                below.add(int(about.parent.name))
+                if b"--type=renderer" in (about.parent / "cmdline").read_bytes():
+                    rolled = (about.parent / "smaps_rollup").read_text()
+                    out.append(1024 * int(rolled.partition("\nPss:")[2].split()[0]))
+    return max(out)
+
+
+def tell_clicks(clicks: dict[str, list[list[float]]]) -> None:
+    """Waits for waveform and votes after clicks on each strip [ms]."""
+    firsts = [waits[0] for waits in clicks.values()]
+    later = sorted(wave for waits in clicks.values() for wave, _ in waits[1:]) or [np.nan]
+    votes = [why for waits in clicks.values() for _, why in waits]
+    print(
+        f"waveform {firsts[0][0]:.0f} ms after the first click, {max(w for w, _ in firsts):.0f} ms at most after that "
+        f"of each of {len(firsts)} strips, median of later ones {later[len(later) // 2]:.0f} ms; votes "
+        f"{firsts[0][1]:.0f} ms after the first, {max(votes):.0f} ms at most"
+    )
+
+
 def test_the_page(run: Path) -> None:
     params = conf.section("view", ())
     with driven() as page:
@@ -162,24 +189,21 @@ def test_the_page(run: Path) -> None:
             print(
                 f"\nfirst points {stats['first'] / 1e3:.2f} s, whole picture {stats['settled'] / 1e3:.2f} s after the "
                 f"script, {stats['drawn']:,} echoes, {traffic['bytes'] / 1e6:.1f} MB in {traffic['requests']} requests "
-                f"of data, {len(page.requests)} of all; heap {page.run(HEAP) / 1e6:.0f} MB"
+                f"of data, {len(page.requests)} of all; heap {page.run(HEAP) / 1e6:.0f} MB, the page's process "
+                f"{page_memory() / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}"
             )
             n, middle, most = page.run(TURN)
             print(f"in motion {n} frames, median {middle:.0f} ms, longest {most:.0f} ms")
-            clicks = page.run(STRIPS)
-            firsts = [waits[0] for waits in clicks.values()]
-            later = sorted(wave for waits in clicks.values() for wave, _ in waits[1:]) or [np.nan]
-            votes = [why for waits in clicks.values() for _, why in waits]
-            print(
-                f"waveform {firsts[0][0]:.0f} ms after the first click, {max(w for w, _ in firsts):.0f} ms at most "
-                f"after that of each of {len(firsts)} strips, median of later ones {later[len(later) // 2]:.0f} ms; "
-                f"votes {firsts[0][1]:.0f} ms after the first, {max(votes):.0f} ms at most"
-            )
+            if clicks := page.run(STRIPS):
+                tell_clicks(clicks)
+            else:
+                print("this run has no waveforms")
             picks = page.run(WALK)
             assert stats["drawn"] > 0 and picks and page.faults == []
             print(f"pick: median {picks[len(picks) // 2]:.0f} ms, longest {picks[-1]:.0f} ms of {len(picks)}")
-            page.until("fwclass.stats.wave_ms && fwclass.stats.why_ms")
-            print(f"after the last of them, at once: waveform {page.run('fwclass.stats.wave_ms'):.0f} ms")
+            if clicks:
+                page.until("fwclass.stats.wave_ms && fwclass.stats.why_ms")
+                print(f"after the last of them, at once: waveform {page.run('fwclass.stats.wave_ms'):.0f} ms")
             server.shutdown()
 
 

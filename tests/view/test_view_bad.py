@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from pagedriver import driven
+from pagedriver import driven, running
 
 from fwclass import conf
 from fwclass.delivery import viewing
@@ -99,6 +99,23 @@ def test_sources_that_moved_change_nothing(run: Path, tmp_path: Path) -> None:
         assert scene.why(row["strip"], row["pulse"], row["echo_number"])["shares"]
     finally:
         away.rename(strips)
+
+
+@pytest.mark.slow
+def test_a_colour_that_cannot_be_had_is_said_and_the_one_that_is_seen_stays_chosen(small_run: Path) -> None:
+    with driven() as page, running(Server([opened(small_run)], conf.section("view", ()))) as server:
+        page.open(server.address)
+        page.until("window.fwclass.stats.settled")
+        page.run("fwclass.colourBy('intensity')")
+        page.until("document.getElementById('legend').innerText.trim()")
+        legend = page.run("document.getElementById('legend').innerText")
+        replaced(small_run, b"PAR1")
+        page.run("fwclass.colourBy('zc')")
+        page.until("document.getElementById('fault').innerText.includes('is damaged')")
+        assert page.run("[document.getElementById('by').value, fwclass.state.by]") == ["intensity"] * 2
+        assert page.run("document.getElementById('legend').innerText") == legend and "by=intensity" in page.run(
+            "location.hash"
+        )
 
 
 @pytest.mark.slow

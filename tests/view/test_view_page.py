@@ -7,6 +7,7 @@ import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,13 @@ from scipy.spatial import cKDTree
 from smallsurvey import deliver
 
 from fwclass import conf
+from fwclass.delivery.opened import Delivery, open_run
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_pair import same_echo
 from fwclass.delivery.viewing import scenes_of
 from fwclass.graph.learn import survey_sample
 from fwclass.run.inputs import PartInputs
+from fwclass.schema import IDENTITY
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
 from fwclass.view.server import Server
@@ -257,3 +261,28 @@ def test_what_differs_does_not_depend_on_the_size_of_tiles(small_run: Path) -> N
     told = [np.concatenate([s._tile_bytes(key, "differs") for key in s.tiles]) for s in scenes]
     assert np.bincount(told[0], minlength=3).tolist() == np.bincount(told[1], minlength=3).tolist()
     assert 0 not in told[0] and (told[0] == 1).mean() > 0.9
+
+
+@pytest.mark.slow
+def test_an_echo_is_told_with_its_class_in_the_other_run(small_run: Path) -> None:
+    """Which has tiles of another size and another model; the other's table tells the truth."""
+    other = small_run.parent / "other"
+    shutil.copytree(small_run, other, symlinks=True)
+    deliver(small_run.parent, "tile.size=70", "train.trees=1")
+    scene, delivery = scenes_of(small_run, other, conf.section("view", ("view.block=1000",)))[0], open_run(other)
+    mine, theirs = (_echoes(d) for d in (scene.delivery, delivery))
+    assert mine.keys() == theirs.keys()
+    for key in scene.tiles:
+        for node in scene._tile(key).nodes:
+            about = scene.echo(node, 0)
+            truth = theirs[tuple(about["values"][n] for n in IDENTITY)]
+            assert about["other"] == {n: truth[n] for n in ("classification", "confidence")}
+    differing = [who for who in mine if mine[who]["classification"] != theirs[who]["classification"]]
+    for who in differing[:20]:
+        assert same_echo(delivery, mine[who])["classification"] == theirs[who]["classification"]
+    assert differing and same_echo(delivery, {**mine[differing[0]], "pulse": 2**31}) is None
+
+
+def _echoes(delivery: Delivery) -> dict[tuple[int, ...], dict[str, Any]]:
+    rows = delivery.echoes(columns=[*IDENTITY, "x", "y", "classification", "confidence"]).to_arrow().to_pylist()
+    return {tuple(r[n] for n in IDENTITY): r for r in rows}

@@ -202,12 +202,34 @@ def test_two_runs_say_which_is_which(browser_page: Driven, small_run: Path) -> N
         assert text(page, "name") == " | ".join(names)
         page.run(f"{PICK}")
         page.until("document.getElementById('says').textContent.startsWith('survey/run: ')")
+        page.until("/ sure; in again.run [a-z]+, [0-9]+ % sure$/.test(document.getElementById('what').textContent)")
         page.run("fwclass.show(1, fwclass.state.selected)")
         page.until("document.getElementById('says').textContent.startsWith('again/run: ')")
+        page.until("document.getElementById('what').textContent.includes('; in survey/run ')")
         page.run(f"{SECTION}; fwclass.colourBy('differs')")
         page.until(f"fwclass.stats.settled && {PIXELS}['127,167,181']")
         key(page, "r")
         assert "not relabelled" in text(page, "says") and page.faults == []
+
+
+def test_a_place_is_framed_in_the_half_of_its_run(browser_page: Driven, small_run: Path) -> None:
+    """On a phone too, where a half is a fifth of a screen."""
+    other = small_run.parent.parent / "again" / "run"
+    shutil.copytree(small_run, other, symlinks=True)
+    with served(small_run, other, "view.unsure=1") as server:
+        for width, height in ((390, 844), (1280, 800)):
+            page = opened(browser_page, server, width, height)
+            for _ in range(3):
+                key(page, "n")
+                page.until("document.getElementById('place').textContent.startsWith('survey/run: ')")
+                page.until("fwclass.stats.settled && Boolean(document.querySelector('#marks .frame'))")
+                left, top, right, bottom, wide, high = page.run(
+                    "(() => { const r = document.querySelector('#marks .frame').getBoundingClientRect(), v = "
+                    "document.getElementById('view'); "
+                    "return [r.left, r.top, r.right, r.bottom, v.clientWidth / 2, v.clientHeight]; })()"
+                )
+                assert min(left, top) >= 0 and right <= wide and bottom <= high
+                assert right - left > wide / 5
 
 
 def test_runs_of_other_places_are_no_pair(small_run: Path, run: Path) -> None:

@@ -86,11 +86,11 @@ const STORED = { height: 'z' }; // what the run calls a colour
 async function colourBy(name) {
   if (MODES[name] === undefined && !scenes[0].columns.some((c) => c.name === name)) name = 'classification';
   const mode = MODES[name] ?? 5, having = scenes.filter((s) => name === 'height' || s.columns.some((c) => c.name === name));
+  const before = state.by; let about = {};
   state.by = name; $('by').value = name;
-  let about = {};
   try {
     if (mode) about = joined(await Promise.all(having.map((s) => json(`${s.number}/${STORED[name] || name}/scale.json`))));
-  } catch (e) { failed(e.message, e.status); return; }
+  } catch (e) { failed(e.message, e.status); if (state.by === name) { state.by = before; $('by').value = before; } return; } // the cloud keeps its colours
   if (state.by !== name) return;
   const o = name === 'height' ? scenes[0].origin[2] : 0;
   if (about.classes) { state.look.mode = 6; categories(about.classes); } else Object.assign(state.look, { mode, ...(mode === 5 ? { low: 0, high: 1 } : { low: about.low - o, high: about.high - o }) });
@@ -162,14 +162,16 @@ async function alone(kind, path, late) {
   await asked[kind]?.catch(() => null);
   return late() ? null : (asked[kind] = json(path));
 }
+const named = (s, { classification: code, confidence: sure }) => `${apart(s.classes.find((c) => c.code === code)?.name ?? `code ${code}`)}, ${sure == null ? 'confidence unknown' : `${Math.round(100 * sure)} % sure`}`;
 async function show(number_, hit) {
   state.selected = hit; overlay();
   const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), began = performance.now(), late = () => mine !== show.turn || state.selected !== hit;
   try {
     const about = s.folder ? await kept(s, hit) : await alone('echo', `${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`, late), v = about?.values; if (late()) return;
     stats.echo = about;
-    const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
-    $('picked').hidden = false; $('what').textContent = `${apart(called)}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
+    const corrected = about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`, twin = scenes[1 - number_];
+    const beside = about.other === undefined ? '' : `; in ${twin.run} ${about.other ? named(twin, about.other) : 'there is no such echo'}`;
+    $('picked').hidden = false; $('what').textContent = `${named(s, v)}${corrected}${beside}`;
     says(`${scenes.length > 1 ? `${s.run}: ` : ''}${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number}${v.number_of_echoes ? ` of ${v.number_of_echoes}` : ''}`);
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? `${LITTLE}${s.rows ? ' Classes are as corrected up to the export.' : ''}` : ''; reveal();
     if (about.little) return;
@@ -198,9 +200,10 @@ async function go(step) {
   if (!works.length) { $('place').textContent = 'no unsure place'; return; }
   at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;
-  cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
+  const [x0, y0, x1, y1] = p.box, [w, h] = size(), across = 0.6 * Math.hypot(x1 - x0, y1 - y0); // its frame is in sight, on half a phone too
+  cam.target = [(x0 + x1) / 2 - o[0], (y0 + y1) / 2 - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4, across / Math.tan(FIELD / 2) / Math.min(1, w / h));
   const called = new Map(scenes[0].classes.map((c) => [c.code, c.name])), classes_ = p.classes.slice(0, 3).map(([code, n]) => `${apart(called.get(code) || `code ${code}`)} ${n.toLocaleString('en')}`).join(', ');
-  $('place').textContent = `${at + 1} of ${works.length}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${classes_}`; moved();
+  $('place').textContent = `${scenes.length > 1 ? `${scenes[0].run}: ` : ''}${at + 1} of ${works.length}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${classes_}`; moved();
   const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
 const marked = () => works?.[at]?.told || []; // echoes of which a folder has everything
@@ -274,7 +277,7 @@ async function begin() {
   }
   for (const s of scenes) Object.assign(s, { name: apart(s.name), run: apart(s.run) });
   const names = scenes.map((s) => (scenes.length > 1 ? `${s.name}: ${s.run}` : s.name)); $('name').textContent = names.join(' | ');
-  if (scenes.length > 1) $('halves').replaceChildren(...names.map((n) => element('span', n))); document.title = `${names.join(' | ')} – fwclass view`;
+  if (scenes.length > 1) $('halves').replaceChildren(...names.map((n) => { const half = element('span'); half.append(element('b', n)); return half; })); document.title = `${names.join(' | ')} – fwclass view`;
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
   for (const n of by) if (n === 'height' || ((MODES[n] !== undefined || !first.folder || first.folder.columns.includes(n)) && first.columns.some((c) => c.name === n))) $('by').add(new Option(n.replaceAll('_', ' '), n));
   if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';
