@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import open_run
-from fwclass.delivery.viewed import UNSURE, ViewedRun, plain_value
-from fwclass.delivery.viewed_colours import CORRECTED
+from fwclass.delivery.viewed import UNSURE, ViewedRun
+from fwclass.delivery.viewed_columns import plain_value
+from fwclass.delivery.viewed_open import OpenRun
 from fwclass.errors import several
 from fwclass.publish.copc import copc_columns
 from fwclass.publish.files import whole_directory
@@ -26,6 +27,10 @@ from fwclass.view.pyramid import Node
 
 class ExportedRun(ViewedRun):
     """See `fwclass.view.folder.WholeScene`."""
+
+    def _opened(self) -> OpenRun:
+        """Every tile is read anyway, whatever the run's size."""
+        return OpenRun(self.delivery, self.pyramid, self.params.cache << 20)
 
     def colours(self) -> Sequence[str]:
         """The columns that the delivered COPC has, strips, and what is right and differs."""
@@ -42,13 +47,13 @@ class ExportedRun(ViewedRun):
 
     def nodes(self) -> Iterator[Node]:
         """See `WholeScene.nodes`; one tile is open at a time."""
-        yield from (n for n in self._skim().nodes if n[0] < self.pyramid.own)
+        yield from (n for n in self.open.coarse().nodes if n[0] < self.pyramid.own)
         for key in self.tiles:
-            yield from (n for n in self._tile(key).nodes if n[0] >= self.pyramid.own)
+            yield from (n for n in self.open.tile(key).nodes if n[0] >= self.pyramid.own)
 
     def identities(self, node: Node) -> bytes:
         """See `WholeScene.identities`."""
-        opened = self._holder(node)
+        opened = self.open.holder(node)
         rows = opened.order[slice(*opened.nodes[node])]
         return identity_block(node, *(opened.columns[n][rows] for n in IDENTITY))
 
@@ -66,7 +71,7 @@ class ExportedRun(ViewedRun):
 
     def _unsure(self, number: int, key: str) -> dict[str, NDArray]:
         """Place, tile and row of the least sure echoes of a tile, and by what they are ordered."""
-        columns = self._columns(key, (*UNSURE, *IDENTITY))
+        columns = self.open.columns(key, (*UNSURE, *IDENTITY))
         row = np.flatnonzero(columns["confidence"] < self.params.unsure)
         place = self.work_list().of(columns["x"][row], columns["y"][row])
         row, place = row[place >= 0], place[place >= 0]
@@ -80,20 +85,16 @@ class ExportedRun(ViewedRun):
         if not len(rows):
             return []
         path = self.delivery.table(key)
-        columns = {n: v[rows] for n, v in table_columns(path, [f["name"] for f in self._fields]).items()}
+        columns = {n: v[rows] for n, v in table_columns(path, [f["name"] for f in self.columns.fields]).items()}
         out = []
         for k, row in enumerate(rows.tolist()):
             values = {n: plain_value(v[k]) for n, v in columns.items()}
-            node, at, _ = self._in_blocks(key, np.array([row]))[0]
+            node, at, _ = self.open.in_blocks(key, np.array([row]))[0]
             x, y, z = (round(values[a] - o, 3) for a, o in zip("xyz", self.origin, strict=True))
             strip, pulse, number = (int(values[n]) for n in IDENTITY)
             self._asked[strip, pulse, number] = key, row
             out.append(UnsureEcho(node, int(at[0]), strip, pulse, number, (x, y, z), self._about(key, row, values)))
         return out
-
-    def _tile_bytes(self, key: str, name: str) -> NDArray[np.uint8]:
-        version = self._version(key) if name == CORRECTED else 0
-        return self._open.get(("bytes", key, name, version), lambda: super(ExportedRun, self)._tile_bytes(key, name))
 
 
 def _first_of_each(place: NDArray[np.int64], order: NDArray, most: int) -> NDArray[np.int64]:

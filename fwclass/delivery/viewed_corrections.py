@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.delivery.opened import Delivery
+from fwclass.delivery.viewed_open import OpenTile
 from fwclass.errors import InputError, visible
 from fwclass.formats.echo_labels import LONGEST_NAME, TAKEN_BACK, EchoLabels
 from fwclass.grid import TileGrid
@@ -20,6 +21,7 @@ from fwclass.schema import Table
 from fwclass.store.bucket import Remote
 from fwclass.store.corrections import CORRECTIONS, add_corrections, check_writable, read_corrections
 from fwclass.store.run_store import Store
+from fwclass.view.cache import Cache
 from fwclass.view.scene import Gone, Replaced
 
 ASKED = 3.0
@@ -195,6 +197,27 @@ class Corrections:
         rows = add_corrections(self._delivery.root, change).rows
         self._ask_again = 0.0
         return Change(now if rows else 0, rows, left)
+
+
+class ShownClasses:
+    """Classes of open echoes, corrections in place."""
+
+    def __init__(self, corrections: Corrections, cache: Cache) -> None:
+        self._corrections, self._cache = corrections, cache
+
+    def version(self, key: str) -> int:
+        """What changes with corrections in a tile, with any for ""."""
+        rows = self._corrections.rows()
+        return rows.version(key) if key else rows.all.rows
+
+    def of(self, opened: OpenTile, key: str) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """Classes of a tile's echoes, or of the coarse ones for "", and the rows of those that were corrected."""
+        rows = self._corrections.rows()
+        labels = rows.of(key) if key else rows.labels
+        if not labels.rows:
+            return in_place(opened.columns, labels, 0.0)
+        name, reach = ("classes", key, self.version(key)), self._corrections.reach
+        return self._cache.get(name, lambda: in_place(opened.columns, labels, reach), lambda v: len(v[0]))
 
 
 def in_place(

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_fields
 from fwclass.delivery.opened import REPAIR, Delivery
-from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_tile import positions
+from fwclass.delivery.viewed_open import OpenRun, positions
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import published_columns
 from fwclass.grid import TileGrid
@@ -23,7 +21,7 @@ from fwclass.read.las import open_las
 from fwclass.read.points import PointReader, coordinates
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.view.params import ViewParams
-from fwclass.view.pyramid import Node
+from fwclass.view.pyramid import Node, Pyramid
 
 OVERVIEW = "laz/overview.copc.laz"
 LAST_RETURN = 15
@@ -33,14 +31,14 @@ TILE = 20_000
 """Echoes that are read in the time in which a tile is opened."""
 
 
-def view_run(delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> ViewedRun:
-    """The run as the viewer shows it; a large one by its overview."""
+def open_tiles(delivery: Delivery, params: ViewParams, pyramid: Pyramid) -> OpenRun:
+    """The tiles and coarse echoes of a run; of a large one these are the overview's."""
     cost = sum(TILE + int(t["echoes"]) for t in delivery.tiles)
     large = cost > params.whole and delivery.file(OVERVIEW).is_file()
-    return (LargeRun if large else ViewedRun)(delivery, params, other)
+    return (OverviewRun if large else OpenRun)(delivery, pyramid, params.cache << 20)
 
 
-class LargeRun(ViewedRun):
+class OverviewRun(OpenRun):
     """A run whose levels of squares of several tiles are read from the overview, which was drawn by the same hash.
 
     Its echoes are known by strip, pulse and number; rows of the tables are looked up for those that are asked for.
@@ -66,7 +64,7 @@ class LargeRun(ViewedRun):
                     got=", ".join(reader.extra_names) or "no extra byte",
                     do=REPAIR,
                 )
-            there = [f["name"] for f in table_fields(self._tile_path(next(iter(self.tiles))))]
+            there = [f["name"] for f in table_fields(self.delivery.table(next(iter(self.tiles))))]
             more = {
                 c.name: reader.extra_byte(points, c.las)
                 for c in published_columns(copc_columns(there))
@@ -85,50 +83,42 @@ class LargeRun(ViewedRun):
         known = np.flatnonzero(echoes["echo_number"] < LAST_RETURN)
         return {n: v[known] for n, v in echoes.items()}
 
-    def _tile_path(self, key: str) -> Path:
-        return self.delivery.table(key)
-
-    def _row_of(self, node: Node, row: int) -> tuple[str, int]:
-        opened = self._skim()
+    def row_of(self, node: Node, row: int) -> tuple[str, int]:
+        opened = self.coarse()
         span = opened.nodes.get(node, (0, 0))
         if node[0] >= self.pyramid.own or "row" in opened.columns or not 0 <= row < span[1] - span[0]:
-            return super()._row_of(node, row)
+            return super().row_of(node, row)
         at = opened.order[[span[0] + row]]
         echo = {n: v[at] for n, v in opened.columns.items()}
-        i, j = TileGrid(self.size).indices(echo["x"], echo["y"])
+        i, j = TileGrid(self.pyramid.size).indices(echo["x"], echo["y"])
         key = f"{i[0]}_{j[0]}"
-        here = np.flatnonzero(_key(self._columns(key, IDENTITY)) == _key(echo)) if key in self.tiles else at[:0]
+        here = np.flatnonzero(_key(self.columns(key, IDENTITY)) == _key(echo)) if key in self.tiles else at[:0]
         if not len(here):
             raise InputError("the overview has an echo that its tile has not", where=self.delivery.path, got=key)
         return key, int(here[0])
 
     def _coarse_rows(self, key: str, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        if "row" in self._skim().columns:
+        if "row" in self.coarse().columns:
             return super()._coarse_rows(key, rows)
         order, ascending = self._by_key
-        at, index = positions(ascending, _key(self._tile(key).columns)[rows])
+        at, index = positions(ascending, _key(self.tile(key).columns)[rows])
         return order[at], index
 
     @cached_property
     def _by_key(self) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
         """The order of the coarse echoes by who they are, and who they are in that order."""
-        who = _key(self._skim().columns)
+        who = _key(self.coarse().columns)
         order = np.argsort(who)
         return order, who[order]
 
-    def _skim_column(self, name: str) -> NDArray[np.uint8]:
-        columns = self._skim().columns
-        if "row" in columns:
-            return super()._skim_column(name)
-        if name == "strip":
-            return self._strip_bytes(columns[name])
-        if name in columns:
-            return self._scale(name).bytes_of(columns[name])
+    def for_coarse(self, of_tile: Callable[[str], NDArray[np.uint8]]) -> NDArray[np.uint8]:
+        if "row" in self.coarse().columns:
+            return super().for_coarse(of_tile)
         order, ascending = self._by_key
         out = np.empty(len(order), np.uint8)
         for key in self.tiles:
-            at, here = positions(ascending, _key(self._columns(key, IDENTITY)))
-            out[order[at]] = self._tile_bytes(key, name)[here]
+            at, here = positions(ascending, _key(self.columns(key, IDENTITY)))
+            out[order[at]] = of_tile(key)[here]
         return out
 
 

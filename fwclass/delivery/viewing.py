@@ -11,7 +11,6 @@ from pathlib import Path
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_command import LastCommand
-from fwclass.delivery.viewed_large import view_run
 from fwclass.store.run_location import RunLocation
 from fwclass.view.params import ViewParams
 from fwclass.view.server import Server
@@ -21,9 +20,9 @@ def scenes_of(run: RunLocation, against: RunLocation | None, params: ViewParams)
     """The scene of a run, and that of another with which it is compared."""
     first = open_run(run)
     if against is None:
-        return [view_run(first, params)]
+        return [ViewedRun(first, params)]
     second = open_run(against)
-    return [view_run(first, params, second), view_run(second, params, first)]
+    return [ViewedRun(first, params, second), ViewedRun(second, params, first)]
 
 
 def serve_view(

@@ -308,7 +308,8 @@ def test_a_survey_of_many_tiles(tmp_path: Path) -> None:
         server.shutdown()
     print(
         f"\n{edge * edge:,} tiles, {scenes[0].echoes:,} echoes: opened in {opened:.1f} CPU-s; "
-        f"{type(scenes[0]).__name__}: first points {first / 1000:.1f} s, {drawn:,} drawn after {settled / 1000:.1f} s, "
-        f"{asked} requests, {size / 1e6:.1f} MB; {time.process_time() - began:.1f} CPU-s of the server"
+        f"{type(scenes[0].open).__name__}: first points {first / 1000:.1f} s, {drawn:,} drawn after "
+        f"{settled / 1000:.1f} s, {asked} requests, {size / 1e6:.1f} MB; "
+        f"{time.process_time() - began:.1f} CPU-s of the server"
     )
     assert asked <= 40 or edge < 100

@@ -16,7 +16,7 @@ def look() -> None:
     import fwclass
     from fwclass import conf
     from fwclass.delivery.opened import open_run
-    from fwclass.delivery.viewed_large import view_run
+    from fwclass.delivery.viewed import ViewedRun
     from fwclass.errors import FwclassError
     from fwclass.view.scene import ECHOES
 
@@ -30,7 +30,7 @@ def look() -> None:
             return None
 
     def scene(*settings: str) -> None:
-        shown = view_run(open_run("r"), conf.section("view", ("view.block=1000", *settings)))
+        shown = ViewedRun(open_run("r"), conf.section("view", ("view.block=1000", *settings)))
         index = shown.index()
         for level in shown.pyramid.levels():
             asked(partial(shown.level, ECHOES, level))

@@ -27,7 +27,7 @@ def test_an_echo_is_its_row_of_the_table_whatever_row_group_holds_it(small_run: 
     scene = ViewedRun(open_run(small_run), conf.section("view", ()))
     asked, groups = 0, set()
     for tile in scene.tiles:
-        table, opened = pq.read_table(scene._file(tile)), scene._tile(tile)
+        table, opened = pq.read_table(scene.delivery.table(tile)), scene.open.tile(tile)
         for node, (first, last) in opened.nodes.items():
             told = scene.echo(node, last - first - 1) if node[0] >= scene.pyramid.own else None
             if told is None:

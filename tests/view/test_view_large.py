@@ -13,7 +13,8 @@ import pytest
 from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_large import OVERVIEW, LargeRun, view_run
+from fwclass.delivery.viewed_large import OVERVIEW, OverviewRun
+from fwclass.delivery.viewed_open import OpenRun
 from fwclass.errors import InputError
 from fwclass.schema import IDENTITY
 from fwclass.view.blocks import BYTES, HEAD
@@ -24,15 +25,15 @@ SMALL = ("view.block=2000", "view.together=1000")
 
 @pytest.fixture(scope="module")
 def plain(run: Path) -> ViewedRun:
-    scene = view_run(open_run(run), conf.section("view", SMALL))
-    assert type(scene) is ViewedRun
+    scene = ViewedRun(open_run(run), conf.section("view", SMALL))
+    assert type(scene.open) is OpenRun
     return scene
 
 
 @pytest.fixture(scope="module")
 def large(run: Path) -> ViewedRun:
-    scene = view_run(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
-    assert type(scene) is LargeRun and "row" not in scene._skim().columns
+    scene = ViewedRun(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
+    assert type(scene.open) is OverviewRun and "row" not in scene.open.coarse().columns
     return scene
 
 
@@ -53,7 +54,7 @@ def test_every_echo_is_drawn_once_and_what_is_coarse_is_bounded(large: ViewedRun
     levels = [blocks(large.level(ECHOES, k), BYTES) for k in pyramid.levels()]
     assert sum(b.shape[1] for level in levels for b in level.values()) == large.echoes
     assert all(not levels[k] for k in range(pyramid.coarse + 1, pyramid.own))
-    assert large._skim().order.size <= 2 * 1000 * 1.2
+    assert large.open.coarse().order.size <= 2 * 1000 * 1.2
 
 
 def test_the_overview_has_the_echoes_that_the_tiles_have(large: ViewedRun, plain: ViewedRun) -> None:
@@ -66,7 +67,7 @@ def test_the_overview_has_the_echoes_that_the_tiles_have(large: ViewedRun, plain
                 rows = slice(10, 11) if part == ECHOES else slice(0, 1)
                 assert sorted(a[node][rows].ravel()) == sorted(b[node][rows].ravel()), (part, node)
     for name in ("x", "y", "z", "classification", "intensity", *IDENTITY, "confidence", "height_above_ground"):
-        a, b = (s._skim().columns for s in (large, plain))
+        a, b = (s.open.coarse().columns for s in (large, plain))
         i, j = (np.lexsort([c[n] for n in IDENTITY]) for c in (a, b))
         rounded = name in ("confidence", "height_above_ground")  # in Parquet to 2^-11, in COPC to 0.01
         assert a[name].dtype == b[name].dtype
@@ -74,7 +75,7 @@ def test_the_overview_has_the_echoes_that_the_tiles_have(large: ViewedRun, plain
 
 
 def test_a_coarse_echo_is_the_one_of_its_tile(large: ViewedRun) -> None:
-    opened = large._skim()
+    opened = large.open.coarse()
     for node, (first, last) in list(opened.nodes.items())[::3]:
         for row in {0, last - first - 1}:
             told = large.echo(node, row)
@@ -85,21 +86,21 @@ def test_a_coarse_echo_is_the_one_of_its_tile(large: ViewedRun) -> None:
 
 
 def test_the_first_picture_opens_no_tile(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = view_run(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
+    scene = ViewedRun(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
 
     def refuse(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(scene, "_columns", refuse)
-    monkeypatch.setattr(scene, "_read", refuse)
+    monkeypatch.setattr(scene.open, "columns", refuse)
+    monkeypatch.setattr(scene.open, "read", refuse)
     assert sum(len(scene.level(ECHOES, k)) for k in scene.index()["together"]) > 5_000
     assert scene.level("strip", 0)
 
 
 def test_what_is_read_for_the_coarse_levels_is_not_read_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, read = ViewedRun(open_run(run), conf.section("view", SMALL)), []
-    columns = scene._read
-    monkeypatch.setattr(scene, "_read", lambda key: read.append(key) or columns(key))
+    columns = scene.open.read
+    monkeypatch.setattr(scene.open, "read", lambda key: read.append(key) or columns(key))
     drawn = sum(b.shape[1] for k in scene.pyramid.levels() for b in blocks(scene.level(ECHOES, k), BYTES).values())
     assert drawn == scene.echoes and sorted(read) == sorted(scene.tiles)
 
@@ -110,7 +111,7 @@ def test_an_overview_that_does_not_know_its_pulses_is_said(run: Path, tmp_path: 
     lasmaker.write_las(other, np.full((9, 3), 200.0), point_format=6)
     file = delivery.file
     delivery.file = lambda name: other if name == OVERVIEW else file(name)  # type: ignore[method-assign]
-    scene = view_run(delivery, conf.section("view", (*SMALL, "view.whole=0")))
+    scene = ViewedRun(delivery, conf.section("view", (*SMALL, "view.whole=0")))
     with pytest.raises(InputError, match="which pulses its echoes are of") as fault:
         scene.level(ECHOES, 0)
     assert "other.las" in str(fault.value) and "--verify" in str(fault.value)

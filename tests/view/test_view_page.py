@@ -75,7 +75,7 @@ def test_classes_have_their_colours_where_they_lie(page: Driven, scene: ViewedRu
 
 
 def test_a_click_finds_the_echo_that_a_tree_finds(page: Driven, scene: ViewedRun) -> None:
-    columns = {n: np.concatenate([scene._read(k)[n] for k in scene.tiles]) for n in ("x", "y", "z")}
+    columns = {n: np.concatenate([scene.open.read(k)[n] for k in scene.tiles]) for n in ("x", "y", "z")}
     tree = cKDTree(np.c_[columns["x"], columns["y"], columns["z"]] - scene.origin)
     picked = 0
     for x, y in page.run(PLACES)[:12]:
@@ -258,7 +258,7 @@ def test_what_differs_does_not_depend_on_the_size_of_tiles(small_run: Path) -> N
     deliver(small_run.parent, "tile.size=70")
     scenes = scenes_of(small_run, other, conf.section("view", ()))
     assert set(scenes[0].tiles) != set(scenes[1].tiles)
-    told = [np.concatenate([s._tile_bytes(key, "differs") for key in s.tiles]) for s in scenes]
+    told = [np.concatenate([s.columns.of_tile(key, "differs") for key in s.tiles]) for s in scenes]
     assert np.bincount(told[0], minlength=3).tolist() == np.bincount(told[1], minlength=3).tolist()
     assert 0 not in told[0] and (told[0] == 1).mean() > 0.9
 
@@ -273,7 +273,7 @@ def test_an_echo_is_told_with_its_class_in_the_other_run(small_run: Path) -> Non
     mine, theirs = (_echoes(d) for d in (scene.delivery, delivery))
     assert mine.keys() == theirs.keys()
     for key in scene.tiles:
-        for node in scene._tile(key).nodes:
+        for node in scene.open.tile(key).nodes:
             about = scene.echo(node, 0)
             truth = theirs[tuple(about["values"][n] for n in IDENTITY)]
             assert about["other"] == {n: truth[n] for n in ("classification", "confidence")}

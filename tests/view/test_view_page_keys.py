@@ -49,7 +49,7 @@ def in_strip(scene: ViewedRun, line: Any) -> list[int]:
     (ax, ay), (bx, by), half = line
     total = [0, 0]
     for tile in scene.tiles:
-        columns = scene._read(tile)
+        columns = scene.open.read(tile)
         x, y = columns["x"] - scene.origin[0] - ax, columns["y"] - scene.origin[1] - ay
         length = np.hypot(bx - ax, by - ay)
         along, across = (x * (bx - ax) + y * (by - ay)) / length, (x * (by - ay) - y * (bx - ax)) / length

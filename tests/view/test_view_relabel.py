@@ -48,7 +48,7 @@ def scene(small_run: Path) -> ViewedRun:
 
 def delivered(scene: ViewedRun) -> dict[str, np.ndarray]:
     """Every echo, in the order of the tiles."""
-    parts = [scene._columns(key, COLUMNS) for key in scene.tiles]
+    parts = [scene.open.columns(key, COLUMNS) for key in scene.tiles]
     return {n: np.concatenate([p[n] for p in parts]) for n in COLUMNS}
 
 
@@ -197,11 +197,11 @@ def test_two_pages_that_write_at_once_lose_nothing(small_run: Path) -> None:
 
 def test_rows_of_tiles_are_those_near_them(scene: ViewedRun, small_run: Path) -> None:
     scene.relabel.correct(scene.relabel.select(Selection.of(drawn(SPOT)))["selection"], 5)
-    rows = Rows(read_corrections(small_run), scene.size, scene.relabel.corrections.reach)
+    rows = Rows(read_corrections(small_run), scene.pyramid.size, scene.relabel.corrections.reach)
     for key in scene.tiles:
         i, j = map(int, key.split("_"))
-        x, y = rows.labels["x"] / scene.size - i, rows.labels["y"] / scene.size - j
-        near = scene.relabel.corrections.reach / scene.size
+        x, y = rows.labels["x"] / scene.pyramid.size - i, rows.labels["y"] / scene.pyramid.size - j
+        near = scene.relabel.corrections.reach / scene.pyramid.size
         mine = (x > -near) & (x < 1 + near) & (y > -near) & (y < 1 + near)
         assert rows.of(key).rows == mine.sum()
         assert (rows.version(key) >= 0) == bool(mine.any()) == (key in rows.since(0))

@@ -15,7 +15,8 @@ from fwclass import conf
 from fwclass.delivery.exported import ExportedRun
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_large import LargeRun, view_run
+from fwclass.delivery.viewed_large import OverviewRun
+from fwclass.delivery.viewed_open import OpenRun
 from fwclass.schema import IDENTITY
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.view.pyramid import Node
@@ -30,15 +31,15 @@ SMALL = ("view.block=1000", "view.together=1000")
 def both(small_run: Path, tmp_path: Path) -> tuple[ViewedRun, ViewedRun]:
     """The same run twice: one is read whole, of the other the overview is."""
     other = shutil.copytree(small_run, tmp_path / "other", symlinks=True)
-    plain = view_run(open_run(small_run), conf.section("view", SMALL))
-    large = view_run(open_run(other), conf.section("view", (*SMALL, "view.whole=0")))
-    assert type(plain) is ViewedRun and type(large) is LargeRun
-    assert 0 <= large.pyramid.coarse < large.pyramid.own and "row" not in large._skim().columns
+    plain = ViewedRun(open_run(small_run), conf.section("view", SMALL))
+    large = ViewedRun(open_run(other), conf.section("view", (*SMALL, "view.whole=0")))
+    assert type(plain.open) is OpenRun and type(large.open) is OverviewRun
+    assert 0 <= large.pyramid.coarse < large.pyramid.own and "row" not in large.open.coarse().columns
     return plain, large
 
 
 def who(scene: ViewedRun, node: Node, row: int) -> tuple[int, ...]:
-    opened = scene._holder(node)
+    opened = scene.open.holder(node)
     at = opened.order[opened.nodes[node][0] + row]
     return tuple(int(opened.columns[n][at]) for n in IDENTITY)
 
@@ -84,10 +85,10 @@ def test_a_large_run_is_relabelled_as_a_small_one(both: tuple[ViewedRun, ViewedR
 
 
 def test_a_new_delivery_of_a_large_run_is_opened_as_a_large_one(small_run: Path) -> None:
-    large = view_run(open_run(small_run), conf.section("view", (*SMALL, "view.whole=0")))
+    large = ViewedRun(open_run(small_run), conf.section("view", (*SMALL, "view.whole=0")))
     deliver(small_run.parent, "publish.figure_pixels=201")
     new = large.reopened()
-    assert type(new) is LargeRun and new.name != large.name
+    assert type(new.open) is OverviewRun and new.name != large.name
     assert new.relabel.select(Selection.of(drawn(WIDE)))["echoes"] > 1000
 
 
@@ -95,8 +96,11 @@ def test_an_exported_run_knows_what_was_corrected(small_run: Path) -> None:
     """Also what is corrected while it is written."""
     scene = ExportedRun(open_run(small_run), conf.section("view", (*SMALL, "view.unsure=1")))
     key = next(iter(scene.tiles))
-    assert "corrected" in scene.colours() and not scene._tile_bytes(key, "corrected").any()
+    assert "corrected" in scene.colours() and not scene.columns.of_tile(key, "corrected").any()
     told = scene.relabel.select(Selection.of(drawn(WIDE)))
     scene.relabel.correct(told["selection"], 5)
-    assert np.isin(scene._tile_bytes(key, "corrected"), (0, 1, 2)).all() and scene._tile_bytes(key, "corrected").any()
+    assert (
+        np.isin(scene.columns.of_tile(key, "corrected"), (0, 1, 2)).all()
+        and scene.columns.of_tile(key, "corrected").any()
+    )
     assert any(one.about["corrected"] == 5 for place in scene.unsure_echoes() for one in place)

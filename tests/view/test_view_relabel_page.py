@@ -179,7 +179,7 @@ def test_above_a_line_in_a_section(browser_page: Driven, small_run: Path) -> Non
         told = page.run("fwclass.relabel().selection")
         line = page.run("(({A, B, half, view}) => ({A, B, half, view}))(fwclass.state.section)")
         scene = server.scenes[0]
-        parts = [scene._columns(t, ("x", "y", "z")) for t in scene.tiles]
+        parts = [scene.open.columns(t, ("x", "y", "z")) for t in scene.tiles]
         at = np.stack([np.concatenate([p[a] for p in parts]) for a in "xyz"], axis=1) - scene.origin
         a, b = np.array(line["A"]), np.array(line["B"])
         u = (b - a)[:2] / np.hypot(*(b - a)[:2])

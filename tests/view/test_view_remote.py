@@ -63,7 +63,7 @@ def test_it_shows_what_a_run_on_a_disk_shows(far: Remote, run: Path) -> None:
     assert scene.echoes == near.echoes
     for level in scene.pyramid.levels():
         assert scene.level(ECHOES, level) == near.level(ECHOES, level)
-    node = next(iter(scene._skim().nodes))
+    node = next(iter(scene.open.coarse().nodes))
     values = scene.echo(node, 0)["values"]
     who = tuple(values[n] for n in IDENTITY)
     assert scene.pulse(*who[:2]) == near.pulse(*who[:2])
