@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import ACCEPT_DRIFT, ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
@@ -30,6 +30,15 @@ def _config(conf: Path | None, settings: tuple[str, ...], model: Path | None = N
     if conf is None and model is not None and (mounting := learned_mounting(load_model(model))) is not None:
         settings = (*(f"street.mounting.{name}={json.dumps(value)}" for name, value in mounting.items()), *settings)
     return configuration.load(conf if conf is not None else "street-sim", settings)
+
+
+def _judge(summary: dict[str, Any], config: Any, options: dict[str, Any], source: object, model: Path) -> None:
+    from fwclass.graph.drift import judge_drift
+    from fwclass.street.soundness import judge_recording
+
+    judge_recording(summary["implausible"], options["accept_implausible"] or config.plausibility.accept, source)
+    accepted = options["accept_drift"] or config.classify.accept_drift
+    judge_drift(summary["drift"], config.classify.model_copy(update={"accept_drift": accepted}), model)
 
 
 def _say(text: str) -> None:
@@ -117,6 +126,7 @@ def train(
 @WORKERS
 @OVERWRITE
 @ACCEPT_IMPLAUSIBLE
+@ACCEPT_DRIFT
 @JSON
 def classify(
     recording: Path, output: Path, model: Path, conf: Path | None, settings: tuple[str, ...], **options: Any
@@ -127,7 +137,6 @@ def classify(
     from fwclass.single_file.street.batch import classify as work
     from fwclass.single_file.street.online import describe_batch
     from fwclass.single_file.street.output import prepare
-    from fwclass.street.soundness import judge_recording
     from fwclass.temporary import temporary_directory
 
     config = _config(conf, settings, model)
@@ -143,7 +152,7 @@ def classify(
     click.echo(describe_batch(summary, output), err=True)
     if options["as_json"]:
         click.echo(json.dumps(summary, indent=1))
-    judge_recording(summary["implausible"], options["accept_implausible"] or config.plausibility.accept, recording)
+    _judge(summary, config, options, recording, model)
 
 
 @street.command()
@@ -157,6 +166,7 @@ def classify(
 @SET
 @OVERWRITE
 @ACCEPT_IMPLAUSIBLE
+@ACCEPT_DRIFT
 @JSON
 def run(
     source: str, model: Path, target: Path, pace: str, conf: Path | None, settings: tuple[str, ...], **options: Any
@@ -169,7 +179,6 @@ def run(
     from fwclass.graph.street_recordings import TrajectoryFiles
     from fwclass.single_file.street.online import Run, describe
     from fwclass.single_file.street.online import run as work
-    from fwclass.street.soundness import judge_recording
 
     config = _config(conf, settings, model)
     job = Run(source, model, target, pace == "recorded", options["overwrite"], TrajectoryFiles.of(config))
@@ -177,7 +186,7 @@ def run(
     click.echo(describe(summary, target), err=True)
     if options["as_json"]:
         click.echo(json.dumps(summary, indent=1))
-    judge_recording(summary["implausible"], options["accept_implausible"] or config.plausibility.accept, source)
+    _judge(summary, config, options, source, model)
 
 
 @street.command()

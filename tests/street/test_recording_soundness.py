@@ -159,3 +159,15 @@ def test_the_model_knows_its_mounting(tmp_path: Path) -> None:
     ended = fwclass(*line)
     assert ended.returncode == 0 and "looks right, 1.8 m above the road (measured: 1.80 m)" in ended.stderr
     assert "remark" not in ended.stderr
+
+
+def test_what_the_model_has_not_seen_is_told_alike_online_and_whole(tmp_path: Path) -> None:
+    near = write(tmp_path / "a.parquet", {"ranges": 0.4 * columns()["ranges"]})
+    drifts = []
+    for command in (("classify", near, tmp_path / "o"), ("run", near, "--out", tmp_path / "o")):
+        line = ("street", *command, "--model", directory() / "model", "--overwrite", "--set", "street.chunk=37")
+        ended = fwclass(*line, "--accept-implausible", "--set", "classify.max_outside=0.1")
+        assert ended.returncode == 4 and "the model has not seen such data" in ended.stderr, ended.stderr
+        drifts.append(json.loads((tmp_path / "o" / "summary.json").read_text())["drift"])
+        assert fwclass(*line, "--accept-implausible", "--accept-drift").returncode == 0
+    assert drifts[0] == drifts[1] and max(drifts[0]["outside"].values()) > 0.3

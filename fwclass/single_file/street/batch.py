@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
+from fwclass.graph.drift import drift
 from fwclass.graph.street import crown_accuracy, model_remarks, params_of
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.model import Model
+from fwclass.model.ranges import RangeCounter
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.run.runner import Runner, require_all
@@ -30,7 +32,7 @@ from fwclass.street.params import StreetParams
 from fwclass.street.prescription import segments
 from fwclass.street.ring import Ring
 
-FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 2
+FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 3
 PART = "frames.bin"
 _COLUMNS = {"number": "<i8", "time": "<f8", "place": "<i8", "road": "<f8"}
 _GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "labels": "u1"}
@@ -103,16 +105,16 @@ def chunk(work: Work, first: int, last: int, inputs: PartInputs, directory: Path
     low, high = max(0, first - halo), min(int(meta["frames"]), last + halo)
     ring = Ring(Geometry.of(scan, work.params.mounting), work.params, range(first - low, last - low))
     writer = Writer(scan.beams)
-    most = cut = 0
+    most, cut, outside = 0, 0, RangeCounter.of(model.card, model.features)
     with (directory / PART).open("wb") as file:
         for frame in _frames(inputs, meta, scan, low, high):
             for one in ring.take(frame):
                 most, cut = max(most, one.frames), cut + int(one.cut)
-                file.write(writer.frame(classify_frame(one, model)))
+                file.write(writer.frame(classify_frame(one, model, outside)))
         for one in ring.rest():
             most, cut = max(most, one.frames), cut + int(one.cut)
-            file.write(writer.frame(classify_frame(one, model)))
-    return {"most": most, "cut": cut}
+            file.write(writer.frame(classify_frame(one, model, outside)))
+    return {"most": most, "cut": cut, "outside": outside.counts() if outside is not None else {}}
 
 
 def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, high: int) -> Iterator[Placed]:
@@ -161,13 +163,15 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         file.write(END)
     accuracy = _judge(runner, meta, model, target, block) if "labels" in meta["kept"] else None
     most, cut = (f(receipts[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
+    drifted = drift(model.card, [receipts[t.name].meta["outside"] for t in tasks])
     most_frames = 2 * work.params.most_frames + 1
     summary = {
         **meta["counts"],
         "neighbourhood": {"most_frames": most, "held": most_frames, "cut": cut},
         "accuracy": accuracy,
         "implausible": meta["implausible"],
-        "remarks": remarks,
+        "drift": drifted,
+        "remarks": [*remarks, *(drifted or {}).get("remarks", ())],
         "street": work.params.model_dump(mode="json"),
     }
     return finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)

@@ -20,9 +20,11 @@ import numpy as np
 from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
+from fwclass.graph.drift import drift
 from fwclass.graph.street import model_remarks, params_of
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.model import Model
+from fwclass.model.ranges import RangeCounter
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
@@ -38,11 +40,13 @@ WARM = 40
 """Frames that everything is gone through with before anything is listened to, so that nothing compiles later."""
 
 
-def classify_frame(one: Seen, model: Model) -> Answer:
-    """Classes and shares of a frame's returns."""
+def classify_frame(one: Seen, model: Model, outside: RangeCounter | None = None) -> Answer:
+    """Classes and shares of a frame's returns; `outside` counts features that leave what the model has seen."""
     here = ~np.isnan(one.frame.r)
     if not here.any():
         return make_answer(one.frame, np.empty(0, np.uint8), np.empty(0))
+    if outside is not None:
+        outside.add(one.features[here])
     winner, shares = answer(one.features[here], model)
     return make_answer(one.frame, model.codes[winner], np.take_along_axis(shares, winner[:, None], axis=1)[:, 0])
 
@@ -58,6 +62,7 @@ class Loop:
         self.track = Track(self.params)
         self.ring: Ring | None = None
         self.cut = self.most = 0
+        self.outside = RangeCounter.of(self.model.card, self.model.features)
 
     def take(self, frame: Frame) -> Iterator[Answer]:
         """The answers that this frame completes, in order; it may be left out and complete none."""
@@ -77,7 +82,7 @@ class Loop:
     def _answer(self, one: Seen) -> Answer:
         self.cut += one.cut
         self.most = max(self.most, one.frames)
-        return classify_frame(one, self.model)
+        return classify_frame(one, self.model, self.outside)
 
 
 @dataclass
@@ -172,7 +177,13 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
     summary = _summary(loop, latency, late, faults, params)
-    summary |= {"implausible": implausible(recording, summary, params, summary["stream"]), "remarks": remarks}
+    drifted = drift(model.card, [loop.outside.counts()] if loop.outside is not None else [])
+    remarks += (drifted or {}).get("remarks", [])
+    summary |= {
+        "drift": drifted,
+        "implausible": implausible(recording, summary, params, summary["stream"]),
+        "remarks": remarks,
+    }
     summary = finish(job.target, None, summary)
     if broken is not None:
         raise broken
