@@ -95,6 +95,10 @@ class Delivery:
             self._check(path, str(self._listed[name]["digest"]))
         return path
 
+    def lists(self, name: str) -> bool:
+        """Whether the delivery's manifest names a file, which is not looked at."""
+        return name in self._listed
+
     def _check(self, path: Path, digest: str) -> None:
         try:
             got = digest_now(path)

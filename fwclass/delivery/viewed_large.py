@@ -34,7 +34,7 @@ TILE = 20_000
 def open_tiles(delivery: Delivery, params: ViewParams, pyramid: Pyramid) -> OpenRun:
     """The tiles and coarse echoes of a run; of a large one these are the overview's."""
     cost = sum(TILE + int(t["echoes"]) for t in delivery.tiles)
-    large = cost > params.whole and delivery.file(OVERVIEW).is_file()
+    large = cost > params.whole and delivery.lists(OVERVIEW)  # fetched when it is asked for
     return (OverviewRun if large else OpenRun)(delivery, pyramid, params.cache << 20)
 
 

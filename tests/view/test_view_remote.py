@@ -14,6 +14,7 @@ from runmaker import SETTINGS
 from fwclass import conf
 from fwclass.delivery.opened import Delivery, open_at, open_run
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_large import OverviewRun
 from fwclass.errors import InputError
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -78,6 +79,9 @@ def test_only_what_is_asked_for_is_fetched(far: Remote, s3: Server) -> None:
     assert not any(name.endswith(".copc.laz") for name in there)
     first = delivery.tiles[0]["tile"]
     assert delivery.table(first).is_file()
+    large = ViewedRun(delivery, conf.section("view", (*VIEW, "view.together=1000", "view.whole=0")))
+    assert type(large.open) is OverviewRun and large.work_list() and not list(copies.rglob("overview.copc.laz"))
+    assert large.level(ECHOES, 0) and list(copies.rglob("overview.copc.laz"))
     assert len(delivery.echoes().to_arrow()) == sum(t["echoes"] for t in delivery.tiles)
 
 
