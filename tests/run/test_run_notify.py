@@ -114,6 +114,7 @@ def test_signals_and_the_status_do_not_wait_for_a_slow_service():
 
 def test_a_command_gets_record_and_key_facts(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("HOOK_TOKEN", HIDDEN)
+    monkeypatch.delenv("FWCLASS_DATA", raising=False)
     script = (
         "import json, os, sys; r = json.load(sys.stdin); print('printed');"
         f"json.dump([r, dict(os.environ)], open({str(tmp_path / 'got')!r}, 'w')); sys.exit(5)"
