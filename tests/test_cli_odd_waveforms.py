@@ -64,6 +64,17 @@ def test_info_shows_what_is_odd(tmp_path: Path) -> None:
     assert "--pulse 0" in fwclass(*line).stderr and fwclass(*line, "--pulse", 0).returncode == 0
 
 
+def test_what_a_receiver_picks_up_is_told(tmp_path: Path) -> None:
+    """A tone of 3 DN and 11 samples, in another phase in every waveform."""
+    columns = scene(pulses=1500, n=120).columns(at="sensor")
+    phase = np.random.default_rng(4).uniform(0, 2 * np.pi, len(columns["samples"]))
+    tone = [3.0 * np.sin(2 * np.pi * np.arange(120) / 11 + p) for p in phase]
+    hum = [np.rint(s + t).clip(0).astype(np.uint16) for s, t in zip(columns["samples"], tone, strict=True)]
+    assert "comes back every" not in decompose(tmp_path, columns)[1]
+    words = decompose(tmp_path, columns | {"samples": hum})[1]
+    assert "of the noise's variance comes back every 11 samples" in words, words
+
+
 def test_noise_alone_is_none_of_it(tmp_path: Path) -> None:
     columns = scene(pulses=600, n=80).columns(at="sensor")
     noise = np.random.default_rng(2).normal(12.0, 1.0, (600, 80))

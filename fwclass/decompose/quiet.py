@@ -61,6 +61,7 @@ class QuietNoise:
     samples : quiet samples looked at.
     order : samples that the fit foretells the next one from; 0: it takes the noise for white.
     growth : what a DN of signal adds to the variance [DN].
+    periodic : share of the variance that comes back every `period` samples, as a disturbance does that is picked up.
     """
 
     lag1: float | None
@@ -68,6 +69,8 @@ class QuietNoise:
     samples: int
     order: int = 0
     growth: float = 0.0
+    periodic: float = 0.0
+    period: int = 0
 
     @property
     def facts(self) -> dict[str, float | int | None]:
@@ -78,6 +81,8 @@ class QuietNoise:
             "quiet_samples": self.samples,
             "noise_order": self.order,
             "noise_growth": self.growth,
+            "noise_periodic": self.periodic,
+            "noise_period": self.period,
         }
 
 
@@ -99,13 +104,15 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
     """
     worst = QuietNoise(None, 1.0, 0)
     for _, channel, part in _channels(waves, pulse, params):
+        differences = _differences(part.value, part.quiet, part.row)
         correlation, samples = correlations(part.value, part.quiet, part.row)
         if len(correlation) < 2:
             continue
+        periodic = periodicity(differences)
         noise = channel.autoregression
         gain = filter_gain(correlation, noise, _template(pulse.of(channel), channel.sample_spacing))
         inflation = math.sqrt(max(gain, 1.0))
-        measured = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
+        measured = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth, *periodic)
         if worst.lag1 is None or measured.inflation > worst.inflation:
             worst = measured
     return worst
@@ -136,17 +143,40 @@ def correlations(value: Floats, quiet: NDArray[np.bool_], row: NDArray[np.int64]
     From the differences of pairs of a waveform, over those of the farther half of the lags: no level is needed, and
     what drifts more slowly than that counts as level.
     """
+    differences = _differences(value, quiet, row)
+    half = len(differences) // 2
+    far = float(np.mean(differences[half:])) if differences else 0.0
+    if len(differences) < FEWEST_LAGS or not far > 0.0:
+        return np.ones(1), int(quiet.sum())
+    return np.concatenate([[1.0], 1.0 - np.array(differences[:half]) / far]), int(quiet.sum())
+
+
+def _differences(value: Floats, quiet: NDArray[np.bool_], row: NDArray[np.int64]) -> list[float]:
+    """Mean squared differences of pairs of a waveform's quiet samples 1, 2, … apart, of enough pairs."""
     differences = []
     for lag in range(1, LAGS + 1):
         pairs = quiet[:-lag] & quiet[lag:] & (row[:-lag] == row[lag:])
         if int(pairs.sum()) < FEWEST_PAIRS:
             break
         differences.append(float(((value[lag:] - value[:-lag])[pairs] ** 2).mean()))
-    half = len(differences) // 2
-    far = float(np.mean(differences[half:])) if differences else 0.0
-    if len(differences) < FEWEST_LAGS or not far > 0.0:
-        return np.ones(1), int(quiet.sum())
-    return np.concatenate([[1.0], 1.0 - np.array(differences[:half]) / far]), int(quiet.sum())
+    return differences
+
+
+def periodicity(differences: list[float]) -> tuple[float, int]:
+    """(share of the variance, samples) of what comes back: the wave that is left in the differences over the farther
+    half of all lags, where noise has forgotten itself, beside a trend; (0, 0) of too few lags."""
+    if len(differences) < LAGS:
+        return 0.0, 0
+    far = np.array(differences[LAGS // 2 :])
+    lag = np.arange(len(far))
+    best = (np.inf, 0.0, 0)
+    for period in range(3, LAGS // 2 + 1):
+        angle = 2.0 * np.pi * lag / period
+        terms = np.stack([np.ones(len(lag)), lag, np.cos(angle), np.sin(angle)], axis=1)
+        fit = np.linalg.lstsq(terms, far, rcond=None)[0]
+        swing = float(np.hypot(fit[2], fit[3]) / far.mean()) if far.mean() > 0.0 else 0.0
+        best = min(best, (float(((terms @ fit - far) ** 2).sum()), min(swing, 1.0), period))
+    return best[1], best[2]
 
 
 def filter_gain(correlation: Floats, noise: Autoregression, template: Floats) -> float:

@@ -22,6 +22,9 @@ RARE = 0.001
 INFLATED = 1.1
 """From so many times the noise that was reckoned with on, it is told."""
 
+PERIODIC = 0.2
+"""Share of the noise's variance that comes back, from which it is told; at most 0.02 on the receivers measured."""
+
 OFFSET = 0.05
 """ns between fitted times and the vendor's locations from which it is told: 7 mm."""
 
@@ -158,6 +161,12 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"the noise is correlated (neighbouring samples by {worst['lag1']:.2f}): decompose.detection of "
             f"{params.detection:g} standard deviations is in truth {params.detection / worst['inflation']:.1f} "
             f"({_names(some)})"
+        )
+    if some := [s for s in strips if (s.get("noise_periodic") or 0.0) > PERIODIC]:
+        worst = max(some, key=lambda s: s["noise_periodic"])
+        lines.append(
+            f"{_percent(worst['noise_periodic'])} of the noise's variance comes back every {worst['noise_period']} "
+            f"samples, as what a receiver picks up: errors of echoes are larger than they say ({_names(some)})"
         )
     return [*filter(None, lines), *place_remarks(strips)]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from fwclass.graph.plausibility import PERIODIC
+
 
 def describe(report: dict[str, Any]) -> str:
     """`look` for a terminal."""
@@ -32,6 +34,8 @@ def _noise_words(noise: dict[str, Any]) -> str:
     words.append(f"after the matched filter it is {noise['inflation']:.2f} times what the fit takes it for")
     if noise["noise_growth"]:
         words.append(f"its variance grows by {noise['noise_growth']:.3g} DN with every DN of signal")
+    if noise["noise_periodic"] > PERIODIC:
+        words.append(f"{noise['noise_periodic']:.0%} of it comes back every {noise['noise_period']} samples")
     return "; ".join(words)
 
 
