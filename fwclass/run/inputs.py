@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import StoreError
+from fwclass.errors import DamagedError, StoreError
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
@@ -154,6 +154,7 @@ class PartInputs:
         arrays: dict[str, NDArray] = {}
         for stage, names in by_stage.items():
             arrays |= dict(read_kept(self._store.path(stage, part, TABLE), names, groups))
+            _check_lengths(arrays, f"{stage}/{part}")
         if box is None:
             return Table({n: v.copy() for n, v in arrays.items()})  # stages may write to it, the next reader sees it
         return Table(arrays).take(box.contains(arrays["x"], arrays["y"]))
@@ -220,6 +221,7 @@ class PartInputs:
             for stage in stages:
                 names = [n for n, s in columns.items() if s == stage]
                 arrays |= dict(read_table(self._store.path(stage, part, TABLE), names, [group]))
+                _check_lengths(arrays, f"{stage}/{part}")
             table = Table({n: arrays[n] for n in columns})
             for rows in np.array_split(np.arange(table.rows), self.split**2):
                 if len(rows):
@@ -233,6 +235,19 @@ class PartInputs:
         wanted = {**dict.fromkeys(("x", "y"), base), **columns}
         parts = [self.rows(t.key, wanted, box, base) for t in TileGrid(size).touching(box) if t.key in here]
         return Table.concat([p.select(wanted) for p in parts]) if parts else Table.empty(wanted)
+
+
+def _check_lengths(arrays: Mapping[str, NDArray], part: str) -> None:
+    """`DamagedError` where columns of a tile from several stages have not the same number of rows."""
+    rows = {len(values) for values in arrays.values()}
+    if len(rows) > 1:
+        raise DamagedError(
+            "a table of a finished part has other rows than its tile",
+            where=part,
+            expected="as many rows as the tables of all stages of the tile",
+            got=f"tables of {' and '.join(map(str, sorted(rows)))} rows",
+            do="take another run directory, or remove the part's receipt: the part is made anew",
+        )
 
 
 def _piece(tile: Tile, split: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fwclass.grid import Box, Window, millimetres
 from fwclass.schema import Table
 from fwclass.store.atomic import digest_of
-from fwclass.store.receipts import Receipt
+from fwclass.store.receipts import Receipt, as_written
 
 CELL = 8.0
 """Edge of the squares of the global grid that have a digest of their own [m]: a halo is known to the next 8 m."""
@@ -68,6 +68,11 @@ def _digest(table: Table, first: int, last: int) -> str:
 
 def digest_within(receipt: Receipt, within: Within) -> str | None:
     """Digest of what is read of a part; None where that is nothing."""
+    with as_written(f"{receipt.stage}/{receipt.part}"):
+        return _digest_within(receipt, within)
+
+
+def _digest_within(receipt: Receipt, within: Within) -> str | None:
     cells: Mapping[str, Any] | None = receipt.meta.get(CELLS)
     if within is None or cells is None:
         return receipt.digest

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 from fwclass.errors import DamagedError, StoreError
@@ -108,9 +111,28 @@ class Receipt:
         for name, facts in self.outputs.items():
             if relative_fault(name):
                 return f"output {name[:80]!r}: {relative_fault(name)}"
-            if not isinstance(facts, Mapping) or not isinstance(facts.get("bytes"), int):
-                return f"output {name[:80]!r} without its size"
+            if not isinstance(facts, Mapping) or not isinstance(facts.get("bytes"), int) or "digest" not in facts:
+                return f"output {name[:80]!r} without its size or its digest"
         return ""
+
+
+STRANGE = "what receipts of the run tell cannot be used"
+
+
+@contextmanager
+def as_written(where: object) -> Iterator[None]:
+    """`DamagedError` where what receipts tell in `where` is of another kind than what their stages tell: who makes
+    digests fit can write anything."""
+    try:
+        yield
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as fault:
+        at = traceback.extract_tb(fault.__traceback__)[-1]
+        raise DamagedError(
+            STRANGE,
+            where=where,
+            got=f"{type(fault).__name__}: {fault} ({Path(at.filename).name}:{at.lineno})"[:500],
+            do="take another run directory; if it is told again, it is a fault of fwclass: report it with these lines",
+        ) from fault
 
 
 class Meta(dict[str, Any]):

@@ -297,6 +297,11 @@ COMMANDS = {
     ),
     "stored-seams": Command(run_cases.parts("seams", "r", "--share", "1"), 0.5),
     "stored-verify": Command(run_cases.parts("status", "r", "--verify"), 1),
+    "forged-run": Command(
+        run_cases.forged("run", "c.yaml", "--out", "r", "--workers", "0", "--set", "train.trees=6"), 1
+    ),
+    "forged-status": Command(run_cases.forged("status", "c.yaml", "--out", "r"), 1),
+    "forged-seams": Command(run_cases.forged("seams", "r", "--share", "1"), 0.5),
     "chunk-run": Command(
         run_cases.chunks("run", "c.yaml", "--out", "r", "--workers", "0", "--set", "train.trees=6"), 0.5
     ),

@@ -1,7 +1,8 @@
 """Damage to files as text: a recipe says what is changed where, so that no damaged file has to be kept.
 
 An operation is ``FILE:AT-END=HEX`` (bytes [AT, END) are replaced), ``FILE:AT-END=HEX*N`` (by N times HEX) or
-``FILE:FROM-TO>AT`` (bytes [FROM, TO) are written over those at AT). A recipe is operations joined by ``;``.
+``FILE:FROM-TO>AT`` (bytes [FROM, TO) are written over those at AT), or one of `forge.py`. A recipe is
+operations joined by ``;``.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import re
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from forge import forged, forgery
 
 Files = dict[str, bytes]
 """Content by name."""
@@ -104,6 +107,10 @@ def applied(files: Mapping[str, bytes], recipe: str) -> Files:
     for operation in filter(None, recipe.split(";")):
         name, rest = operation.rsplit(":", 1)
         data = made[name]
+        if "@" in rest:
+            way, _, number = rest.partition("@")
+            made[name] = forged(data, way, int(number))
+            continue
         place, mark, what = re.split("([=>])", rest, maxsplit=1)
         a, b = (min(int(v), len(data)) for v in place.split("-"))
         if mark == ">":
@@ -115,11 +122,17 @@ def applied(files: Mapping[str, bytes], recipe: str) -> Files:
     return made
 
 
+FORGED = ("forged",)
+"""In the place of names of texts: files whose values are changed, by `forge.py`."""
+
+
 def recipe(files: Mapping[str, bytes], fields: Sequence[Field], texts: Sequence[str], rng: random.Random) -> str:
     """Damage of one to four operations, drawn by `rng`.
 
     `fields`: numbers worth an extreme value; `texts`: names of files that are text.
     """
+    if texts == FORGED:
+        return forgery(files, rng)
     made = []
     names = [n for n in files if files[n]]
     for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 4))):

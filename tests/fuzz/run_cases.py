@@ -15,7 +15,7 @@ from pathlib import Path
 
 import lasmaker
 from cases import SURVEY, Case, patch
-from mutate import Field, Files
+from mutate import FORGED, Field, Files
 from seeds import Seed
 
 from fwclass.store.atomic import bytes_digest
@@ -77,13 +77,13 @@ def _cases(files: Files, damaged: list[str], texts: list[str], words: tuple[str,
 
 
 def documents(*words: str) -> Made:
-    """A command on a run directory whose JSON files are damaged."""
+    """A command on a run directory whose JSON files are damaged, also with seals that fit."""
 
     def cases(folder: Path) -> list[Case]:
         files = {n: d for n, d in _ran("run").items() if "generations" not in n}
         plain = [n for n in files if n.startswith("r/store/") and n.endswith((".json", ".jsonl"))]
         few = [n for n in plain if n.count("/") == 2] + plain[:: max(1, len(plain) // 40)]
-        return [replace(c, links={}) for c in _cases(files, few, few, words)]
+        return _sealed([replace(c, links={}) for c in _cases(files, few, few, words)])
 
     return cases
 
@@ -100,6 +100,24 @@ def parts(*words: str, kinds: tuple[str, ...] = ("run",), also: str = "r/store/"
             documents = [n for n in some if n.endswith("zarr.json")]
             made += _sealed(_cases(files, some, documents, words, kind), kind)
         return made
+
+    return cases
+
+
+def forged(*words: str) -> Made:
+    """A command on a run directory whose receipts and tables say something else, with digests and seals that fit."""
+
+    def cases(folder: Path) -> list[Case]:
+        files = _ran("run")
+        some = [
+            n
+            for n in files
+            if n.startswith("r/store/") and n.count("/") > 3 and n.endswith(("receipt.json", ".parquet"))
+        ]
+        made = _cases(files, some, [], words, "forged")
+        return [
+            replace(c, seed=replace(c.seed, fields=(), texts=FORGED), sealed=partial(_resealed, "run")) for c in made
+        ]
 
     return cases
 
