@@ -6,8 +6,10 @@ import json
 from pathlib import Path
 
 import lasmaker
+import laspy
 import numpy as np
 import pyogrio
+import pyproj
 import pytest
 from commandline import fwclass
 from smallsurvey import CONFIG, small_survey
@@ -90,3 +92,62 @@ def test_a_figure_of_a_given_model_is_told_as_that(tmp_path: Path) -> None:
     assert "test on 20 squares or more" in few.stderr, "as of a model that is trained here"
     known = fwclass("run", path, "--out", tmp_path / "c", *given)
     assert "further than 1 m from every training area" in known.stderr and "nothing here tells" not in known.stderr
+
+
+def cloud(path, shift=(0.0, 0.0, 0.0), codes=None, rows=slice(None), epsg=None):
+    rng = np.random.default_rng(5)
+    xyz = np.c_[rng.uniform(0, 60, (4000, 2)), rng.uniform(200, 210, 4000)] + [500_000, 5_400_000, 0]
+    classes = np.where(xyz[:, 2] < 204, 2, 6) if codes is None else codes
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.scales, las.header.offsets = [0.001] * 3, [500_000, 5_400_000, 0]
+    if epsg:
+        las.header.add_crs(pyproj.CRS.from_epsg(epsg))
+    las.x, las.y, las.z = (xyz + shift)[rows].T
+    las.classification = np.broadcast_to(classes, len(xyz))[rows]
+    las.write(path)
+    return path
+
+
+def test_the_same_points_are_not_told(tmp_path):
+    a, order = cloud(tmp_path / "a.las"), np.random.default_rng(1).permutation(4000)
+    for b in (cloud(tmp_path / "b.las"), cloud(tmp_path / "c.las", rows=order, shift=(0.005, 0, 0))):
+        ended = fwclass("assess", a, b)
+        assert ended.returncode == 0 and "remark" not in ended.stderr, ended.stderr
+
+
+def test_a_shift_is_told_and_ends_with_4(tmp_path):
+    a, b = cloud(tmp_path / "a.las"), cloud(tmp_path / "b.las", shift=(0.0, 0.5, 0.0))
+    ended = fwclass("assess", a, b)
+    assert ended.returncode == 4 and "the prediction lies +0.00, +0.50, +0.00 m" in ended.stderr, ended.stderr
+    assert "kappa" in ended.stdout and fwclass("assess", a, b, "--accept-implausible").returncode == 0
+
+
+def test_other_systems_and_ambiguous_points(tmp_path):
+    a, b = cloud(tmp_path / "a.las", epsg=25832), cloud(tmp_path / "b.las", epsg=2154)
+    ended = fwclass("assess", a, b)
+    assert ended.returncode == 4 and "are in different systems" in ended.stderr, ended.stderr
+    both = np.r_[np.arange(4000), np.arange(400)]
+    codes = laspy.read(a).classification
+    las = laspy.read(cloud(tmp_path / "c.las", rows=both, epsg=25832))
+    las.classification = np.r_[codes, np.where(codes[:400] == 2, 6, 2)]
+    las.write(tmp_path / "c.las")
+    ended = fwclass("assess", a, tmp_path / "c.las")
+    assert ended.returncode == 4 and "400 predicted points lie at the place of another" in ended.stderr, ended.stderr
+
+
+def test_neighbours_unknown_codes_and_files_of_another_place(tmp_path):
+    a, half = cloud(tmp_path / "a.las"), cloud(tmp_path / "b.las", rows=slice(0, 2000))
+    ended = fwclass("assess", a, half, "--json")
+    said = json.loads(ended.stdout)["remarks"]
+    assert ended.returncode == 0 and any("figures are those of neighbours" in text for text in said), said
+    ended = fwclass("assess", a, cloud(tmp_path / "c.las", codes=26))
+    assert "4,000 predicted points have codes that no class has (26: 4,000)" in ended.stderr, ended.stderr
+    assert "compared with itself" in fwclass("assess", a, a).stderr
+    for name, far in (("r", 0.0), ("p", 59.0)):
+        (tmp_path / name).mkdir()
+        cloud(tmp_path / name / "one.las")
+        cloud(tmp_path / name / "two.las", shift=(far, 0, 0) if name == "p" else (0, 0, 0))
+        cloud(tmp_path / name / "three.las")
+    ended = fwclass("assess", tmp_path / "r" / "*.las", tmp_path / "p" / "*.las")
+    assert "few points of some files have a predicted one (two.las:" in ended.stderr, ended.stderr
+    assert "references are counted twice: one.las and three.las and two.las" in ended.stderr

@@ -128,8 +128,11 @@ def decompose(
 @click.argument("prediction", type=PATH)
 @click.option("--map", "codes", metavar="NAME=2;NAME=3,4,5", help="Classes by name and reference codes.")
 @click.option("--ground", is_flag=True, help="Two classes: ground (2) against everything else.")
+@ACCEPT_IMPLAUSIBLE
 @JSON
-def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, as_json: bool) -> None:
+def assess(
+    reference: Path, prediction: Path, codes: str | None, ground: bool, accept_implausible: bool, as_json: bool
+) -> None:
     """Confusion matrix and figures of a classified cloud against a reference cloud.
 
     Both are LAS, LAZ, COPC, or text with a label: class codes, or 0 ground and 1 object; or quoted patterns
@@ -141,6 +144,7 @@ def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, a
         return
     from fwclass.assess.stage import describe
     from fwclass.single_file.assess import assess_files
+    from fwclass.single_file.likeness import judge_likeness
 
     figures = assess_files(reference, prediction, codes, ground)
     click.echo(json.dumps(figures, indent=1) if as_json else describe(figures))
@@ -152,6 +156,9 @@ def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, a
         click.echo(f"not counted: {share:.1f} % of them, of codes that no class has ({by_code})", err=True)
     if lost > matched:
         click.echo("WARNING: the two clouds hardly overlap; the figures stand for the small part that does", err=True)
+    for text in figures["remarks"]:
+        click.echo(f"remark: {text}", err=True)
+    judge_likeness(figures["implausible"], accept_implausible, f"{reference}, {prediction}")
 
 
 def _assess_runs(first: Path, second: Path, as_json: bool) -> None:

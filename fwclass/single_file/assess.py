@@ -18,21 +18,24 @@ from fwclass.read.source import open_source
 from fwclass.read.stage import read_cloud
 from fwclass.read.text import is_text, read_text
 from fwclass.schema import Table
+from fwclass.single_file import likeness
+from fwclass.single_file.likeness import SAID_FROM, Likeness
 from fwclass.single_file.pairing import Places, pairs
+from fwclass.store.atomic import file_digest
 
 GROUND = (ClassDef("ground", 2, (2,)), ClassDef("other", 1, (1, *range(3, 256))))
 """Ground against everything else, as ground filters are judged (He 2023)."""
 
 
-def _cloud(path: Path) -> Table:
-    """Points of a LAS or text file: x, y, z to the millimetre, source_class."""
+def _cloud(path: Path) -> tuple[Table, Any]:
+    """Points of a LAS or text file: x, y, z to the millimetre, source_class; and their coordinate system or None."""
     if is_text(path):
-        return _of_text(path)
+        return _of_text(path), None
     source = open_source(path)
     if source.n_points == 0:
         raise InputError("the file has no points", where=path, do="there is nothing to assess")
     table = read_cloud(path, 0, source.n_points)
-    return table.with_columns({n: quantise(table[n]) for n in "xyz"})
+    return table.with_columns({n: quantise(table[n]) for n in "xyz"}), source.crs
 
 
 def _of_text(path: Path) -> Table:
@@ -79,23 +82,57 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
     Both are LAS, LAZ, COPC or text with labels, or patterns of such (``tiles/*.laz``), whose files of one name are
     compared and counted together. Without `codes` every code that the reference uses is a class (0 is
     "never classified"). With `ground` there are two classes, ground (2) and all other codes; whatever the prediction
-    does not call ground is other. ``left_out`` counts reference points of codes that no class has, by code.
+    does not call ground is other. ``left_out`` counts reference points of codes that no class has, by code;
+    ``implausible`` and ``remarks`` tell what the pairs themselves show (`likeness`).
     """
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
-    some = [_codes_of_pair(*pair) for pair in _pairs_of_files(reference, prediction)]
+    pairs_of_files = _pairs_of_files(reference, prediction)
+    some = [_codes_of_pair(*pair) for pair in pairs_of_files]
     wanted, answered = (np.concatenate([pair[k] for pair in some]) for k in (0, 1))
-    unmatched = sum(pair[2] for pair in some)
+    alike, given = [pair[2] for pair in some], answered
     classes, answered = _classes(wanted, answered, codes, ground)
     names = [c.name for c in classes]
     plain = figures(confusion(wanted, answered, classes), names, unclassified(wanted, answered, classes))
     left_out = _left_out(wanted, classes)
-    return {**plain, "matched": len(wanted), "unmatched": unmatched, "left_out": left_out}
+    return {
+        **plain,
+        "matched": len(wanted),
+        "unmatched": sum(one.points - one.matched for one in alike),
+        "left_out": left_out,
+        "implausible": likeness.faults(alike),
+        "remarks": [*_twice(pairs_of_files), *likeness.remarks(alike), *_unknown(given, classes, ground)],
+    }
 
 
-def _codes_of_pair(reference: Path, prediction: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8], int]:
-    """Codes of the reference's points that have a predicted one, those predicted, and how many points have none."""
-    truth, answer = _cloud(reference), _cloud(prediction)
+def _twice(pairs_of_files: list[tuple[Path, Path]]) -> list[str]:
+    """That files of a pattern hold the same bytes."""
+    said = []
+    for k, what in enumerate(("references", "predictions")):
+        by_size: dict[int, list[Path]] = {}
+        for pair in pairs_of_files:
+            by_size.setdefault(pair[k].stat().st_size, []).append(pair[k])
+        by_bytes: dict[str, list[str]] = {}
+        for path in (p for some in by_size.values() if len(some) > 1 for p in some):
+            by_bytes.setdefault(file_digest(path), []).append(path.name)
+        said += [f"{what} are counted twice: {' and '.join(names)}" for names in by_bytes.values() if len(names) > 1]
+    return said
+
+
+def _unknown(answered: NDArray[np.uint8], classes: tuple[ClassDef, ...], ground: bool) -> list[str]:
+    """That predictions have codes that no class has, and so count as wrong."""
+    others = {} if ground else _left_out(answered, classes)
+    others.pop("0", None)
+    total = sum(others.values())
+    if total <= SAID_FROM * len(answered):
+        return []
+    listed = ", ".join(f"{code}: {n:,}" for code, n in others.items())
+    return [f"{total:,} predicted points have codes that no class has ({listed}), and count as unclassified: --map?"]
+
+
+def _codes_of_pair(reference: Path, prediction: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Likeness]:
+    """Codes of the reference's points that have a predicted one, those predicted, and how alike the two are."""
+    (truth, one), (answer, other) = _cloud(reference), _cloud(prediction)
     rows = pairs(_places(truth), _places(answer), conf.section("label").max_distance)
     known = rows >= 0
     if not known.any():
@@ -104,7 +141,15 @@ def _codes_of_pair(reference: Path, prediction: Path) -> tuple[NDArray[np.uint8]
             where=f"{reference}, {prediction}",
             do="check that they show the same place in the same coordinate system",
         )
-    return truth["source_class"][known], answer["source_class"][rows[known]], int((~known).sum())
+    alike = Likeness.of(
+        (reference.name, prediction.name),
+        (one, other),
+        (_places(truth), _places(answer)),
+        rows,
+        answer["source_class"],
+        reference.samefile(prediction),
+    )
+    return truth["source_class"][known], answer["source_class"][rows[known]], alike
 
 
 def _pairs_of_files(reference: Path, prediction: Path) -> list[tuple[Path, Path]]:
