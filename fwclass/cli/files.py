@@ -114,13 +114,16 @@ def decompose(
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     from fwclass import conf
     from fwclass.graph.plausibility import judge
+    from fwclass.graph.radiometry_remarks import judge_radiometry
     from fwclass.single_file.decompose import decompose_file
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
     sentences, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
     click.echo(sentences, err=True)
-    judge(judged, conf.section("plausibility", settings))
+    bounds = conf.section("plausibility", settings)
+    judge(judged, bounds)
+    judge_radiometry(judged[0]["radiometry"], bounds.accept, source)
 
 
 @cli.command()

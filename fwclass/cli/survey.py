@@ -100,6 +100,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.graph.drift import judge_drift
     from fwclass.graph.earlier import judge_sources
     from fwclass.graph.ground_remarks import judge_ground
+    from fwclass.graph.radiometry_remarks import judge_radiometry
     from fwclass.graph.repeated import judge_repeated
     from fwclass.graph.report import REPORT
     from fwclass.graph.report_facts import judge_place
@@ -158,6 +159,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     judge_place(report.get("place"), config.plausibility.accept, config.path)
     if report.get("ground"):
         judge_ground(report["ground"], config.plausibility.accept, config.path)
+    judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), config.plausibility.accept, config.path)
     judge_repeated(report.get("repeated"), config.plausibility)
     judge_drift(report.get("drift"), config.classify, config.survey.model or config.path)
     judge_unsure(report.get("unsure"), config.classify, config.survey.model or config.path)

@@ -13,6 +13,7 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.layout import FileDigests, Layout
 from fwclass.graph.stage import Flown, Plan, Result, Stage, StageInputs
+from fwclass.radiometry.soundness import strip_sums
 from fwclass.radiometry.stage import (
     CALIBRATE,
     OVERLAP,
@@ -137,7 +138,9 @@ def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Result:
     calibration = Calibration.from_json(read_json(here.inputs.path("calibrate", "all", CALIBRATION)))
     table = radiometry(chunk, trajectory, calibration, params)
     error = pointing_error(chunk.table, trajectory, params) if trajectory is not None else float("nan")
+    own = chunk.table.select((*_POINTING, "strip")).take(chunk.core)
     return table, {
+        "sums": strip_sums(own, trajectory, table, np.isfinite(own["beam_x"]), params),
         "without_range": int(np.isnan(table["range"]).sum()),
         "pointing_error": error if np.isfinite(error) else None,
     }

@@ -12,6 +12,7 @@ from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.earlier import since_earlier
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.layout import Layout, Survey
+from fwclass.graph.radiometry_remarks import radiometry_facts
 from fwclass.graph.repeated import repeated_facts
 from fwclass.graph.report_accuracy import (
     class_accuracy,
@@ -93,6 +94,13 @@ def write_report(
         ),
         config.quality.void_spacings,
     )
+    shone = radiometry_facts(
+        (r.meta for r in receipts_of_run(runner, "radiometry")),
+        next((r.meta["calibration"] for r in receipts_of_run(runner, "calibrate")), None),
+        survey.strips,
+        config.radiometry,
+        bool(config.survey.trajectory.files) or config.radiometry.platform_altitude is not None,
+    )
     earlier = since_earlier(runner, REPORT, config.survey.name, files["files"])
     report = {
         "survey": config.survey.name,
@@ -112,6 +120,7 @@ def write_report(
         "training": training_facts(runner, names),
         "selection": selected.model_dump() if (selected := config.selection) else None,
         "place": place,
+        "radiometry": shone,
         "earlier": earlier,
         "sureness": sureness(tiles, classes),
         "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),
@@ -132,6 +141,7 @@ def write_report(
             *on_accuracy,
             *(earlier or {}).get("remarks", ()),
             *(place or {}).get("remarks", ()),
+            *(shone or {}).get("implausible", ()),
             *(repeated or {}).get("remarks", ()),
             *ground["remarks"],
             *(plausible or {}).get("remarks", ()),

@@ -68,6 +68,8 @@ class Calibration:
     unit_error : a posteriori standard error of unit weight of the gains' adjustment; None without redundancy.
     strips, pairs : sorted by strip.
     others : C_cal holds for strips that are not among `strips`, as they have no usable echo.
+    target_spread : standard deviation of ln γ of the target's echoes, from their quartiles, gains taken off.
+    target_levels : (strip, median ln γ on the target, gain taken off) of strips with enough echoes on it.
     """
 
     constant: float = 1.0
@@ -78,6 +80,8 @@ class Calibration:
     strips: tuple[StripGain, ...] = ()
     pairs: tuple[PairRatio, ...] = ()
     others: bool = False
+    target_spread: float | None = None
+    target_levels: tuple[tuple[int, float], ...] = ()
 
     def gains(self, strip: NDArray) -> NDArray[np.float64]:
         """float64 (rows,): gain [factor] of every row's strip; 1 for a strip that is not known."""
@@ -99,7 +103,8 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """Numbers, texts and lists of them; `from_json` gives all back exactly."""
         plain = asdict(self)
-        return {**plain, "strips": list(plain["strips"]), "pairs": list(plain["pairs"])}
+        levels = [list(one) for one in plain["target_levels"]]
+        return {**plain, "strips": list(plain["strips"]), "pairs": list(plain["pairs"]), "target_levels": levels}
 
     @classmethod
     def from_json(cls, stored: Any) -> Calibration:
@@ -108,7 +113,8 @@ class Calibration:
             read: dict[str, Any] = dict(stored)
             strips = tuple(StripGain(**one) for one in read.pop("strips"))
             pairs = tuple(PairRatio(**one) for one in read.pop("pairs"))
-            return cls(**read, strips=strips, pairs=pairs)
+            levels = tuple((int(s), float(v)) for s, v in read.pop("target_levels", ()))
+            return cls(**read, strips=strips, pairs=pairs, target_levels=levels)
         except (ValueError, TypeError, KeyError, AttributeError) as fault:
             raise InputError("this is no calibration", got=str(fault), do="run the calibrate stage again") from None
 
@@ -152,8 +158,9 @@ def calibrate(statistics: Iterable[Overlap], params: RadiometryParams) -> Calibr
         PairRatio(int(a), int(b), round(n), float(d), float(e), float(r))
         for (a, b, n, d, e), r in zip(pairs, residual, strict=True)
     )
+    levels, spread = _levels_on_target(total, strips, log_gain) if source == "target" else ((), None)
     others = source == "given" or (source == "target" and not params.balance)
-    return Calibration(constant, constant_error, source, hits, unit, gains, compared, others)
+    return Calibration(constant, constant_error, source, hits, unit, gains, compared, others, spread, levels)
 
 
 def _finite_or_none(value: float) -> float | None:
@@ -211,6 +218,29 @@ def _adjust(
     alone = np.bincount(group, minlength=groups)[group] == 1
     error = np.where(alone, np.nan, np.sqrt(np.diag(inverse).clip(0.0)) * max(1.0, unit or 0.0))
     return np.where(alone, 0.0, log_gain), error, group.astype(np.int64), residual, unit
+
+
+def _levels_on_target(
+    total: Overlap, strips: NDArray[np.int64], log_gain: NDArray[np.float64]
+) -> tuple[tuple[tuple[int, float], ...], float | None]:
+    """Median level of the target in every strip with enough echoes on it, and the spread of all within their strip."""
+    levels, about, weights = [], [], []
+    for strip in np.unique(total.target_strip).tolist():
+        mine = total.target_strip == strip
+        count = total.target_echoes[mine]
+        if count.sum() < LEAST_ON_TARGET:
+            continue
+        level = total.target_level[mine] * STEP - log_gain[np.searchsorted(strips, strip)]
+        middle, _ = _median(level, count)
+        levels.append((int(strip), middle))
+        about.append(np.abs(level - middle))
+        weights.append(count)
+    if not levels:
+        return (), None
+    away, count = np.concatenate(about), np.concatenate(weights)
+    order = np.argsort(away, kind="stable")
+    upto = np.cumsum(count[order])
+    return tuple(levels), 1.4826 * float(away[order][np.searchsorted(upto, 0.5 * upto[-1])])
 
 
 def _on_target(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fwclass.grid import millimetres, whole_millimetres
 from fwclass.radiometry.formulas import WHITE, backscatter, beam_area, cross_section
 from fwclass.radiometry.params import RadiometryParams
-from fwclass.radiometry.ranges import BEAM, ranges
+from fwclass.radiometry.ranges import BEAM, ranges, with_beams
 from fwclass.schema import Table, require
 from fwclass.stage import Chunk
 
@@ -122,7 +122,7 @@ def _levels(
     rows = np.flatnonzero(
         (table["number_of_echoes"] == 1) & ((table["fit_flags"] & UNFIT) == 0) & (table["energy"] > 0)
     )
-    some = table.select(READS).take(rows)
+    some = with_beams(table.select(READS).take(rows), trajectory, params)
     cosine = incidence_cosine(some)
     rows, cosine = (v[cosine >= np.cos(np.radians(params.overlap.max_incidence))] for v in (rows, cosine))
     some = table.select(READS).take(rows)

@@ -53,6 +53,28 @@ class OverlapParams(Params):
     least_cells: int = Field(ge=5)
 
 
+class RadiometrySoundParams(Params):
+    """What a sound survey shows of its trajectory and calibration; beyond it commands end with exit code 4.
+
+    Attributes
+    ----------
+    max_without_range : share of a strip's echoes without a range. max_astray : share that no scanner at the trajectory
+    would see. displaced : between the trajectory and where the beams come from [m].
+    brightest, darkest : reflectances [dB] of no surface; max_impossible : share of them.
+    max_residual : of ln gain, between strips, or of the target in several. max_target_spread : standard deviation of
+    ln backscatter on the target.
+    """
+
+    max_without_range: float = Field(ge=0.0, le=1.0)
+    max_astray: float = Field(ge=0.0, le=1.0)
+    displaced: float = Field(gt=0.0)
+    brightest: float
+    darkest: float
+    max_impossible: float = Field(ge=0.0, le=1.0)
+    max_residual: float = Field(gt=0.0)
+    max_target_spread: float = Field(gt=0.0)
+
+
 class RadiometryParams(Params):
     """Parameters of range, cross-section and backscatter.
 
@@ -70,6 +92,7 @@ class RadiometryParams(Params):
     balance : bring the strips to one gain by their overlap.
     target : surface that gives C_cal, or None.
     overlap : how strips are compared.
+    sound : what is told, and refused, of the outcome.
     """
 
     platform_altitude: float | None
@@ -82,6 +105,7 @@ class RadiometryParams(Params):
     balance: bool
     target: TargetParams | None
     overlap: OverlapParams
+    sound: RadiometrySoundParams
 
     @property
     def calibrates(self) -> bool:

@@ -23,7 +23,7 @@ def ranges(echoes: Table, trajectory: Table | None, params: RadiometryParams) ->
     out[~(out > 0.0)] = np.nan
     if trajectory is not None:
         rows = np.flatnonzero(np.isnan(out))
-        away = _offsets(echoes, trajectory, rows, params.max_time_gap)
+        away = offsets(echoes, trajectory, rows, params.max_time_gap)
         out[rows] = np.sqrt((away**2).sum(axis=1))
         out[out == 0.0] = np.nan
     if params.platform_altitude is not None:
@@ -76,13 +76,28 @@ def check_pointing(angle: float, where: object) -> None:
         )
 
 
+def with_beams(echoes: Table, trajectory: Table | None, params: RadiometryParams) -> Table:
+    """`echoes` with beams along the line from the trajectory where their source has none, as points without waveforms
+    do; a position at their time is all that is needed."""
+    missing = np.flatnonzero(~np.isfinite(np.stack([echoes[name] for name in BEAM], axis=1)).all(axis=1))
+    if trajectory is None or not len(missing):
+        return echoes
+    away = offsets(echoes, trajectory, missing, params.max_time_gap)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        away /= np.sqrt((away**2).sum(axis=1, keepdims=True))
+    beams = {name: echoes[name].copy() for name in BEAM}
+    for k, name in enumerate(BEAM):
+        beams[name][missing] = away[:, k]
+    return echoes.with_columns(beams)
+
+
 def pointing_error(echoes: Table, trajectory: Table, params: RadiometryParams) -> float:
     """Median angle between the beams and the lines from trajectory to echoes [deg]; NaN where none can be compared.
 
     A trajectory that belongs to the survey gives a fraction of a degree (lever arm, attitude). Some degrees are the
     sign of another time scale (UTC is 18 s behind GPS), another height system or another CRS.
     """
-    away = _offsets(echoes, trajectory, np.arange(echoes.rows), params.max_time_gap)
+    away = offsets(echoes, trajectory, np.arange(echoes.rows), params.max_time_gap)
     beam = np.stack([echoes[name] for name in BEAM], axis=1).astype(np.float64)
     across = np.sqrt((np.cross(beam, away) ** 2).sum(axis=1))
     angle = np.degrees(np.arctan2(across, (beam * away).sum(axis=1)))
@@ -90,7 +105,7 @@ def pointing_error(echoes: Table, trajectory: Table, params: RadiometryParams) -
     return float(np.median(angle)) if len(angle) else float("nan")
 
 
-def _offsets(echoes: Table, trajectory: Table, rows: NDArray[np.int64], max_gap: float) -> NDArray[np.float64]:
+def offsets(echoes: Table, trajectory: Table, rows: NDArray[np.int64], max_gap: float) -> NDArray[np.float64]:
     """From the sensor to the echoes `rows`, shape (n, 3) [m]."""
     at = positions(trajectory, echoes["gps_time"][rows], max_gap)
     return np.stack([echoes[axis][rows] for axis in "xyz"], axis=1) - at

@@ -9,7 +9,7 @@ from fwclass.radiometry.calibration import Calibration, calibrate
 from fwclass.radiometry.formulas import backscatter, beam_area, cross_section, reflectance
 from fwclass.radiometry.overlap import READS, Overlap, incidence_cosine, overlap
 from fwclass.radiometry.params import RADIOMETRIC, OverlapParams, RadiometryParams, TargetParams
-from fwclass.radiometry.ranges import check_pointing, pointing_error, ranges
+from fwclass.radiometry.ranges import check_pointing, pointing_error, ranges, with_beams
 from fwclass.schema import Table, require
 from fwclass.stage import Chunk, Computation
 
@@ -50,7 +50,7 @@ def radiometry(chunk: Chunk, trajectory: Table | None, calibration: Calibration,
     that are not); 32 C_cal is not known for the strip, σ and γ are relative.
     """
     require(chunk.table, READS, chunk.tile.key)
-    echoes = chunk.table.select(READS).take(chunk.core)
+    echoes = with_beams(chunk.table.select(READS).take(chunk.core), trajectory, params)
     range_ = ranges(echoes, trajectory, params)
     cosine = incidence_cosine(echoes)
     cosine[cosine < np.cos(np.radians(params.grazing))] = np.nan
@@ -89,6 +89,6 @@ def _flags(
     return flags
 
 
-OVERLAP = Computation(name="overlap", version=1, reads=READS, halo=lambda params: float(params.overlap.cell))
-CALIBRATE = Computation(name="calibrate", version=1)
-RADIOMETRY = Computation(name="radiometry", version=2, reads=READS, writes=RADIOMETRIC)
+OVERLAP = Computation(name="overlap", version=2, reads=READS, halo=lambda params: float(params.overlap.cell))
+CALIBRATE = Computation(name="calibrate", version=2)
+RADIOMETRY = Computation(name="radiometry", version=3, reads=READS, writes=RADIOMETRIC)

@@ -22,6 +22,7 @@ from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
+from fwclass.radiometry import soundness
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
 from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system
@@ -102,7 +103,7 @@ def decompose_file(
         refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
         odd_places = place_faults(system, ends[0], ends[1])
     flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
-    whole, notes = add_radiometry(table, flown, params, trajectory)
+    whole, notes, odd_radiometry = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     shown = delivered if params["radiometry"].calibrates else without_reflectance(delivered)
@@ -111,6 +112,7 @@ def decompose_file(
         fit.vendor_tolerance,
         strip_plausibility(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
     )
+    judged["radiometry"] = odd_radiometry
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [
@@ -119,6 +121,7 @@ def decompose_file(
         *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
         *(f"plausibility: {text}" for text in plausibility_remarks([judged], fit)),
         *notes,
+        *(f"fault: {text}" for text in odd_radiometry),
         *odd_places,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {visible(output)}",
@@ -162,12 +165,13 @@ def _pulse_words(pulse: SystemPulse) -> str:
 
 def add_radiometry(
     table: Table, flown: Table | None, params: dict[str, Any], where: Path | None
-) -> tuple[Table, list[str]]:
-    """`table` with the radiometric columns, and what is to be said of them; as it is where no range is known."""
+) -> tuple[Table, list[str], list[str]]:
+    """`table` with the radiometric columns, what is to be said of them, and what no sound survey shows; as it is where
+    no range is known."""
     settings: RadiometryParams = params["radiometry"]
     known = np.isfinite(table["beam_range"]).any()
     if flown is None and settings.platform_altitude is None and not known:
-        return table, ["no radiometry: give --trajectory, or --set radiometry.platform_altitude=…, for ranges"]
+        return table, ["no radiometry: give --trajectory, or --set radiometry.platform_altitude=…, for ranges"], []
     chunk = Chunk(table, np.arange(table.rows), Tile(0, 0, EVERYTHING))
     shape: FeaturesParams = params["features"]
     chunk = Chunk(table.with_columns(features(chunk, (), shape).select(NORMAL)), chunk.core, chunk.tile)
@@ -196,7 +200,10 @@ def add_radiometry(
         notes.append(f"trajectory: beams point at it to {sentences}")
         if angle > DOUBTFUL:
             notes.append("fault: that is too much: check the trajectory's clock (UTC is not GPS time) and heights")
-    return table.with_columns(columns), notes
+    given = flown is not None or settings.platform_altitude is not None
+    sums = soundness.by_strip([soundness.strip_sums(table, flown, columns, np.isfinite(table["beam_x"]), settings)])
+    odd = soundness.faults(sums, calibration, dict.fromkeys(sums, "the file"), settings.sound, given)
+    return table.with_columns(columns), notes, odd
 
 
 def read_flight(table: Table, path: Path, crs: Any, undulation: float) -> Table:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.radiometry.overlap import PARTS, STEP, Overlap, merge, overlap, within
@@ -27,6 +28,7 @@ SECTION: dict[str, Any] = {
     "balance": True,
     "target": None,
     "overlap": {"cell": 2.0, "least_echoes": 4, "max_spread": 0.3, "max_incidence": 30.0, "least_cells": 20},
+    "sound": conf.section("radiometry").sound.model_dump(),
 }
 CONSTANT = 3e-15
 LEFT, BOTTOM = 500_000.0, 5_400_000.0

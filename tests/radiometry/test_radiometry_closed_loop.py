@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fwclass import conf
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import SystemPulse
@@ -40,6 +41,7 @@ SECTION: dict[str, Any] = {
     "balance": True,
     "target": None,
     "overlap": {"cell": 2.0, "least_echoes": 4, "max_spread": 0.3, "max_incidence": 65.0, "least_cells": 20},
+    "sound": conf.section("radiometry").sound.model_dump(),
 }
 SIZE, RHO = 60.0, 0.8
 

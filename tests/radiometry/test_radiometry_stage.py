@@ -31,6 +31,7 @@ SECTION: dict[str, Any] = {
     "balance": True,
     "target": None,
     "overlap": {"cell": 2.0, "least_echoes": 4, "max_spread": 0.3, "max_incidence": 30.0, "least_cells": 20},
+    "sound": conf.section("radiometry").sound.model_dump(),
 }
 ONE = {
     "strip": 0,

@@ -259,6 +259,8 @@ def with_radiometry(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...
     if flight.trajectory is not None:
         flown = read_flight(table, flight.trajectory, echoes.crs, flight.undulation)
     params = {name: conf.section(name, settings) for name in ("features", "radiometry")}
-    columns, notes = add_radiometry(whole, flown, params, flight.trajectory)
+    columns, notes, odd = add_radiometry(whole, flown, params, flight.trajectory)
     own = [n for n in RADIOMETRY.writes if n in columns]
-    return FileEchoes(table.with_columns(columns.select(own)), echoes.crs, (*echoes.notes, *(notes if own else ())))
+    return FileEchoes(
+        table.with_columns(columns.select(own)), echoes.crs, (*echoes.notes, *((*notes, *odd) if own else ()))
+    )

@@ -1,0 +1,45 @@
+"""Whether a run's trajectory and calibration can be those of its echoes: told, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from fwclass.errors import QualityError
+from fwclass.graph.layout import Strip
+from fwclass.radiometry.calibration import Calibration
+from fwclass.radiometry.params import RadiometryParams
+from fwclass.radiometry.soundness import by_strip, faults
+
+
+def radiometry_facts(
+    metas: Iterable[Mapping[str, Any]],
+    calibration: Mapping[str, Any] | None,
+    strips: Iterable[Strip],
+    params: RadiometryParams,
+    flown: bool,
+) -> dict[str, Any] | None:
+    """``implausible``: what no sound survey shows (`soundness.faults`); None without radiometry.
+
+    Parameters
+    ----------
+    metas : of the parts `radiometry`. calibration : of the part `calibrate`. flown : a trajectory, or an altitude, is
+        given.
+    """
+    total = by_strip(meta["sums"] for meta in metas)
+    if not total:
+        return None
+    known = Calibration.from_json(calibration) if calibration is not None else Calibration()
+    return {"implausible": faults(total, known, {s.number: s.path.name for s in strips}, params.sound, flown)}
+
+
+def judge_radiometry(said: Sequence[str], accepted: bool, where: object) -> None:
+    """`QualityError` of what is ``implausible``; nothing where there is none, or the user accepts it."""
+    if said and not accepted:
+        raise QualityError(
+            "trajectory or calibration are not those of the echoes",
+            where=where,
+            expected="what radiometry.sound allows (docs/radiometry.md)",
+            got="; ".join(said),
+            do="mend them; --accept-implausible (plausibility.accept=true) takes ranges and radiometry as they are",
+        )
