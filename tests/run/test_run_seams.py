@@ -35,7 +35,7 @@ def measured(survey, root, *settings, shift=(50.0, 50.0), tiles=None):
 
 @pytest.fixture
 def copy(finished, tmp_path):
-    shutil.copytree(finished[0], tmp_path / "copy")
+    shutil.copytree(finished[0], tmp_path / "copy", symlinks=True)
     return tmp_path / "copy"
 
 

@@ -214,6 +214,6 @@ def test_what_a_system_is_usually_called_names_no_file(name: str):
 
 @pytest.mark.parametrize("crs", ["+init=/etc/passwd:1", "+proj=defmodel +model=/etc/passwd", "dict:x,1"])
 def test_so_is_that_of_raw_waveforms(tmp_path: Path, crs: str):
-    settings = Settings(1.0, None, False, crs)
+    settings = Settings(1.0, None, None, False, crs)
     with pytest.raises(InputError, match="not a coordinate system"):
         settings.system(tmp_path / "a.parquet", [])
