@@ -41,11 +41,12 @@ def test_every_source_is_judged_by_a_model_of_the_others(place: Path) -> None:
     told = json.loads((place / "told.json").read_text())
     assert [one["source"] for one in told["left_out"]] == ["p0.las", "p1.las", "p2.las"]
     judged = sum(one["echoes"] for one in told["left_out"])
-    assert judged == sum(laspy.read(place / f"p{k}.las").header.point_count for k in range(3))
+    total = sum(laspy.read(place / f"p{k}.las").header.point_count for k in range(3))
+    assert 0.9 * total < judged < total, "neighbours of what trained, within areas.gap, are not judged"
     card = load_model(place / "shelf" / "town").card
     assert card["measured"]["left_out"] == told["left_out"]
-    assert sum(card["eligible"]) == judged, "the model itself is trained on all"
-    alone = ("run", place / "s.yaml", "--out", place / "alone", "--workers", "0", "--set", "areas.gap=0")
+    assert sum(card["eligible"]) == total, "the model itself is trained on all"
+    alone = ("run", place / "s.yaml", "--out", place / "alone", "--workers", "0")
     ended = fwclass(*alone, "--set", "areas.train={files: [p1.las, p2.las]}", "--set", "areas.test={files: [p0.las]}")
     assert ended.returncode in (0, 4), ended.stderr
     same = json.loads((place / "alone" / "report.json").read_text())["accuracy"]

@@ -86,7 +86,7 @@ def caution(blocks: int) -> str | None:
         return None
     return (
         f"{blocks} blocks are too few blocks to lean on (slivers at the border of the test area count as blocks): the "
-        f"intervals are too narrow; {FEW} and more are wanted, from a larger test area or a smaller assess.block"
+        f"intervals are too narrow; {FEW} and more are wanted, from a larger test area"
     )
 
 

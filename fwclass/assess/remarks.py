@@ -70,6 +70,12 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
             f"Tested {tested.apart:.3g} m from the training areas, and what decides reaches {tested.reach:g} m: "
             f"the classifier has seen part of what it is tested on: --set areas.gap={tested.reach:g} or more."
         )
+    if params.block < tested.reach:
+        sentences.append(
+            f"Squares of {edge} (assess.block) are smaller than the {tested.reach:g} m that what decides reaches: "
+            "their errors hang together, and intervals are too narrow: "
+            f"--set assess.block={2 * tested.reach:g} or more."
+        )
     share = tested.scored / tested.echoes if tested.echoes else 0.0
     if share < params.tested:
         sentences.append(

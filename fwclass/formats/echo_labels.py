@@ -25,6 +25,8 @@ else:
 TAKEN_BACK = -1
 """The class of a row that takes earlier rows of its echo back; null in the file."""
 FIELD = "class"
+DELIVERED = b"fwclass"
+"""Key of the metadata of delivered tables."""
 _IDENTITY = {"strip": 65_535, "pulse": 2**32 - 1, "echo_number": 255}
 """Whole numbers that tell an echo, and the largest of each."""
 _PLACE = ("x", "y", "z")
@@ -152,6 +154,14 @@ def check_echo_labels(path: Path, field: str = FIELD) -> None:
             _check_columns(file.schema_arrow, path, field)
     except (pa.ArrowException, OSError, ValueError) as fault:
         raise _unreadable(fault, path, "name a Parquet file of labels by echo (docs/corrections.md)") from fault
+
+
+def written_by_fwclass(path: Path) -> bool:
+    """The file is a table that a run has delivered: what it calls classes may be a model's answers."""
+    try:
+        return DELIVERED in (pq.read_metadata(path).metadata or {})
+    except (pa.ArrowException, OSError, ValueError):
+        return False
 
 
 def _unreadable(fault: Exception, where: object, do: str) -> InputError:

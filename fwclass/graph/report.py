@@ -78,7 +78,7 @@ def write_report(
         whole_run=runner.whole,
     )
     accuracy, counts = class_accuracy(runner, config), echo_counts(runner)
-    on_accuracy = remarks_on_accuracy(accuracy, counted, counts["echoes_in_tiles"], config, names)
+    on_accuracy = remarks_on_accuracy(accuracy, counted, counts["echoes_in_tiles"], config, names, survey)
     if accuracy is not None:
         accuracy["remarks"] = on_accuracy
     ground = ground_facts(runner, config, withheld_returns(runner))

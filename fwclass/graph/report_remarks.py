@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import first_few, visible
 from fwclass.features.dense import Crowd
+from fwclass.formats.echo_labels import written_by_fwclass
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.breaklines import breakline_remarks
 from fwclass.graph.contours import DELIVER_CONTOURS
+from fwclass.graph.layout import Survey
 from fwclass.graph.report_facts import receipts_of_run
 from fwclass.graph.report_summary import SHOWN
 from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.graph.water import LEVELS
 from fwclass.ground.stage import TERRAIN
 from fwclass.run.runner import Runner
+
+CORRECTED_FROM = 0.01
+"""Corrections over tested echoes from which it is said that some of them are tested."""
 
 
 def remarks_on_accuracy(
@@ -25,15 +33,41 @@ def remarks_on_accuracy(
     echoes: int,
     config: Config,
     names: tuple[str, ...],
+    survey: Survey,
 ) -> list[str]:
     """Remarks on the accuracy; none where there is none. `counted`: labels, which only a run that trains counts;
     `echoes` of the whole survey."""
     if accuracy is None:
         return []
+    own = _own_answers(survey)
     if counted is None:
-        return accuracy_remarks(accuracy, config, names, echoes, {}, None)
+        return own + accuracy_remarks(accuracy, config, names, echoes, {}, None)
     nearest = counted["gap"]["found"]
-    return accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
+    own += _corrected(accuracy, counted.get("corrections"))
+    return own + accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
+
+
+def _own_answers(survey: Survey) -> list[str]:
+    """That labels by echo are what a run has delivered."""
+    paths = [path for path, _ in survey.echo_labels if isinstance(path, Path)]
+    names = [visible(path.name) for path in paths if written_by_fwclass(path)]
+    if not names:
+        return []
+    return [
+        f"The reference is what a run of fwclass delivered ({first_few(names, SHOWN)}): where nobody corrected it, the "
+        "figure tells how a classifier agrees with another one, or with itself, and nothing of how often it is right."
+    ]
+
+
+def _corrected(accuracy: Mapping[str, Any], corrections: Mapping[str, int] | None) -> list[str]:
+    """That corrections, and answers that were confirmed, may be tested."""
+    applied, scored = (corrections or {}).get("applied", 0), int(np.sum(accuracy["confusion"]))
+    if applied <= CORRECTED_FROM * scored:
+        return []
+    return [
+        f"{applied:,} labels are corrections, or answers of the model that were confirmed; those in the test areas "
+        "make the figure rather too good, as who confirms sees the answer first."
+    ]
 
 
 def remarks_on_crowds(runner: Runner, config: Config) -> list[str]:

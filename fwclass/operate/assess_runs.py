@@ -50,7 +50,7 @@ def assess_runs(first: Path, second: Path) -> dict[str, Any]:
             "too few blocks to tell two runs apart",
             where=f"{first}, {second}",
             got=f"{len(x)} blocks",
-            do="a larger test area, or a smaller assess.block",
+            do="a larger test area",
         )
     return intervals
 

@@ -121,7 +121,12 @@ def _twice(pairs_of_files: list[tuple[Path, Path]]) -> list[str]:
 
 def _unknown(answered: NDArray[np.uint8], classes: tuple[ClassDef, ...], ground: bool) -> list[str]:
     """That predictions have codes that no class has, and so count as wrong."""
-    others = {} if ground else _left_out(answered, classes)
+    if ground:
+        never = int((answered == 0).sum())
+        share = never / len(answered)
+        many = f"{never:,} predicted points ({100 * share:.1f} %) have code 0, never classified, and count as no ground"
+        return [many] if share > SAID_FROM else []
+    others = _left_out(answered, classes)
     others.pop("0", None)
     total = sum(others.values())
     if total <= SAID_FROM * len(answered):

@@ -8,10 +8,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fwclass.assess.blocks import BlockCounts
+from fwclass.assess.remarks import pure_share
 from fwclass.assess.stage import confusion, figures
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
+from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.corrections import corrections_in
 from fwclass.graph.corrections import untaught_rows as judged_rows
 from fwclass.graph.layout import Layout
@@ -75,7 +79,7 @@ def compare_methods(
         seconds, models[method] = cpu_time(work)
         spent[method] = [seconds, 0.0]
     matrices = {m: np.zeros((len(classes), len(classes)), np.int64) for m in methods}
-    columns = {**layout.columns(names), **_PLACE, "reference": "label"}
+    columns, blocks = {**layout.columns(names), **_PLACE, "reference": "label"}, []
     for number, tile in enumerate(layout.tiles, 1):
         table, corrections = inputs.rows(tile.key, columns), corrections_in(inputs, layout, tile.key)
         rows = judged_rows(table, corrections, config.areas, config.label.max_move)
@@ -88,17 +92,30 @@ def compare_methods(
             seconds, (winner, _) = cpu_time(partial(answer, X, model))
             spent[method][1] += seconds
             matrices[method] += confusion(table["reference"], model.codes[winner], classes)
+            if method == methods[0]:
+                place = (table["x"], table["y"], table["reference"], model.codes[winner])
+                blocks.append(BlockCounts.of(*place, classes, config.assess.block))
         say(f"classified   {number} of {len(layout.tiles)} tiles")
     judged = int(next(iter(matrices.values())).sum())
     return {
         "survey": config.survey.name,
         "features": list(names),
         "echoes": judged,
+        "remarks": _remarks(config, names, layout, blocks, matrices[methods[0]]) if judged else [],
         "samples": dict(zip((c.name for c in classes), sample.counts.tolist(), strict=True)),
         "classifiers": [
             _summary(m, models[m], matrices[m], spent[m], judged, [c.name for c in classes]) for m in methods
         ],
     }
+
+
+def _remarks(
+    config: Config, names: tuple[str, ...], layout: Layout, blocks: list[BlockCounts], matrix: NDArray[np.int64]
+) -> list[str]:
+    """What stands beside the accuracy of a run, and so beside every one of the table."""
+    counts = BlockCounts.merged(blocks, len(config.classes)).counts
+    tested = {"confusion": matrix, "blocks": len(counts), "pure_share": pure_share(counts)}
+    return accuracy_remarks(tested, config, names, layout.echoes)
 
 
 def _summary(
@@ -155,4 +172,5 @@ def describe(result: dict[str, Any]) -> str:
     every = len(result["classifiers"])
     notes = [note if len(who) == every else f"{', '.join(who)}: {note}" for note, who in of.items()]
     head = f"{result['echoes']:,} test echoes, {len(result['features'])} features; trained on {total}"
-    return "\n".join([head, "CPU seconds of one thread", *lines, *notes])
+    remarks = [f"remark: {text}" for text in result["remarks"]]
+    return "\n".join([head, "CPU seconds of one thread", *lines, *notes, *remarks])

@@ -19,8 +19,9 @@ def leave_out(config: Config, runner: Runner) -> list[dict[str, Any]]:
     """For each of ``survey.sources`` what a model of all others has right there; plain data.
 
     `source` is the file or pattern, ``overall_accuracy``, ``kappa`` and ``mean_iou`` as in `figures`, ``echoes`` how
-    many were judged, ``confusion`` the matrix, ``unsure`` the share of them with a confidence below 0.6. Features are
-    computed once: only what trains and tests differs.
+    many were judged, ``confusion`` the matrix, ``unsure`` the share of them with a confidence below 0.6. Echoes within
+    `areas.gap` of the others' boxes are not judged: neighbours of what trained flatter. Features are computed once:
+    only what trains and tests differs.
 
     Raises
     ------
@@ -39,13 +40,15 @@ def leave_out(config: Config, runner: Runner) -> list[dict[str, Any]]:
     for source in sources:
         others = tuple(s for s in sources if s != source)
         by = {"train_by": AreaFilesSection(files=others), "test_by": AreaFilesSection(files=(source,))}
-        areas = config.areas.model_copy(update={"train": (), "test": (), "gap": 0.0, **by})
+        areas = config.areas.model_copy(update={"train": (), "test": (), **by})
         runner.display.say(f"without {source}")
         try:
             result = training(with_areas(replace(config, areas=areas)), runner, assess=True)
         except InputError as fault:
             runner.display.say(f"note: {fault.what}: {source} tells nothing")
             continue
+        if not result["accuracy"]:
+            runner.display.say(f"note: all of {source} lies within {areas.gap:g} m (areas.gap) of the others")
         if accuracy := result["accuracy"]:
             matrix = accuracy["confusion"]
             facts = {"source": source, "echoes": sum(map(sum, matrix)), "confusion": matrix, "unsure": result["unsure"]}

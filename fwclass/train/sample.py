@@ -194,6 +194,10 @@ UNEVEN = 20
 """Remarked: a class with so many times the training rows of another."""
 
 
+TELLING = 0.5
+"""Difference of the shares of rows without a value, of two classes, from which it is said."""
+
+
 def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
     """Remarks on a merged sample, for the user; `InputError` where a forest cannot be trained on it."""
     counts = {one.name: int(n) for one, n in zip(classes, sample.counts, strict=True)}
@@ -226,7 +230,26 @@ def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
             )
         if known.min() == known.max():
             notes.append(f"feature {name!r} is {known[0]:g} in every training row that has it")
+        notes += _missing_tells(name, np.isnan(values), sample.y, classes)
     return tuple(notes)
+
+
+def _missing_tells(
+    name: str, missing: NDArray[np.bool_], y: NDArray[np.uint8], classes: Sequence[ClassDef]
+) -> list[str]:
+    """That a value is missing in one class and not in another, so that its absence tells them apart."""
+    if not missing.any():
+        return []
+    rows = np.bincount(y, minlength=len(classes))
+    share = np.bincount(y, missing, minlength=len(classes)) / np.maximum(rows, 1)
+    share = np.where(rows > 0, share, np.nan)
+    most, least = int(np.nanargmax(share)), int(np.nanargmin(share))
+    if share[most] - share[least] < TELLING:
+        return []
+    return [
+        f"feature {name!r} has no value in {100 * share[most]:.0f} % of the rows of {classes[most].name}, and in "
+        f"{100 * share[least]:.0f} % of {classes[least].name}: its absence tells them apart; is that so elsewhere?"
+    ]
 
 
 def _check_values(sample: Sample, lacking: Sequence[str], classes: Sequence[ClassDef]) -> None:
