@@ -94,7 +94,7 @@ def write_report(
         ),
         config.quality.void_spacings,
     )
-    shone = radiometry_facts(
+    radiometric = radiometry_facts(
         (r.meta for r in receipts_of_run(runner, "radiometry")),
         next((r.meta["calibration"] for r in receipts_of_run(runner, "calibrate")), None),
         survey.strips,
@@ -120,7 +120,7 @@ def write_report(
         "training": training_facts(runner, names),
         "selection": selected.model_dump() if (selected := config.selection) else None,
         "place": place,
-        "radiometry": shone,
+        "radiometry": radiometric,
         "earlier": earlier,
         "sureness": sureness(tiles, classes),
         "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),
@@ -141,7 +141,7 @@ def write_report(
             *on_accuracy,
             *(earlier or {}).get("remarks", ()),
             *(place or {}).get("remarks", ()),
-            *(shone or {}).get("implausible", ()),
+            *(radiometric or {}).get("implausible", ()),
             *(repeated or {}).get("remarks", ()),
             *ground["remarks"],
             *(plausible or {}).get("remarks", ()),
