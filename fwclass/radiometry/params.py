@@ -67,12 +67,12 @@ class RadiometrySoundParams(Params):
 
     max_without_range: float = Field(ge=0.0, le=1.0)
     max_astray: float = Field(ge=0.0, le=1.0)
-    displaced: float = Field(gt=0.0)
-    brightest: float
-    darkest: float
+    displaced: float = Field(gt=0.0, le=100_000.0)
+    brightest: float = Field(ge=-1000.0, le=1000.0)
+    darkest: float = Field(ge=-1000.0, le=1000.0)
     max_impossible: float = Field(ge=0.0, le=1.0)
-    max_residual: float = Field(gt=0.0)
-    max_target_spread: float = Field(gt=0.0)
+    max_residual: float = Field(gt=0.0, le=100.0)
+    max_target_spread: float = Field(gt=0.0, le=100.0)
 
 
 class RadiometryParams(Params):

@@ -79,7 +79,8 @@ def _normal_equations(beam: NDArray[np.float64], away: NDArray[np.float64]) -> l
 
 
 def by_strip(parts: Iterable[Mapping[str, Sequence[float]]]) -> dict[int, NDArray[np.float64]]:
-    """The sums of all tiles, by strip."""
+    """The sums of all `parts` (`strip_sums`) by number of the strip, float64 (16,): `COUNTS` [echoes], then
+    the normal equations [m]."""
     total: dict[int, NDArray[np.float64]] = {}
     for part in parts:
         for strip, sums in part.items():
@@ -108,7 +109,10 @@ def faults(
 ) -> list[str]:
     """What no sound survey shows, a sentence each.
 
-    `total` of `by_strip`; `names` of the strips; `flown`: there is a trajectory or an altitude.
+    Parameters
+    ----------
+    total : of `by_strip`, float64 (16,) a strip. names : of the strips, by number.
+    flown : there is a trajectory or an altitude, so that every echo should have a range [m].
     """
     said = []
 
