@@ -120,6 +120,7 @@ areas: {{train: [[0, 0, 5, 10]], gap: 0.5}}
 tile: {{size: 5.0}}
 train: {{trees: 5}}
 schedule: {{look: 0.2}}
+plausibility: {{accept: true}}  # made-up places lie nowhere in a UTM zone
 """
 
 
