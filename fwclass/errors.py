@@ -120,6 +120,13 @@ class QualityError(FwclassError):
     exit_code = QUALITY
 
 
+def refuse_unsound(said: Sequence[str], accepted: bool, what: str, where: object, expected: str, do: str) -> None:
+    """`QualityError` with the sentences `said` of what no sound input shows; nothing without any, or where they are
+    accepted."""
+    if said and not accepted:
+        raise QualityError(what, where=where, expected=expected, got="; ".join(said), do=do)
+
+
 def first_few(words: Sequence[str], most: int, between: str = ", ") -> str:
     """The first `most` of `words`, and how many there are beyond: ``a, b and 3 more``."""
     return between.join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")

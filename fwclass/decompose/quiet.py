@@ -105,7 +105,7 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
     worst = QuietNoise(None, 1.0, 0)
     for _, channel, part in _channels(waves, pulse, params):
         differences = _differences(part.value, part.quiet, part.row)
-        correlation, samples = correlations(part.value, part.quiet, part.row)
+        correlation, samples = _correlation(differences), int(part.quiet.sum())
         if len(correlation) < 2:
             continue
         periodic = periodicity(differences)
@@ -143,12 +143,15 @@ def correlations(value: Floats, quiet: NDArray[np.bool_], row: NDArray[np.int64]
     From the differences of pairs of a waveform, over those of the farther half of the lags: no level is needed, and
     what drifts more slowly than that counts as level.
     """
-    differences = _differences(value, quiet, row)
+    return _correlation(_differences(value, quiet, row)), int(quiet.sum())
+
+
+def _correlation(differences: list[float]) -> Floats:
     half = len(differences) // 2
     far = float(np.mean(differences[half:])) if differences else 0.0
     if len(differences) < FEWEST_LAGS or not far > 0.0:
-        return np.ones(1), int(quiet.sum())
-    return np.concatenate([[1.0], 1.0 - np.array(differences[:half]) / far]), int(quiet.sum())
+        return np.ones(1)
+    return np.concatenate([[1.0], 1.0 - np.array(differences[:half]) / far])
 
 
 def _differences(value: Floats, quiet: NDArray[np.bool_], row: NDArray[np.int64]) -> list[float]:

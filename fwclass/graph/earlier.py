@@ -60,9 +60,7 @@ def judge_sources(facts: Mapping[str, Any] | None, accepted: bool, where: object
         "sources of the delivery before are gone",
         where=f"{where}: survey.sources",
         expected="every file that was delivered before",
-        got=f"{lost_words(facts['lost_sources'])} that is not found any more"
-        if len(facts["lost_sources"]) == 1
-        else f"{lost_words(facts['lost_sources'])} that are not found any more",
+        got=f"{lost_words(facts['lost_sources'])} of it, and not found any more",
         do="put them back and run again; if they are to be left out, nothing is to be done: the next delivery is held "
         "against this one (--accept-implausible says so at once)",
     )

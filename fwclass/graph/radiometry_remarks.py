@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from fwclass.errors import QualityError
+from fwclass.errors import refuse_unsound
 from fwclass.graph.layout import Strip
 from fwclass.radiometry.calibration import Calibration
 from fwclass.radiometry.params import RadiometryParams
@@ -35,11 +35,11 @@ def radiometry_facts(
 
 def judge_radiometry(said: Sequence[str], accepted: bool, where: object) -> None:
     """`QualityError` of what is ``implausible``; nothing where there is none, or the user accepts it."""
-    if said and not accepted:
-        raise QualityError(
-            "trajectory or calibration are not those of the echoes",
-            where=where,
-            expected="what radiometry.sound allows (docs/radiometry.md)",
-            got="; ".join(said),
-            do="mend them; --accept-implausible (plausibility.accept=true) takes ranges and radiometry as they are",
-        )
+    refuse_unsound(
+        said,
+        accepted,
+        "trajectory or calibration are not those of the echoes",
+        where,
+        expected="what radiometry.sound allows (docs/radiometry.md)",
+        do="mend them; --accept-implausible (plausibility.accept=true) takes ranges and radiometry as they are",
+    )

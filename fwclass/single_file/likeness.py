@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.errors import QualityError, first_few
+from fwclass.errors import first_few, refuse_unsound
 from fwclass.single_file.pairing import Places
 
 SHIFTED, ALIKE = 0.1, 0.05
@@ -131,14 +131,14 @@ def remarks(pairs: Sequence[Likeness]) -> list[str]:
 
 def judge_likeness(sentences: Sequence[str], accepted: bool, where: object) -> None:
     """`QualityError` of `faults`; nothing where there is none, or the user accepts them."""
-    if sentences and not accepted:
-        raise QualityError(
-            "the two do not show the same points",
-            where=where,
-            expected="the same points, in one coordinate system",
-            got="; ".join(sentences),
-            do="mend it, and compare again; --accept-implausible takes the figures as they are",
-        )
+    refuse_unsound(
+        sentences,
+        accepted,
+        "the two do not show the same points",
+        where,
+        expected="the same points, in one coordinate system",
+        do="mend it, and compare again; --accept-implausible takes the figures as they are",
+    )
 
 
 def _alike(one: str | None, other: str | None) -> bool:

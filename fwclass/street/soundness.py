@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import QualityError
+from fwclass.errors import refuse_unsound
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
 
@@ -238,14 +238,14 @@ def recording_faults(
 
 def judge_recording(faults: Sequence[str], accepted: bool, where: object) -> None:
     """`QualityError` of `recording_faults`; nothing where there is none, or the user accepts them."""
-    if faults and not accepted:
-        raise QualityError(
-            "the recording is not what it says",
-            where=where,
-            expected="what street.sound allows (docs/street.md)",
-            got="; ".join(faults),
-            do="mend it, and run again; --accept-implausible (plausibility.accept=true) takes it as it is",
-        )
+    refuse_unsound(
+        faults,
+        accepted,
+        "the recording is not what it says",
+        where,
+        expected="what street.sound allows (docs/street.md)",
+        do="mend it, and run again; --accept-implausible (plausibility.accept=true) takes it as it is",
+    )
 
 
 def _mounting_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:
