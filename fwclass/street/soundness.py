@@ -175,7 +175,8 @@ def recording_faults(
     rows: tuple[int, str],
     stream: Mapping[str, int],
 ) -> list[str]:
-    """What no sound recording shows, a sentence each, with the bound that it passes; none of a sound one.
+    """What no sound recording shows, a sentence each, with the bound that it passes; none of a sound one. Where nothing
+    tells how the vehicle moved, nothing is said of its way.
 
     Parameters
     ----------
@@ -203,11 +204,12 @@ def recording_faults(
             f"{facts['leap_metres']:,.1f} of {facts['metres']:,.1f} m of road lie in leaps of the clock, where nothing "
             "tells how the vehicle went: cut the recording there"
         )
+    moves = faults.get("no speed", 0) < used or "impossible speed or place" in faults
     for cause, words in (
         ("impossible speed or place", "have a speed or place that no vehicle has: are they in metres and seconds?"),
         ("no speed", "have no speed, and the last one was taken: mend the column speed"),
     ):
-        if faults.get(cause, 0) > sound.max_left_out * frames:
+        if moves and faults.get(cause, 0) > sound.max_left_out * frames:
             said.append(f"{faults[cause]:,} of {frames:,} frames {words}")
     ranges = counts["returns"] + sum(counts["missing"].values())
     if counts["returns"] < sound.least_returns * ranges:
@@ -226,7 +228,7 @@ def recording_faults(
             f"{100 * facts['same_share']:.1f} % of the returns have one range, {facts['same_range']:g} m: a code for "
             "no return? write NaN for it, or set the recording's range_max"
         )
-    said += _mounting_faults(facts, params) + _way_faults(facts, params)
+    said += _mounting_faults(facts, params) + (_way_faults(facts, params) if moves else [])
     for cause, most, words in (
         (OUTSIDE, sound.max_outside, "give that of the whole drive, in the recording's time"),
         (SECOND, sound.max_second, "is the trajectory that of the scanner itself, at its own time?"),

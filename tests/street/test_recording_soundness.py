@@ -171,3 +171,10 @@ def test_what_the_model_has_not_seen_is_told_alike_online_and_whole(tmp_path: Pa
         drifts.append(json.loads((tmp_path / "o" / "summary.json").read_text())["drift"])
         assert fwclass(*line, "--accept-implausible", "--accept-drift").returncode == 0
     assert drifts[0] == drifts[1] and max(drifts[0]["outside"].values()) > 0.3
+
+
+def test_what_is_wrong_is_told_before_anybody_knows_the_speed(tmp_path: Path) -> None:
+    still = {"speed": None, "place": None}
+    assert told(write(tmp_path / "a.parquet", still)) == []
+    (fault,) = told(write(tmp_path / "a.parquet", still), "street.mounting.height=2.6")
+    assert "the road lies 1.80 m below the scanner" in fault

@@ -66,7 +66,7 @@ def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJ
     return {
         **summary,
         "remarks": remarks + _remarks(summary, params),
-        "implausible": implausible(recording, summary, params) if summary["moves"] else [],
+        "implausible": implausible(recording, summary, params),
     }
 
 
