@@ -1,4 +1,4 @@
-"""Tiles, blocks and rasters of one global grid with a fixed origin; the check of seams alone shifts it.
+"""Tiles, blocks and rasters of one global grid with a fixed origin; checks of seams alone shift it.
 
 Everything is decided in whole millimetres, so that a point on an edge has exactly one owner whatever the
 size of the coordinates. Tiles and cells are half-open: [min, max).
@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
+from fwclass.hashing import hash_keys
 from fwclass.units import QUANTUM
 
 _KEY = re.compile(r"^(-?\d+)_(-?\d+)$")
@@ -101,7 +102,7 @@ class Box:
 class Tile:
     """One square of a `TileGrid`; `key` is its name in the store, for example ``12_34``.
 
-    `origin` [m] is (0, 0) for all that is stored; only `fwclass seams` cuts a survey another way.
+    `origin` [m] is (0, 0) for all that is stored; only checks of seams cut a survey another way.
     """
 
     ix: int
@@ -152,6 +153,12 @@ class TileGrid:
         for ix in range(low_x // mm, (high_x - 1) // mm + 1):
             for iy in range(low_y // mm, (high_y - 1) // mm + 1):
                 yield Tile(ix, iy, self.size, self.origin)
+
+
+def draw_order(tiles: Sequence[Tile], seed: int) -> list[int]:
+    """Places in `tiles` in an order that only the seed and the tiles decide."""
+    keys = np.array([((t.ix & 0xFFFFFFFF) << 32) | (t.iy & 0xFFFFFFFF) for t in tiles], np.uint64)
+    return np.argsort(hash_keys(seed, keys), kind="stable").tolist()
 
 
 def groups(tiles: Iterable[Tile]) -> tuple[tuple[Tile, ...], ...]:

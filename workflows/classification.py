@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fwclass.graph.ground import CHECK_SEAMS
+from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.stages import (
     CLASSIFYING,
     DELIVERY,

@@ -218,9 +218,9 @@ class AreasSection(Section):
 class RunSection(Section):
     """Where it runs; never changes a result.
 
-    `seam_check_echoes`: a survey of at most so many echoes is filtered once more as one block, to tell in the report
-    what the seams between blocks changed; 0 leaves the check out. `seam_check_cells`: of the survey's places those
-    whose box has more cells are left out of it. `keep_generations`: whole deliveries that stay.
+    `seam_check_echoes`: so many echoes are filtered once more in wider windows that lie elsewhere, to tell in the
+    report what the seams between blocks changed; 0 leaves the check out. `keep_generations`: whole deliveries that
+    stay.
     `keep_intermediate`: parts stay after a whole delivery; without them every run makes all anew.
     `window`: parts that the scheduler knows at a time. `retries`: times that a part whose worker was lost is tried
     again among others, and then alone, in `split` × `split` pieces of a tile where the stage can. `part_hours`: a
@@ -238,7 +238,6 @@ class RunSection(Section):
     keep_intermediate: bool
     seam_check_echoes: int = Field(ge=0, le=1_000_000_000)
     accept_libraries: bool
-    seam_check_cells: int = Field(ge=0, le=1_000_000_000)
 
 
 class SeamsSection(Section):

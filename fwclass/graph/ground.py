@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,19 +11,18 @@ from numpy.typing import NDArray
 
 from fwclass.errors import StoreError
 from fwclass.graph.breaklines import BREAKLINES, beside_ground, breaklines_in, breaklines_needed
-from fwclass.graph.ground_auto import AUTO, adapts, halo_of, parameters_at, parts_for, settled, square_edge, squares
+from fwclass.graph.ground_auto import AUTO, halo_of, parameters_at, parts_for
 from fwclass.graph.layout import Layout
-from fwclass.graph.rasters import Mosaic, write_rasters
+from fwclass.graph.rasters import write_rasters
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
-from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
+from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.ground.raster.lattice import cells_of
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground, last_of
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import FLATTENED, NO_TERRAIN, ON_BREAKLINE, Points, terrain
-from fwclass.memory import give_back
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table, column
@@ -34,13 +31,6 @@ from fwclass.waveforms import IMPLAUSIBLE
 
 STORED = ("dtm", "dsm", "mask", "distance", "roughness")
 """Rasters of a block of the terrain."""
-
-WITHIN = 0.01
-"""Difference of terrain heights that counts as none [m]."""
-
-EVERYWHERE = Box(-math.inf, -math.inf, math.inf, math.inf)
-BORDER = 5.0
-"""What is told of the border between squares with other parameters is told of the echoes as near to it as this [m]."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +121,7 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
     if water is not None:
         level = water.levels(t["x"], t["y"])
         ground = ground & np.isnan(level)
-    knots = _knots(here, water, here.tile.box.grown(here.halo))
+    knots = knots_in(here, water, here.tile.box.grown(here.halo))
     rasters = terrain(t["x"], t["y"], t["z"], ground, t["noise"], own, core, params, knots)
     stored, height = {name: getattr(rasters, name) for name in STORED}, rasters.height
     lines = breaklines_in(here, core.box)
@@ -156,7 +146,7 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
     }
 
 
-def _knots(here: StageInputs, water: Water | None, box: Box) -> Points | None:
+def knots_in(here: StageInputs, water: Water | None, box: Box) -> Points | None:
     """Places in `box` that the terrain passes through: of shores and of breaklines; None without any."""
     some = [*([water.knots_in(box)] if water is not None else []), *breaklines_in(here, box)]
     if not some:
@@ -185,171 +175,6 @@ def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], blo
     if echoes != places.rows:
         raise StoreError("echoes of a tile lie in no block", where=f"{source} of {here.part}", got=places.rows - echoes)
     return Table(out), {"rows": places.rows}
-
-
-SPARSE = 100
-"""Cells of the terrain for an echo, above which a place holds stray points and no survey: memory goes with its box."""
-
-FEW_CELLS = 1_000_000
-"""Cells that any place may have: some 20 MiB."""
-
-
-def measure_seams(
-    here: StageInputs,
-    ground: GroundParams,
-    terrain: TerrainParams,
-    most_cells: int,
-    bounds: tuple[float, ...],
-    square: float | None = None,
-) -> Result:
-    """The survey filtered once more as a single block, against what its blocks say.
-
-    Where it lies in several places, each of them is one: blocks that do not touch know nothing of each other. A place
-    whose box has more than `most_cells` cells of the terrain, or more than `SPARSE` for an echo, is left out, and so is
-    a single block among several. With parameters chosen for every `square` [m] each of these is a block, and what the
-    parameters of neighbours would change at its border is told.
-    """
-    box = Box(*bounds)
-    table, owned = _every_echo(here, ground.block)
-    cut = TileGrid(terrain.block)
-    blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
-    mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
-    parts = groups(Tile(*place, ground.block) for place in owned)
-    regions = _regions(here, ground, square)
-    differences, left_out, water = _Seams(), 0, water_of(here)
-    for k, part in enumerate(parts, 1):
-        inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
-        window = Window.covering(inside or box, terrain.cell)
-        echoes = table if len(parts) == 1 else table.take(_in_tiles(table, part))
-        most = min(most_cells, max(FEW_CELLS, SPARSE * echoes.rows))
-        if math.prod(window.shape) > most or (len(part) == 1 < len(parts)):
-            left_out += echoes.rows
-            continue
-        points = differences.add_flags(echoes, regions)
-        echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
-        table = table if k < len(parts) else echoes
-        knots = _knots(here, water, window.box.grown(terrain.block_halo))
-        differences.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
-    across = {} if square is None else {"across": differences.across()}
-    return {**differences.facts(), **across, "left_out": left_out}
-
-
-def _regions(here: StageInputs, ground: GroundParams, square: float | None) -> list[tuple[Box, GroundParams]]:
-    """Where which parameters hold."""
-    if square is None:
-        return [(EVERYWHERE, ground)]
-    grid = TileGrid(square)
-    return [(grid.tile(key).box, settled(here.inputs.meta(AUTO, key), ground)) for key in here.parts(AUTO)]
-
-
-def _every_echo(here: StageInputs, edge: float) -> tuple[Table, set[tuple[int, int]]]:
-    """The declared columns of all echoes that filters see, in memory once, and the blocks of `edge` [m] that hold
-    one."""
-    columns, first, blocks = here.columns, 0, set[tuple[int, int]]()
-    echoes = sum(int(here.inputs.meta("tile", key)["rows"]) for key in here.present)
-    out = {name: np.empty(echoes, column(name).dtype) for name in columns}
-    for key in here.present:
-        table = here.inputs.rows(key, columns)
-        table = table.take((table["fit_flags"] & IMPLAUSIBLE) == 0)
-        for name in columns:
-            out[name][first : first + table.rows] = table[name]
-        indices = TileGrid(edge).indices(table["x"], table["y"])
-        blocks.update(map(tuple, np.unique(np.stack(indices, axis=1), axis=0).tolist()))
-        first += table.rows
-    return Table({name: values[:first] for name, values in out.items()}), blocks
-
-
-def _in_tiles(table: Table, tiles: Iterable[Tile]) -> NDArray[np.bool_]:
-    """Rows that lie in one of `tiles`, all of one size."""
-    some = list(tiles)
-    ix, iy = TileGrid(some[0].size).indices(table["x"], table["y"])
-    wanted = {(t.ix, t.iy) for t in some}
-    blocks, block_of = np.unique(np.stack([ix, iy], axis=1), axis=0, return_inverse=True)
-    inside = np.array([(cx, cy) in wanted for cx, cy in blocks.tolist()], bool)
-    return inside[block_of.reshape(-1)]
-
-
-@dataclass
-class _Seams:
-    """What differs, place by place."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    off: list[NDArray[np.float32]] = field(default_factory=list)
-
-    def add_flags(self, table: Table, regions: Sequence[tuple[Box, GroundParams]]) -> Points:
-        """Filter the echoes of one place as one block (or a block for each of `regions`), and hold the answer against
-        their flags; the ground."""
-        give_back(None)  # the whole survey at once: what was freed on the way here is not needed beside it
-        ground = np.zeros(table.rows, bool)
-        for k, (box, params) in enumerate(regions):
-            if box is EVERYWHERE:
-                own, beyond, some = np.ones(table.rows, bool), np.zeros(table.rows, bool), table
-            else:
-                rows = np.flatnonzero(box.grown(params.halo + BORDER).contains(table["x"], table["y"]))
-                some = table.take(rows)
-                own = box.contains(some["x"], some["y"])
-                beyond = self._other_side(some, box, [r for n, r in enumerate(regions) if n != k and r[1] != params])
-            if not own.any():
-                continue
-            whole = filter_ground(some, params)
-            differs = (some["ground"] != whole.ground) | (some["noise"] != whole.noise)
-            self.counts.update(echoes=int(own.sum()), flags_differ=int((differs & own).sum()))
-            self.counts.update(across=int(beyond.sum()), across_differ=int((differs & beyond).sum()))
-            mine = own & whole.ground & ~whole.noise
-            if box is EVERYWHERE:
-                ground = mine
-            else:
-                ground[rows[mine]] = True
-        rows = np.flatnonzero(ground)
-        return table["x"][rows], table["y"][rows], table["z"][rows]
-
-    def _other_side(self, table: Table, box: Box, others: Sequence[tuple[Box, GroundParams]]) -> NDArray[np.bool_]:
-        """Rows beyond the border of `box`, as near as `BORDER`, in one of `others`."""
-        near = box.grown(BORDER).contains(table["x"], table["y"])
-        inside = [area.contains(table["x"], table["y"]) for area, _ in others if area.touches(box.grown(BORDER))]
-        return near & np.any(inside, axis=0) if inside else np.zeros(table.rows, bool)
-
-    def across(self) -> dict[str, Any]:
-        """Echoes near borders of squares with other parameters, and how many flags are others by these."""
-        return {"width": BORDER, "echoes": self.counts["across"], "flags_differ": self.counts["across_differ"]}
-
-    def add_terrain(
-        self,
-        points: Points,
-        dtm: NDArray[np.float32],
-        window: Window,
-        params: TerrainParams,
-        water: Water | None,
-        knots: Points | None,
-    ) -> None:
-        """Hold the terrain of all ground `points` of one place against the `dtm` of its blocks."""
-        give_back(None)
-        yes, no = np.ones(len(points[0]), bool), np.zeros(len(points[0]), bool)
-        if water is not None:
-            yes = np.isnan(water.levels(*points[:2]))
-        surface = terrain(*points, yes, no, no, window, params, knots).dtm
-        if water is not None:
-            flat = water.of_cells(window)
-            surface = np.where(np.isnan(flat), surface, flat).astype(np.float32)
-        both = np.isfinite(dtm) & np.isfinite(surface)
-        off = np.abs(dtm - surface)[both]
-        self.off.append(off)
-        self.counts.update(
-            cells=int((np.isfinite(dtm) | np.isfinite(surface)).sum()),
-            cells_one_sided=int((np.isfinite(dtm) != np.isfinite(surface)).sum()),
-            cells_off=int((off > WITHIN).sum()),
-        )
-
-    def facts(self) -> dict[str, Any]:
-        """Counts, and how far heights are apart [m]."""
-        off = np.concatenate([np.empty(0, np.float32), *self.off])
-        names = ("echoes", "flags_differ", "cells", "cells_one_sided", "cells_off")
-        return {
-            **{n: self.counts[n] for n in names},
-            "within": WITHIN,
-            "dtm_p999": float(np.quantile(off, 0.999)) if off.size else None,
-            "dtm_worst": float(off.max()) if off.size else None,
-        }
 
 
 def terrain_blocks(layout: Layout) -> tuple[Tile, ...]:
@@ -422,27 +247,3 @@ MAKE_TERRAIN = Stage(
     needs=lambda plan, block: [*_stacked_around(plan, block), *levels_needed(plan), *breaklines_needed(plan)],
 )
 GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
-CHECK_SEAMS = Stage(
-    "seams",
-    4,
-    "survey",
-    "echo",
-    measure_seams,
-    when=lambda plan: plan.tiled is None or plan.layout.echoes <= plan.config.run.seam_check_echoes,
-    arguments=lambda plan: {
-        "ground": plan.config.ground,
-        "terrain": plan.config.terrain,
-        "most_cells": plan.config.run.seam_check_cells,
-        "bounds": plan.layout.box.bounds,
-        **({"square": square_edge(plan)} if adapts(plan) else {}),
-    },
-    reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
-    after=("terrain", AUTO, LEVELS, BREAKLINES),
-    needs=lambda plan, part: [
-        *((TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)),
-        *((AUTO, square.key) for square in squares(plan) if adapts(plan)),
-        *levels_needed(plan),
-        *breaklines_needed(plan),
-    ],
-    check=True,
-)

@@ -35,9 +35,10 @@ from fwclass.graph.context_training import (
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
 from fwclass.graph.features import COMPUTE_FEATURES
-from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
+from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.ground_auto import CHOOSE_PARAMETERS
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
+from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_ECHOES, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
 from fwclass.graph.learn import (
     DRAW_SAMPLE,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,10 @@ from runmaker import SETTINGS, walk
 from tolerances import FLOAT32_HEIGHT
 
 from fwclass import conf
+from fwclass.graph.ground_seams import windows
+from fwclass.grid import Box, TileGrid, millimetres
 from fwclass.ground.blocks import ground_by_blocks
+from fwclass.ground.stage import filter_ground
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 
 COLUMNS = ["x", "y", "z", "echo_number", "number_of_echoes", "ground", "noise", "height_above_ground"]
@@ -75,12 +79,46 @@ def test_the_report_tells_what_the_seams_changed(finished):
     seams = report["ground"]["seams"]
     assert seams["echoes"] == report["counts"]["echoes_in_tiles"]
     assert seams["flags_differ"] < 0.002 * seams["echoes"]  # blocks of 64 m are small
-    assert "as one block" in (root / "report.html").read_text()
+    assert "in wider windows that lie elsewhere" in (root / "report.html").read_text()
+
+
+@pytest.mark.parametrize("block", [64.0, 256.0, 0.3])
+def test_every_border_of_blocks_lies_inside_a_window(block: float) -> None:
+    """And no echo lies in two; the order is the seed's, whichever way the tiles come."""
+    tiles = list(TileGrid(3 * block).touching(Box(-5 * block, 2 * block, 9 * block, 11 * block)))
+    some = windows(tiles, block, 7)
+    assert windows(reversed(tiles), block, 7) == some and sorted(windows(tiles, block, 8)) == sorted(some)
+    assert len({(w.ix, w.iy) for w in some}) == len(some)
+    for tile in tiles:
+        for cut in TileGrid(block).touching(tile.box):
+            x, y = cut.box.xmax, (cut.box.ymin + cut.box.ymax) / 2
+            (window,) = (w.box for w in some if w.box.contains(np.array([x - 0.001]), np.array([y]))[0])
+            assert window.xmin < x < window.xmax
 
 
 @pytest.mark.slow
-def test_a_large_survey_is_not_filtered_twice(survey, tmp_path):
+def test_what_blocks_got_wrong_shows(survey, tmp_path, monkeypatch):
+    """Every hundredth echo, by its place, has another flag in all blocks."""
+
+    def wrong(table, params):
+        flags = filter_ground(table, params)
+        return replace(flags, ground=flags.ground ^ (millimetres(table["x"]) % 100 == 0))
+
+    monkeypatch.setattr("fwclass.graph.ground.filter_ground", wrong)
+    _, report = walk(survey, tmp_path)
+    seams = report["ground"]["seams"]
+    assert 0.005 < seams["flags_differ"] / seams["echoes"] < 0.02
+    assert seams["cells_off"] > 0.001 * seams["cells"]
+    assert "choose larger blocks or a wider halo" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_some_windows_of_a_large_survey_are_filtered_twice(survey, tmp_path):
     _, report = walk(survey, tmp_path, "run.seam_check_echoes=1000")
+    seams, echoes = report["ground"]["seams"], report["counts"]["echoes_in_tiles"]
+    assert 1000 <= seams["echoes"] < echoes and seams["left_out"] == echoes - seams["echoes"]
+    assert "took no part" in (tmp_path / "report.html").read_text()
+    _, report = walk(survey, tmp_path, "run.seam_check_echoes=0")
     assert report["ground"]["seams"] is None
     assert "were not measured" in (tmp_path / "report.html").read_text()
 

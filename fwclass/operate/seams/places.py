@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
-from fwclass.grid import Box, Tile, TileGrid, whole_millimetres
-from fwclass.hashing import hash_keys
+from fwclass.grid import Box, Tile, TileGrid, draw_order, whole_millimetres
 
 
 @dataclass(frozen=True)
@@ -76,12 +75,6 @@ def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Bo
             yield Box(b.xmax - width, b.ymin, b.xmax + width, b.ymax), True
         if f"{tile.ix}_{tile.iy + 1}" in here:
             yield Box(b.xmin, b.ymax - width, b.xmax, b.ymax + width), False
-
-
-def draw_order(tiles: Sequence[Tile], seed: int) -> list[int]:
-    """Places in `tiles` in an order that only the seed and the tiles decide."""
-    keys = np.array([((t.ix & 0xFFFFFFFF) << 32) | (t.iy & 0xFFFFFFFF) for t in tiles], np.uint64)
-    return np.argsort(hash_keys(seed, keys), kind="stable").tolist()
 
 
 def choose_squares(

@@ -8,12 +8,12 @@ from functools import partial
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, FwclassError, StoreError
 from fwclass.graph.area_of_interest import Area
-from fwclass.graph.ground import CHECK_SEAMS, WITHIN
+from fwclass.graph.ground_seams import CHECK_SEAMS, WITHIN
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import DELIVERY, JUDGING
 from fwclass.graph.walk import tasks_of, until_tiles
 from fwclass.graph.workflow import Workflow, after_tiles
-from fwclass.grid import TileGrid
+from fwclass.grid import TileGrid, draw_order
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.guard import check_done, check_idle, check_unchanged, whole_blocks
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs, Tiles
@@ -25,7 +25,7 @@ from fwclass.operate.seams.measure import (
     shifted_blocks,
     tile_seams,
 )
-from fwclass.operate.seams.places import ShiftedSquare, choose_squares, draw_order, places
+from fwclass.operate.seams.places import ShiftedSquare, choose_squares, places
 from fwclass.operate.seams.summary import SeamResult
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
