@@ -13,7 +13,7 @@ import rasterio
 from commandline import fwclass
 from smallsurvey import small_survey
 
-from fwclass.operate.difference.deliveries import _echo_lines, _height_lines
+from fwclass.operate.difference.deliveries import _echo_lines, _height_lines, describe
 from fwclass.operate.difference.rasters import raster_changes
 
 OTHER = "survey.features=[amplitude]"
@@ -47,6 +47,11 @@ def test_two_generations(runs):
     assert found["settings"] == {"survey.features": [["zc", "height_range_c100"], ["amplitude"]]}
     assert found["files"] == {"added": [], "removed": [], "changed": []} and found["libraries"] == {}
     assert found["accuracy"]["kappa"][0] > found["accuracy"]["kappa"][1] and found["accuracy"]["paired"] is None
+    assert found["accuracy"]["tested"][0] == found["accuracy"]["tested"][1] > 0 and "not the same ones" not in describe(
+        found
+    )
+    found["accuracy"]["tested"][1] -= 40
+    assert "tested echoes, not the same ones" in describe(found)
     with sqlite3.connect(runs / "d.gpkg") as layers:
         inside = layers.execute("select sum(changed) from places").fetchone()[0]
     assert 0.5 * echoes["changed"] < inside <= echoes["changed"]

@@ -71,7 +71,8 @@ def listed_places(delivery: Delivery, path: Path) -> WorkList:
         It is no file of polygons, or no echo lies in any of them.
     """
     places = read_places(path, delivery)
-    if places.parts > MOST_LISTED:
+    total = places.parts
+    if total > MOST_LISTED:
         places = places.take(np.arange(MOST_LISTED))
     clusters: list[UnsureCluster] = []
     low_x, low_y, high_x, high_y = (v / 1000 for v in places.bounds)
@@ -90,7 +91,7 @@ def listed_places(delivery: Delivery, path: Path) -> WorkList:
     if not clusters:
         raise no_echo(path, places)
     none = np.empty(0, np.int64)
-    return WorkList(tuple(clusters), 1.0, none.reshape(0, 2), none)
+    return WorkList(tuple(clusters), 1.0, none.reshape(0, 2), none, len(clusters) + max(0, total - MOST_LISTED))
 
 
 def tiles_with_places(run: RunLocation, path: Path) -> frozenset[str]:

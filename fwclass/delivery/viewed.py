@@ -153,7 +153,13 @@ class ViewedRun:
 
     def _about(self, tile: str, row: int, values: dict[str, Any]) -> dict[str, Any]:
         classes, rows = self._classes.of(self.open.tile(tile), tile)
-        about = {"tile": tile, "row": row, "values": values, "corrected": int(classes[row]) if row in rows else None}
+        about = {
+            "tile": tile,
+            "row": row,
+            "values": values,
+            "corrected": int(classes[row]) if row in rows else None,
+            "reference": self.columns.reference(tile, row),
+        }
         if self._other is not None:
             twin = same_echo(self._other, values)
             about["other"] = {n: plain_value(v) for n, v in twin.items()} if twin else None
@@ -169,8 +175,8 @@ class ViewedRun:
         return self._behind.why(tile, row)
 
     def work(self) -> dict[str, Any]:
-        places = [asdict(p) for p in self.work_list().places]
-        return {"unsure": self.params.unsure, "places": places}
+        listed = self.work_list()
+        return {"unsure": self.params.unsure, "places": [asdict(p) for p in listed.places], "total": listed.total}
 
     def list_places(self, path: Path) -> None:
         """Take the places of a file for the work list, in its order, for as long as this scene is shown.

@@ -114,6 +114,15 @@ class ColourColumns:
             return np.zeros(len(classes), np.uint8)
         return verdicts(classes, reference, self._delivery.classes)
 
+    def reference(self, tile: str, row: int) -> int | None:
+        """Code of the reference of an echo, by its row in the delivered table; None where it has none, or the run."""
+        if not any(field["name"] == RIGHT for field in self.fields):
+            return None
+        try:
+            return int(self._behind.reference(tile)[row]) or None
+        except (FwclassError, OSError):
+            return None
+
     def _field(self, name: str) -> dict[str, str]:
         known = {f["name"]: f for f in self.fields}
         if name not in known:

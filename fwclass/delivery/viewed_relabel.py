@@ -91,7 +91,7 @@ class Relabelling:
             for key in tiles:
                 rows, codes = self._inside(key, selection, corrections)
                 echoes += len(rows)
-                _check_amount("or more are selected", echoes, self._params.selected, len(tiles))
+                _check_amount("are selected", echoes, self._params.selected, len(tiles), "at least ")
                 if len(rows):
                     rows_by_tile[key] = rows
                     classes += np.bincount(codes, minlength=256)
@@ -198,12 +198,12 @@ def _reason_unused(kind: str, corrections: str | bool | None, model: bool) -> st
     return ""
 
 
-def _check_amount(what: str, echoes: int, most: int, tiles: int) -> None:
+def _check_amount(what: str, echoes: int, most: int, tiles: int, least: str = "") -> None:
     if echoes > most:
         raise InputError(
             f"too many echoes {what} at once",
             where=f"what was drawn, which touches {tiles:,} tiles",
             expected=f"at most {most:,} echoes",
-            got=f"{echoes:,}",
+            got=f"{least}{echoes:,}",
             do="draw less, or come nearer: nothing was selected",
         )

@@ -46,7 +46,8 @@ def write_work_list(run: RunLocation, params: ViewParams, path: Path, overwrite:
     """
     check_free(path, overwrite)
     scene = ViewedRun(open_run(run), params)
-    places = scene.work_list().places
+    listed = scene.work_list()
+    places = listed.places
     names = {int(c["code"]): str(c["name"]) for c in scene.delivery.report["classes"]}
     texts = [", ".join(f"{names.get(code, f'code {code}')} {n}" for code, n in p.classes) for p in places]
     fields: dict[str, NDArray[Any] | Sequence[str]] = {
@@ -59,6 +60,6 @@ def write_work_list(run: RunLocation, params: ViewParams, path: Path, overwrite:
     write_gpkg([Layer(LAYER, box_wkb([Box(*p.box) for p in places]), fields)], path, scene.delivery.crs)
     if not places:
         return f"no echo has a confidence below {params.unsure:g}: the layer {LAYER} of {path} is empty"
-    return (
-        f"{several(len(places), 'place')} of {sum(p.echoes for p in places):,} unsure echoes: layer {LAYER} of {path}"
-    )
+    echoes = f"{sum(p.echoes for p in places):,} unsure echoes"
+    most = f", the largest of {listed.total:,}" if listed.total > len(places) else ""
+    return f"{several(len(places), 'place')} of {echoes}{most}: layer {LAYER} of {path}"

@@ -60,10 +60,15 @@ def _own_answers(survey: Survey) -> list[str]:
 
 
 def _corrected(accuracy: Mapping[str, Any], corrections: Mapping[str, int] | None) -> list[str]:
-    """That corrections, and answers that were confirmed, may be tested."""
+    """That corrections take their places out of the test, or that they and confirmed answers may be tested."""
     applied, scored = (corrections or {}).get("applied", 0), int(np.sum(accuracy["confusion"]))
-    if applied <= CORRECTED_FROM * scored:
+    if not applied:
         return []
+    if applied <= CORRECTED_FROM * scored:
+        return [
+            f"{applied:,} labels are corrections. What lies near one that was learned is not tested, and people "
+            "correct the worst places: part of what the figure gains over one without them comes from that."
+        ]
     return [
         f"{applied:,} labels are corrections, or answers of the model that were confirmed; those in the test areas "
         "make the figure rather too good, as who confirms sees the answer first."

@@ -49,12 +49,14 @@ class WorkList:
     cell : edge of the squares [m].
     squares : int64 (n, 2), column and row of the squares of all `places`.
     number : (n,), which of `places` each square belongs to.
+    total : how many places there are, those that are not listed among them.
     """
 
     places: tuple[UnsureCluster, ...]
     cell: float
     squares: NDArray[np.int64]
     number: NDArray[np.int64]
+    total: int = 0
 
     def of(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:
         """(rows,), which of `places` unsure echoes at `x`, `y` belong to; -1 for none."""
@@ -117,7 +119,7 @@ class UnsureEchoes:
         rows = [order[a:b] for a, b in zip(first, last, strict=True)]
         number = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
         places = tuple(self._cluster(keys[r], sums[r]) for r in rows)
-        return WorkList(places, self.cell, keys[np.concatenate(rows), :2], number)
+        return WorkList(places, self.cell, keys[np.concatenate(rows), :2], number, len(count))
 
     def _corner(self, squares: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
         """West or south border of squares [mm]."""

@@ -111,6 +111,7 @@ def test_a_corrected_echo_trains_and_is_not_tested(second):
     assert np.trace(matrix) == right.sum()
     both = np.isin(after["key"][tested], trained(root)["key"])
     assert not both.any()
+    assert any("people correct the worst places" in r for r in report["accuracy"]["remarks"])
 
 
 def test_with_the_same_corrections_nothing_is_made_anew(second):

@@ -34,6 +34,8 @@ def test_an_echo_is_its_row_of_the_table_whatever_row_group_holds_it(small_run: 
                 continue
             assert told["row"] == opened.order[last - 1]
             groups.add((tile, told["row"] // 200))
+            reference = scene.columns._behind.reference(tile)[told["row"]]
+            assert told["reference"] == (int(reference) or None)
             for name, value in told["values"].items():
                 there = table.column(name)[told["row"]].as_py()
                 assert value == there or (value is None and (there is None or math.isnan(there))), name

@@ -85,6 +85,7 @@ def test_the_file_has_the_places_of_the_page_in_their_order(scene: ViewedRun, ru
     path = tmp_path / "worklist.gpkg"
     ended = fwclass("view", run, "--worklist", path)
     assert ended.returncode == 0, ended.stderr
+    assert scene.work()["total"] == len(scene.work()["places"]) and "largest" not in ended.stderr + ended.stdout
     layers = pyogrio.list_layers(path)
     assert layers.tolist() == [["places", "Polygon"]]
     table = pyogrio.read_dataframe(path)
@@ -94,6 +95,8 @@ def test_the_file_has_the_places_of_the_page_in_their_order(scene: ViewedRun, ru
     for name in ("echoes", "x", "y", "z", "size", "confidence"):
         assert table[name].tolist() == [p[name] for p in places]
     assert table.geometry.bounds.to_numpy().tolist() == [list(p["box"]) for p in places]
+    few = fwclass("view", run, "--worklist", tmp_path / "few.gpkg", "--set", "view.places=2")
+    assert f", the largest of {len(places)}" in few.stderr + few.stdout, few.stderr
     names = {c["code"]: c["name"] for c in scene.index()["classes"]}
     assert table["classes"][0] == ", ".join(f"{names[c]} {n}" for c, n in places[0]["classes"])
     first = path.read_bytes()

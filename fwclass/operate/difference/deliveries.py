@@ -122,9 +122,10 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
     """What changed from `first` to `second` as plain data, and the echoes' classes.
 
     ``settings``, ``libraries``: by key, before and after, null where it was not there. ``files``: ``added``,
-    ``removed``, ``changed``. ``accuracy``: figures before and after; ``paired`` with intervals where both are runs with
-    the same test echoes, else null and ``why`` not. ``echoes``: counts, ``classes`` and ``matrix`` (rows before,
-    columns after). ``heights``: `raster_changes` of terrain and surface. ``places``: boxes with most changed echoes.
+    ``removed``, ``changed``. ``accuracy``: figures before and after, of how many ``tested`` echoes; ``paired`` with
+    intervals where both are runs with the same test echoes, else null and ``why`` not. ``echoes``: counts, ``classes``
+    and ``matrix`` (rows before, columns after). ``heights``: `raster_changes` of terrain and surface. ``places``: boxes
+    with most changed echoes.
     """
     changes = class_changes(_tiles(first), _tiles(second), _sizes(first, second))
     codes = [k for k in range(256) if changes.matrix[k].any() or changes.matrix[:, k].any()]
@@ -138,6 +139,7 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
         "libraries": _changed(first.report["libraries"]["here"], second.report["libraries"]["here"]),
         "accuracy": {
             **{key: [_figure(first, key), _figure(second, key)] for key in FIGURES},
+            "tested": [_tested(first), _tested(second)],
             "paired": paired,
             "why": why,
         },
@@ -193,6 +195,11 @@ def _files(first: Delivery, second: Delivery) -> dict[str, list[str]]:
 def _figure(delivery: Delivery, key: str) -> float | None:
     accuracy = delivery.report.get("accuracy") or {}
     return accuracy.get(key)
+
+
+def _tested(delivery: Delivery) -> int:
+    confusion = (delivery.report.get("accuracy") or {}).get("confusion") or []
+    return sum(sum(row) for row in confusion)
 
 
 def _paired(first: Delivery, second: Delivery) -> tuple[dict[str, Any] | None, str | None]:
@@ -256,6 +263,12 @@ def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
         before, after = accuracy[key]
         if before is not None and after is not None:
             yield f"{key.replace('_', ' '):<18}{before:.4f} -> {after:.4f} ({after - before:+.4f})"
+    before, after = accuracy["tested"]
+    if before and after and before != after:
+        yield (
+            f"{'':<12}of {before:,} and {after:,} tested echoes, not the same ones (areas, labels and corrections "
+            "decide): part of the difference may be theirs"
+        )
     worse = [k for k in FIGURES if None not in accuracy[k] and accuracy[k][1] < accuracy[k][0]]
     if worse:
         yield f"LOST        {', '.join(w.replace('_', ' ') for w in worse)}"

@@ -14,7 +14,7 @@ import { held, Section } from './section.js';
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
 const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, sketched: false, section: null, selected: null, motion: 600_000, shade: true };
-let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null, cross, section;
+let scenes = [], drawing, works = null, total = 0, at = -1, shown = [], relabel = null, again = null, cross, section;
 useToken(given.get('token') || ''); $('unserved').remove();
 const inSight = (id) => $(id).scrollIntoView({ block: 'nearest' }); // on a phone the panel is longer than its place
 const says = (text) => { $('says').textContent = text; if (text) inSight('says'); };
@@ -170,8 +170,9 @@ async function show(number_, hit) {
     const about = s.folder ? await kept(s, hit) : await alone('echo', `${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`, late), v = about?.values; if (late()) return;
     stats.echo = about;
     const corrected = about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`, twin = scenes[1 - number_];
+    const by = about.reference == null ? '' : `; reference: ${apart(s.classes.find((c) => c.code === about.reference)?.name ?? `code ${about.reference}`)}`;
     const beside = about.other === undefined ? '' : `; in ${twin.run} ${about.other ? named(twin, about.other) : 'there is no such echo'}`;
-    $('picked').hidden = false; $('what').textContent = `${named(s, v)}${corrected}${beside}`;
+    $('picked').hidden = false; $('what').textContent = `${named(s, v)}${by}${corrected}${beside}`;
     says(`${scenes.length > 1 ? `${s.run}: ` : ''}${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number}${v.number_of_echoes ? ` of ${v.number_of_echoes}` : ''}`);
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? `${LITTLE}${s.rows ? ' Classes are as corrected up to the export.' : ''}` : ''; reveal();
     if (about.little) return;
@@ -196,14 +197,14 @@ function click(x, y) {
 
 // ------------------------------------------------------------------ work list
 async function go(step) {
-  works ??= (await json('0/work.json')).places;
+  if (!works) ({ places: works, total } = await json('0/work.json'));
   if (!works.length) { $('place').textContent = 'no unsure place'; return; }
   at = at < 0 && step < 0 ? works.length - 1 : (at + step + works.length) % works.length;
   const p = works[at], o = scenes[0].origin;
   const [x0, y0, x1, y1] = p.box, [w, h] = size(), across = 0.6 * Math.hypot(x1 - x0, y1 - y0); // its frame is in sight, on half a phone too
   cam.target = [(x0 + x1) / 2 - o[0], (y0 + y1) / 2 - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4, across / Math.tan(FIELD / 2) / Math.min(1, w / h));
   const called = new Map(scenes[0].classes.map((c) => [c.code, c.name])), classes_ = p.classes.slice(0, 3).map(([code, n]) => `${apart(called.get(code) || `code ${code}`)} ${n.toLocaleString('en')}`).join(', ');
-  $('place').textContent = `${scenes.length > 1 ? `${scenes[0].run}: ` : ''}${at + 1} of ${works.length}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${classes_}`; moved();
+  $('place').textContent = `${scenes.length > 1 ? `${scenes[0].run}: ` : ''}${at + 1} of ${works.length}${total > works.length ? `, the largest of ${total.toLocaleString('en')} places` : ''}: ${counted(p.echoes)}, ${Math.round(100 * p.confidence)} % sure: ${classes_}`; moved();
   const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
 const marked = () => works?.[at]?.told || []; // echoes of which a folder has everything

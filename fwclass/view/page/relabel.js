@@ -212,5 +212,5 @@ export class Relabel {
     if (anew) this.scene.anew(); else this.scene.correct(blocks);
   }
 
-  told(e, here) { if (e.status === 409) this.gone = true; if (!e.status || e.status === 410) this.lost = true; if (!here || [401, 409, 410].includes(e.status)) this.failed(e.message, e.status); }
+  told(e, here) { if (e.status === 409) { this.gone = true; this.count(''); } if (!e.status || e.status === 410) this.lost = true; if (!here || [401, 409, 410].includes(e.status)) this.failed(e.message, e.status); }
 }

@@ -39,7 +39,7 @@ export class Section {
     c.width = c.clientWidth; c.height = c.clientHeight; // which the words have left
     if (low > high) return;
     const over = held('exaggeration'), scale = (w, h) => Math.min((w - 20) / length, (h - 16) / Math.max((high - low) * over, 1));
-    const beside = scale(c.width / n, c.height) > scale(c.width, c.height / n), w = Math.floor(beside ? c.width / n : c.width), h = Math.floor(beside ? c.height : c.height / n), k = scale(w, h), left = (w - k * length) / 2, bottom = h - 8;
+    const beside = scale(c.width / n, c.height) > scale(c.width, c.height / n), w = Math.floor(beside ? c.width / n : c.width), h = Math.floor(beside ? c.height : c.height / n), k = scale(w, h), left = (w - k * length) / 2, bottom = h - 8 - Math.max(0, h - 16 - (high - low) * over * k) / 2;
     const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), wide = cuts.reduce((sum, one) => sum + one.echoes.length, 0) < FEW * n ? 3 : 2;
     cuts.forEach(({ echoes }, of) => { for (const e of echoes.filter(({ z }) => z >= low && z <= high)) {
       e.of = of; e.x = left + e.s * k + (beside ? of * w : 0); e.y = bottom - (e.z - low) * k * over + (beside ? 0 : of * h); line.echoes.push(e);
