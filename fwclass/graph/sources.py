@@ -30,7 +30,6 @@ from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import read_json, write_json
-from fwclass.store.receipts import as_written
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
@@ -74,9 +73,8 @@ def index_name(strip: Strip) -> Name:
 def spans_of(plan: Plan, strip: Strip) -> list[StripSpan]:
     """The spans that a strip's index cuts it into."""
     meta = plan.indexed[index_name(strip)].meta
-    with as_written("/".join(index_name(strip))):
-        cut = [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in meta["spans"]]
-        return [StripSpan(strip, k, span, bool(meta["pulses"])) for k, span in enumerate(cut)]
+    cut = [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in meta["spans"]]
+    return [StripSpan(strip, k, span, bool(meta["pulses"])) for k, span in enumerate(cut)]
 
 
 def _spans(plan: Plan) -> list[StripSpan]:

@@ -21,7 +21,7 @@ from fwclass.run.inputs import TABLE
 from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.cells import CELLS, by_name
-from fwclass.store.receipts import Receipt, as_written
+from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_groups
 from fwclass.tile.params import TileParams
@@ -72,9 +72,8 @@ def _cut(stage: str) -> Callable[[Plan], list[_Pieces]]:
         chunks: dict[str, list[str]] = {}
         for name in sorted(plan.splits):
             if name[0] == stage:
-                with as_written("/".join(name)):
-                    for key in plan.splits[name].meta["tiles"]:
-                        chunks.setdefault(key, []).append(name[1])
+                for key in plan.splits[name].meta["tiles"]:
+                    chunks.setdefault(key, []).append(name[1])
         return [_Pieces(key, tuple(some)) for key, some in sorted(chunks.items())]
 
     return parts
@@ -85,8 +84,7 @@ def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
     tiles: dict[int, set[str]] = {}
     for stage, part in plan.splits:
         if stage == SPLIT.name:
-            with as_written(f"{stage}/{part}"):
-                tiles.setdefault(strip_of(part), set()).update(plan.splits[stage, part].meta["tiles"])
+            tiles.setdefault(strip_of(part), set()).update(plan.splits[stage, part].meta["tiles"])
     return {strip: tuple(sorted(keys)) for strip, keys in tiles.items()}
 
 

@@ -38,7 +38,6 @@ from fwclass.run.tasks import Tasks
 from fwclass.store.installed_models import model_place
 from fwclass.store.model_rows import load_rows, rows_digest
 from fwclass.store.models import load_model, model_digest
-from fwclass.store.receipts import as_written
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
 
@@ -241,8 +240,7 @@ def until_report(
     runner.do(tasks)
     runner.finish(whole=keys is None)
     card = load_model(local(plan.model[0])).card if plan.model else None
-    with as_written(runner.store.where):
-        return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph, card))
+    return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph, card))
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
-from fwclass.store.cells import CELLS, Within
+from fwclass.store.cells import Within, cells_of
 from fwclass.store.kept import groups_touching, read_kept
 from fwclass.store.remote_file import Location, local
 from fwclass.store.run_store import Store
@@ -61,7 +61,7 @@ class PartInputs:
         """A file or directory of a part, which is read whole."""
         self._check(stage, part)
         if self.declared is not None and isinstance(self.declared.within, Box):
-            cells = self.meta(stage, part).get(CELLS)
+            cells = cells_of(self.meta(stage, part), f"{stage}/{part}")
             if cells is not None and "size" in cells:
                 self._refuse(f"all of {stage}/{part}", "what lies in the box that the task is bound to")
         return self._store.path(stage, part, name)

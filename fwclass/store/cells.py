@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.errors import DamagedError
 from fwclass.grid import Box, Window, millimetres
 from fwclass.schema import Table
 from fwclass.store.atomic import digest_of
-from fwclass.store.receipts import Receipt, as_written
+from fwclass.store.receipts import Receipt
+from fwclass.store.shapes import COUNT, POSITIVE, TEXT, WHOLE, misfit
 
 CELL = 8.0
 """Edge of the squares of the global grid that have a digest of their own [m]: a halo is known to the next 8 m."""
@@ -66,14 +68,29 @@ def _digest(table: Table, first: int, last: int) -> str:
     return state.hexdigest()
 
 
+_SHAPE = {"size?": POSITIVE, "first?": (WHOLE, WHOLE), "rows?": COUNT, "digests?": TEXT, "names?": {TEXT: TEXT}}
+
+
+def cells_of(meta: Mapping[str, Any], where: object) -> Mapping[str, Any] | None:
+    """What a receipt keeps under `CELLS`, None where that are no digests of pieces; `DamagedError` for wrong ones."""
+    cells = meta.get(CELLS)
+    if cells is None or isinstance(cells, int):  # a count of cells, as stages of rasters tell it
+        return None
+    wrong = misfit(cells, _SHAPE, f"meta.{CELLS}")
+    if wrong or ("size" in cells and not {"first", "rows", "digests"} <= cells.keys()):
+        raise DamagedError(
+            "a receipt tells no digests of pieces",
+            where=where,
+            expected=f"{wrong.at}: {wrong.expected}" if wrong else "size, first, rows and digests",
+            got=wrong.got if wrong else ", ".join(cells),
+            do="remove the file; the part is made anew",
+        )
+    return dict(cells)
+
+
 def digest_within(receipt: Receipt, within: Within) -> str | None:
     """Digest of what is read of a part; None where that is nothing."""
-    with as_written(f"{receipt.stage}/{receipt.part}"):
-        return _digest_within(receipt, within)
-
-
-def _digest_within(receipt: Receipt, within: Within) -> str | None:
-    cells: Mapping[str, Any] | None = receipt.meta.get(CELLS)
+    cells = cells_of(receipt.meta, f"{receipt.stage}/{receipt.part}")
     if within is None or cells is None:
         return receipt.digest
     if isinstance(within, str):

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-import traceback
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Any
 
 from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import name_fault, relative_fault
 from fwclass.store.atomic import digest_of
+from fwclass.store.metas import is_told, misfit_of
 from fwclass.store.seal import seal, unseal
 
 FORMAT = 1
@@ -69,7 +67,7 @@ class Receipt:
 
     def to_text(self) -> str:
         """JSON, a field a line, with a digest of itself."""
-        plain = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain = {f.name: getattr(self, f.name) for f in fields(self)} | {"meta": dict(self.meta)}
         lines = seal(plain)
         return "{\n" + ",\n".join(f'"{name}": {_LINE.encode(lines[name])}' for name in sorted(lines)) + "\n}\n"
 
@@ -94,7 +92,7 @@ class Receipt:
         wrong = receipt._fault()
         if wrong:
             raise StoreError("not a receipt", where=where, got=wrong, do="remove the file; the part is made anew")
-        return replace(receipt, meta=Meta(receipt.meta, where))
+        return replace(receipt, meta=Meta(receipt.meta, receipt.stage, where))
 
     def _fault(self) -> str:
         """What in it no writer of receipts wrote; "" if nothing."""
@@ -116,40 +114,59 @@ class Receipt:
         return ""
 
 
-STRANGE = "what receipts of the run tell cannot be used"
+class Meta(Mapping[str, Any]):
+    """What a receipt tells, held to what its stage tells (`metas`) when it is first asked; `DamagedError` where it is
+    something else, as who makes digests fit can write anything."""
+
+    def __init__(self, values: Mapping[str, Any], stage: str, where: object) -> None:
+        self._values, self._stage, self._where, self._checked = dict(values), stage, str(where), False
+
+    def _told(self) -> dict[str, Any]:
+        if not self._checked:
+            wrong = misfit_of(self._stage, self._values)
+            if wrong:
+                raise DamagedError(
+                    "a receipt tells something else than its stage does",
+                    where=self._where,
+                    expected=f"{wrong.at}: {wrong.expected}",
+                    got=wrong.got,
+                    do="remove the file; the part is made anew",
+                )
+            self._checked = True
+        return self._values
+
+    def __getitem__(self, name: str) -> Any:
+        told = self._told()
+        if name not in told and is_told(self._stage, name):
+            raise DamagedError(
+                "a receipt lacks what its stage tells",
+                where=self._where,
+                expected=f"meta.{name}",
+                got=", ".join(told)[:200] or "nothing",
+                do="remove the file; the part is made anew",
+            )
+        return told[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._told()
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """What is told under `name`, `default` where nothing is."""
+        return self._told().get(name, default)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._told())
+
+    def __len__(self) -> int:
+        return len(self._values)
 
 
-@contextmanager
-def as_written(where: object) -> Iterator[None]:
-    """`DamagedError` where what receipts tell in `where` is of another kind than what their stages tell: who makes
-    digests fit can write anything."""
-    try:
-        yield
-    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as fault:
-        at = traceback.extract_tb(fault.__traceback__)[-1]
-        raise DamagedError(
-            STRANGE,
-            where=where,
-            got=f"{type(fault).__name__}: {fault} ({Path(at.filename).name}:{at.lineno})"[:500],
-            do="take another run directory; if it is told again, it is a fault of fwclass: report it with these lines",
-        ) from fault
-
-
-class Meta(dict[str, Any]):
-    """What a receipt tells; `DamagedError` for what its stage always tells, and it does not."""
-
-    def __init__(self, values: Mapping[str, Any], where: object) -> None:
-        super().__init__(values)
-        self._where = str(where)
-
-    def __missing__(self, name: str) -> Any:
-        raise DamagedError(
-            "a receipt lacks what its stage tells",
-            where=self._where,
-            expected=f"meta: {name}",
-            got=", ".join(self)[:200] or "nothing",
-            do="remove the file; the part is made anew",
-        )
+def checked_meta(stage: str, meta: Mapping[str, Any]) -> dict[str, Any]:
+    """What a stage tells, to be written; `TypeError` for a stage that tells what its receipts do not (`metas`)."""
+    wrong = misfit_of(stage, meta)
+    if wrong:
+        raise TypeError(f"stage {stage} tells {wrong.at} = {wrong.got}, expected {wrong.expected}: see store/metas.py")
+    return dict(meta)
 
 
 def key_of(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> str:

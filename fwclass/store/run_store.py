@@ -29,7 +29,7 @@ from fwclass.store.history import surplus
 from fwclass.store.libraries import fingerprint, fingerprint_under
 from fwclass.store.lookup import RECEIPT, Lookup, Name, part_key, receipt_key, units_by_part
 from fwclass.store.objects import Mark
-from fwclass.store.receipts import Receipt, digest_of_outputs
+from fwclass.store.receipts import Receipt, checked_meta, digest_of_outputs
 from fwclass.store.refusals import LostRace
 from fwclass.store.url import Url
 
@@ -192,7 +192,7 @@ class Store:
         began, before = time.perf_counter(), spent()
         old = self._lookup.receipt((stage, part))
         with self._files.making(stage, part) as (directory, check):
-            meta = dict(work(directory))
+            meta = checked_meta(stage, work(directory))
             worked = time.perf_counter()
             outputs = {}
             for name in names_below(directory):

@@ -30,8 +30,6 @@ from cases import Case  # noqa: E402 - the path comes first
 from child import _status, laid  # noqa: E402
 from looks import look  # noqa: E402
 
-from fwclass.store.receipts import STRANGE  # noqa: E402
-
 CPU_FIXED, CPU_EACH = float(os.environ.get("FUZZ_CPU_SECONDS", "10")), 10e-6
 RUNS = {"run", "train", "select"}
 CPU_EACH_OF_RUNS = 10e-3
@@ -124,8 +122,6 @@ class Server:
         cpu = used.ru_utime + used.ru_stime
         out, err = (_text(self._folder.parent / n) for n in ("out", "err"))
         wrong = _wrong(status, out, err, self._folder)
-        if not wrong and STRANGE in err and "sealed" not in name and not name.startswith("forged"):
-            wrong = f"a fault of the program: {err[-400:]}"
         if wrong in ("SIGPROF", "SIGKILL"):
             wrong = f"more than {seconds:.0f} s of the processor" if wrong == "SIGPROF" else f"not done in {WALL:.0f} s"
         elif not wrong and grown > allowed and _loaded(figures["modules"]):

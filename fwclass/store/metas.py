@@ -1,0 +1,378 @@
+"""What the stages tell in their receipts, by stage: the shapes that receipts are held to when they are written, and
+when somebody reads what they tell. Other stages, as those of a user's own workflow, are held to `EVERY` alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fwclass.store.shapes import (
+    ANY,
+    CODE,
+    COUNT,
+    DECIMAL,
+    FLAG,
+    NUMBER,
+    NUMERAL,
+    POSITIVE,
+    TEXT,
+    TILE,
+    WHOLE,
+    Maybe,
+    Misfit,
+    Related,
+    Shape,
+    misfit,
+    square,
+)
+
+_FIGURE = Maybe(NUMBER)
+_PAIR = (NUMBER, NUMBER)
+_TWO = ((COUNT, COUNT), (COUNT, COUNT))
+_PERCENT = (COUNT,) * 101
+_PLANE = (NUMBER,) * 4
+_SPACE = (NUMBER,) * 6
+_REMARKS = [TEXT]
+_FAULTS = {TEXT: COUNT}
+_ROWS = {"rows": COUNT}
+_OUTSIDE = {TEXT: (COUNT, COUNT)}
+_TRIAL = {"rows": COUNT, "counts": [COUNT]}
+
+EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": _REMARKS}
+"""Of any stage."""
+
+_READ = {"returns": COUNT, "withheld?": COUNT, "waveforms": COUNT, "returns_without_packet": COUNT, "faults": _FAULTS}
+_CUT = {"tiles": {TILE: (COUNT, COUNT)}, "rows": COUNT}
+_FIGURES = {
+    "classes": [TEXT],
+    "confusion": square(),
+    "overall_accuracy": _FIGURE,
+    "kappa": _FIGURE,
+    "mean_iou": _FIGURE,
+    **{name: [_FIGURE] for name in ("producers_accuracy", "users_accuracy", "iou")},
+    "type_i?": _FIGURE,
+    "type_ii?": _FIGURE,
+    "total_error?": _FIGURE,
+    "unclassified?": [COUNT],
+}
+_BY_CLASS = ("confusion", "producers_accuracy", "users_accuracy", "iou", "unclassified")
+
+
+def _of_one_length(*names: str, of: str) -> Any:
+    """Whether the lists under `names` are as long as the one under `of`; where one is not there it says nothing."""
+    return lambda value: all(len(value[name]) == len(value[of]) for name in names if name in value)
+
+
+def _has_every_quantile(value: Any) -> bool:
+    rows = (row for by_class in value["features"].values() for row in by_class.values())
+    return all(len(row["quantiles"]) == len(value["shares"]) for row in rows)
+
+
+def _by_class(shape: dict[str, Shape]) -> Related:
+    return Related(shape, "as many of each as there are classes", _of_one_length(*_BY_CLASS, of="classes"))
+
+
+_INTERVALS = {"level": NUMBER, "blocks": COUNT, "overall_accuracy": Maybe([_FIGURE])}
+_CARD = Related(
+    {
+        "classes": [{"name": TEXT, "code": COUNT, "codes": [COUNT]}],
+        "samples": [COUNT],
+        "features": [TEXT],
+        "notes?": [TEXT],
+        "method?": TEXT,
+        "ranges?": {TEXT: _PAIR},
+        "context?": Maybe({"cells?": [NUMBER]}),
+        "out_of_bag?": {"accuracy?": _FIGURE},
+        "importance?": Maybe({TEXT: ANY}),
+    },
+    "a number of samples for each class",
+    _of_one_length("samples", of="classes"),
+)
+_CENSUS = {
+    "echoes": COUNT,
+    "unlabelled": COUNT,
+    "other": {CODE: COUNT},
+    "labelled": [COUNT],
+    "train": [COUNT],
+    "test": [COUNT],
+    "boxes": [[COUNT]],
+    "nearest": _FIGURE,
+}
+_FULLEST = Maybe({"echoes": COUNT, "most": COUNT, "corner": [NUMBER]})
+_VOIDS = [{"area": NUMBER, "bounds": _PLANE}]
+_HEIGHTS = Maybe(
+    {
+        "count": COUNT,
+        **dict.fromkeys(("mean", "rmse", "accuracy_95", "percentile_95", "lowest", "highest"), NUMBER),
+        "sd": _FIGURE,
+        "rmse_interval": _PAIR,
+    }
+)
+_CHECKED = {
+    "given": COUNT,
+    "repeated?": COUNT,
+    "blunders?": {"count": COUNT, "points": [_PLANE]},
+    "nearest_echo": _FIGURE,
+    "all": _HEIGHTS,
+    "open": _HEIGHTS,
+    "vegetated": _HEIGHTS,
+}
+_STRIP = {
+    "name": TEXT,
+    "files": [TEXT],
+    "echoes": COUNT,
+    "times": Maybe(_PAIR),
+    "azimuth": _FIGURE,
+    "timed": FLAG,
+    "centre": _PAIR,
+    "width": NUMBER,
+    "length": NUMBER,
+    "pairs": COUNT,
+    "group": WHOLE,
+    **{f"{n}{end}": _FIGURE for n in ("height", "roll", "pitch") for end in ("", "_error")},
+}
+_QUALITY = {
+    "survey": TEXT,
+    "echoes": COUNT,
+    "noise": COUNT,
+    "noise_share": _FIGURE,
+    "pulses": COUNT,
+    "density": {
+        **dict.fromkeys(("cell", "area"), NUMBER),
+        **dict.fromkeys(("echoes", "pulses", "spacing"), _FIGURE),
+        "percentiles": {TEXT: _FIGURE},
+    },
+    "voids": {"area": NUMBER, "count": COUNT, "least": NUMBER, "share": _FIGURE, "largest": _VOIDS},
+    "strips": {
+        "by": TEXT,
+        "pairs": COUNT,
+        "adjusted": COUNT,
+        "apart": COUNT,
+        **dict.fromkeys(("rms", "left", "sigma"), _FIGURE),
+        "strips": [_STRIP],
+        "between": [{"first": COUNT, "second": COUNT, "pairs": COUNT, "mean": NUMBER, "rms": NUMBER}],
+    },
+    "coverage": Maybe({"area": NUMBER, "share": _FIGURE, "gaps": COUNT, "largest": _VOIDS}),
+    "check_points": Maybe(_CHECKED),
+    "remarks": _REMARKS,
+}
+_CALIBRATION = {
+    "constant": NUMBER,
+    "error": _FIGURE,
+    "source": TEXT,
+    "target_echoes": COUNT,
+    "unit_error": _FIGURE,
+    "others": FLAG,
+    "strips": [{"strip": COUNT, "gain": NUMBER, "error": _FIGURE, "echoes": COUNT, "group": COUNT, "tied": FLAG}],
+    "pairs": [
+        {"first": COUNT, "second": COUNT, "cells": COUNT, **dict.fromkeys(("log_ratio", "error", "residual"), NUMBER)}
+    ],
+    "target_spread?": _FIGURE,
+    "target_levels?": [(COUNT, NUMBER)],
+}
+_PULSE = {
+    "pulse": {
+        "shape": TEXT,
+        "echoes": COUNT,
+        "outgoing": COUNT,
+        **dict.fromkeys(("fwhm", "rise_time", "skew", "tail_share", "shape_error"), _FIGURE),
+    },
+    "noise": _FIGURE,
+    "channels": [
+        {
+            "echoes": COUNT,
+            "outgoing": COUNT,
+            "fwhm": NUMBER,
+            **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm"), _FIGURE),
+        }
+    ],
+    "sampled": COUNT,
+    "quiet_samples": COUNT,
+    "noise_order": COUNT,
+    "noise_period?": _FIGURE,
+    **dict.fromkeys(("lag1", "inflation", "noise_growth", "noise_periodic?"), _FIGURE),
+}
+_PLACES = {
+    "vendor_offset": [
+        {
+            **dict.fromkeys(("sample_spacing", "saturation", "constant", "scatter"), NUMBER),
+            "echoes": COUNT,
+            "phase": FLAG,
+            "heights": [NUMBER],
+            "offsets": [NUMBER],
+        }
+    ],
+    "outgoing_time": Maybe(
+        {
+            "from_outgoing": FLAG,
+            "range_from_outgoing": FLAG,
+            "evidence": TEXT,
+            "places_m": [NUMBER],
+            "ranges_m": [NUMBER],
+            "pulses": COUNT,
+        }
+    ),
+}
+_TILE_FACTS = {
+    "points": COUNT,
+    "bounds": _SPACE,
+    "classes": {CODE: COUNT},
+    "sure": {CODE: (COUNT, NUMBER)},
+    "confidence": _FIGURE,
+    "times": Maybe(_PAIR),
+    "figures": {TEXT: {"count": COUNT, **dict.fromkeys(("minimum", "maximum", "mean", "stddev"), NUMBER)}},
+}
+
+META: dict[str, Shape] = {
+    "index": {
+        "spans": [(COUNT, COUNT, COUNT, COUNT, [COUNT])],
+        "points": COUNT,
+        "pulses": COUNT,
+        "point_format": WHOLE,
+        "from_outgoing?": FLAG,
+    },
+    "read": _READ,
+    "pulse": _PULSE,
+    "places": {"places": _PLACES, "sampled": COUNT},
+    "decompose": {
+        **{f"{name.removesuffix('?')}?": shape for name, shape in _READ.items()},
+        "plausibility": {TEXT: COUNT},
+        **dict.fromkeys(
+            ("returns_without_echo", "echoes", "fitted", "kept_returns", "read_as_echoes", "without_width"), COUNT
+        ),
+    },
+    "split": {**_CUT, "codes?": {CODE: COUNT}},
+    "reference-split": _CUT,
+    "tile": {
+        "rows": COUNT,
+        "blocks": {DECIMAL: [TILE]},
+        "bounds": _SPACE,
+        "strips": [COUNT],
+        "times": [(COUNT, NUMBER, NUMBER)],
+        "repeated?": [(COUNT, COUNT, COUNT)],
+    },
+    "reference": _ROWS,
+    "trajectory": {"fixes": COUNT, "begins": Related([NUMBER], "at least one", bool), "ends": NUMBER},
+    "calibrate": {"calibration": _CALIBRATION},
+    "radiometry": {"sums": {NUMERAL: (NUMBER,) * 16}, "without_range": COUNT, "pointing_error": _FIGURE},
+    "polygons": {
+        "file": TEXT,
+        "features": COUNT,
+        "polygons": COUNT,
+        "values": {TEXT: COUNT},
+        "without_code": COUNT,
+        "without_polygon": COUNT,
+        "invalid": COUNT,
+        "reprojected": TEXT,
+        "bounds": Maybe(_PLANE),
+    },
+    "echo-labels": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
+    "corrections": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
+    "label": {"codes?": {CODE: COUNT}, "ambiguous?": COUNT, "corrected?": COUNT, "by_echo?": COUNT},
+    "label-counts": _CENSUS,
+    "sample-counts": {"train": [COUNT], "boxes": [[COUNT]]},
+    "ground-auto": {
+        "parameters": {"method": TEXT, "max_building_size": NUMBER, "values": {TEXT: NUMBER}},
+        "occupied": COUNT,
+        "evidence": Maybe({TEXT: _FIGURE}),
+    },
+    "ground-filter": {
+        "rows": COUNT,
+        "ground": COUNT,
+        "noise": COUNT,
+        "seen": COUNT,
+        "last": COUNT,
+        "pieces": [(TILE, COUNT)],
+    },
+    "terrain": {
+        "without_terrain": COUNT,
+        "pieces": [(TILE, COUNT)],
+        "breaklines?": dict.fromkeys(("compared", "above", "below"), COUNT),
+    },
+    "seams": {
+        **dict.fromkeys(("cells", "cells_off", "cells_one_sided", "echoes", "flags_differ", "left_out"), COUNT),
+        "within": NUMBER,
+        "dtm_p999": _FIGURE,
+        "dtm_worst": _FIGURE,
+        "across?": {"width": NUMBER, "echoes": COUNT, "flags_differ": COUNT},
+    },
+    "water-levels": {
+        "bodies": [
+            {
+                **dict.fromkeys(("feature", "echoes", "inside"), COUNT),
+                **dict.fromkeys(("level", "shore_level", "inside_level", "lowest", "highest"), _FIGURE),
+                "level_enough": FLAG,
+            }
+        ],
+        "remarks": _REMARKS,
+    },
+    "features": {"dense?": {"cubes": _FULLEST, "columns": _FULLEST}},
+    "training": _TRIAL,
+    "base-rows": {**_TRIAL, "remarks": _REMARKS},
+    "train": {"card": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},
+    "train-coarse": {"card": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},
+    "fold-models": {"rows": COUNT, "model": FLAG},
+    "context-folds": {"rows": COUNT, "first": COUNT, "both": COUNT},
+    "machine-search": {"right": COUNT, "judged": COUNT},
+    "coarse": {"outside?": _OUTSIDE},
+    "first-shares": {"outside?": _OUTSIDE},
+    "classify": {"codes": {CODE: COUNT}, "outside?": _OUTSIDE, "of_source?": {CODE: (COUNT, COUNT)}},
+    "confusion": Related(
+        {"matrix": square(), "lost": [COUNT], "ground": _TWO, "sure": (_PERCENT, _PERCENT, _PERCENT), "kept?": COUNT},
+        "as many lost as there are classes",
+        _of_one_length("lost", of="matrix"),
+    ),
+    "assess": {
+        "accuracy": Maybe(
+            _by_class(
+                {**_FIGURES, "blocks": COUNT, "pure_share?": _FIGURE, "intervals": Maybe(_INTERVALS), "kept?": COUNT}
+            )
+        ),
+        "distribution": Related(
+            {
+                "shares": [NUMBER],
+                "features": {TEXT: {TEXT: {"rows": COUNT, "without_value": COUNT, "quantiles": [_FIGURE]}}},
+            },
+            "a quantile of every share",
+            _has_every_quantile,
+        ),
+        "ground": Maybe(_by_class(_FIGURES)),
+        "automation": [(NUMBER, NUMBER, NUMBER)],
+        "reliability?": Maybe(
+            {
+                **dict.fromkeys(("confidence", "right", "error"), NUMBER),
+                "steps": [(NUMBER, NUMBER, NUMBER)],
+                "without_class?": COUNT,
+            }
+        ),
+    },
+    "quality-block": dict.fromkeys(("echoes", "noise", "pairs", "between_files", "between_lines"), COUNT),
+    "check-points": _CHECKED,
+    "publish-quality": {"quality": _QUALITY},
+    "publish-tile": {"rows": COUNT, "beyond": {TEXT: COUNT}, "facts": _TILE_FACTS, "percent": Maybe([COUNT])},
+    "publish-rasters": {
+        "dtm_cells": COUNT,
+        "ranges": {TEXT: _PAIR},
+        "covered": [{"count": COUNT, "gaps": {NUMERAL: COUNT}}],
+    },
+    "publish-overview": _ROWS,
+    "contours": {"every": COUNT, "pieces": COUNT, "vertices": COUNT},
+    "publish-contours": {"lines": COUNT, "vertices": COUNT, "remarks": _REMARKS},
+    "pulse-density": {"squares": {NUMERAL: COUNT}},
+    "vector-cell": {"density": NUMBER, "cell": POSITIVE, "sparse": FLAG},
+    "publish-vectors": {"density": NUMBER, "cell": POSITIVE, "sparse": FLAG},
+    "samples": {**_CUT, "dropped": NUMBER, "energy": NUMBER},
+    "voxels": {"layers": Maybe((WHOLE, WHOLE))},
+    "profiles": {"cells": COUNT, "samples": COUNT},
+}
+
+
+def misfit_of(stage: str, meta: Any) -> Misfit | None:
+    """Where what a receipt of `stage` tells is not what the stage tells; None where it is."""
+    return misfit(meta, EVERY, "meta") or misfit(meta, META.get(stage, {}), "meta")
+
+
+def is_told(stage: str, name: str) -> bool:
+    """Whether receipts of `stage` may tell something under `name`."""
+    shape = META.get(stage, {})
+    known = shape.shape if isinstance(shape, Related) else shape
+    return not {name, f"{name}?"}.isdisjoint({*EVERY, *known})

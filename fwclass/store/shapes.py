@@ -1,0 +1,134 @@
+"""Shapes of plain data: which names a piece of JSON has, and of which kind and size what stands under them is.
+
+A shape is a `Kind`; ``{"name": shape, "name?": shape}``, where names with a question mark may lack and others may stand
+beside; ``{kind: shape}``, any names of a kind; ``[shape]``, a list of any length; ``(shape, shape)``, a list of these;
+a `Maybe`, or a `Related`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+Shape = Any
+
+LARGEST_WHOLE = 2**53
+"""Larger counts are none that a computer has made."""
+
+LARGEST = 1e30
+"""Its square and its cube are numbers still."""
+
+SHOWN = 80
+"""Characters of a value that are told."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One value: what it is called, and what tells it."""
+
+    called: str
+    fits: Callable[[Any], bool]
+
+
+@dataclass(frozen=True)
+class Maybe:
+    """A shape, or null."""
+
+    shape: Shape
+
+
+@dataclass(frozen=True)
+class Related:
+    """A shape whose parts belong to each other, as `called` says."""
+
+    shape: Shape
+    called: str
+    holds: Callable[[Any], bool]
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """The place of a value that does not fit, as names and numbers with dots between; what fits there; what it is."""
+
+    at: str
+    expected: str
+    got: str
+
+
+def _is_whole(value: Any) -> bool:
+    return type(value) is int and abs(value) <= LARGEST_WHOLE
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and type(value) is not bool and abs(value) <= LARGEST
+
+
+def _pattern(called: str, pattern: str) -> Kind:
+    known = re.compile(pattern)
+    return Kind(called, lambda value: isinstance(value, str) and known.fullmatch(value) is not None)
+
+
+COUNT = Kind("a count", lambda value: _is_whole(value) and value >= 0)
+WHOLE = Kind("a whole number", _is_whole)
+NUMBER = Kind("a number", _is_number)
+POSITIVE = Kind("a number above 0", lambda value: _is_number(value) and value > 0)
+FLAG = Kind("true or false", lambda value: isinstance(value, bool))
+TEXT = Kind("text", lambda value: isinstance(value, str))
+ANY = Kind("anything", lambda value: True)
+NUMERAL = _pattern("a whole number as text", r"\d{1,15}")
+CODE = Kind("a class code as text", lambda value: NUMERAL.fits(value) and int(value) <= 255)
+DECIMAL = _pattern("a number above 0 as text", r"(?=.*[1-9])\d{1,9}(\.\d{1,9})?")
+TILE = _pattern("the key of a tile, as 12_34", r"-?\d{1,9}_-?\d{1,9}")
+
+
+def square(shape: Shape = COUNT) -> Related:
+    """A square matrix."""
+    return Related([[shape]], "a square matrix", lambda rows: all(len(row) == len(rows) for row in rows))
+
+
+def misfit(value: Any, shape: Shape, at: str = "") -> Misfit | None:
+    """The first place where plain data are not of a shape; None where they are. NaN and infinity fit nothing."""
+    if isinstance(shape, Maybe):
+        return None if value is None else misfit(value, shape.shape, at)
+    if isinstance(shape, Related):
+        wrong = misfit(value, shape.shape, at)
+        return wrong or (None if shape.holds(value) else _wrong(value, shape.called, at))
+    if isinstance(shape, Kind):
+        return None if shape.fits(value) and not _is_nan(value) else _wrong(value, shape.called, at)
+    if isinstance(shape, dict):
+        return _in_object(value, shape, at) if isinstance(value, Mapping) else _wrong(value, "an object", at)
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        return _wrong(value, "a list", at)
+    if isinstance(shape, tuple) and len(value) != len(shape):
+        return _wrong(value, f"a list of {len(shape)}", at)
+    each = shape if isinstance(shape, tuple) else shape * len(value)
+    inside = (misfit(v, s, f"{at}.{k}") for k, (v, s) in enumerate(zip(value, each, strict=True)))
+    return next((wrong for wrong in inside if wrong), None)
+
+
+def _in_object(value: Mapping[Any, Any], shape: Mapping[Any, Shape], at: str) -> Misfit | None:
+    for name, one in shape.items():
+        if isinstance(name, Kind):
+            for key, own in value.items():
+                wrong = misfit(str(key), name, f"{at}.{key}") or misfit(own, one, f"{at}.{key}")
+                if wrong:
+                    return wrong
+        elif name.removesuffix("?") in value:
+            wrong = misfit(value[name.removesuffix("?")], one, f"{at}.{name.removesuffix('?')}")
+            if wrong:
+                return wrong
+        elif not name.endswith("?"):
+            return Misfit(f"{at}.{name}", "to be there", f"only {', '.join(map(str, value))[:SHOWN] or 'nothing'}")
+    return None
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _wrong(value: Any, expected: str, at: str) -> Misfit:
+    shown = repr(value)
+    return Misfit(at, expected, shown if len(shown) <= SHOWN else f"{shown[:SHOWN]}…")
