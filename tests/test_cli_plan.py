@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import laspy
@@ -52,6 +53,17 @@ def test_json_goes_to_standard_output_alone(conf: Path, tmp_path: Path) -> None:
     assert told["seconds"] > 0 and told["disk_bytes"] > 0 and told["free_bytes"] > 0
     assert {s["source"] for s in told["stages"]} == {"conf"} and told["dry_run"] is None
     assert json.loads((tmp_path / "r" / "plan" / "plan.json").read_text()) == told
+
+
+def test_every_file_of_the_reference_is_a_part_by_itself(conf: Path, tmp_path: Path) -> None:
+    """They were planned as one, and four were made."""
+    for name in "pqrs":
+        shutil.copy(tmp_path / "a.las", tmp_path / f"{name}.las")
+    (tmp_path / "c.yaml").write_text(conf.read_text().replace("{kind: source}", "{kind: cloud, files: ['[p-s].las']}"))
+    ended = fwclass("plan", conf, "--out", tmp_path / "r", "--json")
+    told = json.loads(ended.stdout)
+    parts = {stage["name"]: stage["parts"] for stage in told["stages"]}
+    assert parts["reference-split"] == 4 and told["reference_points"] == 48_000
 
 
 def test_a_plan_is_not_overwritten_unasked(conf: Path, tmp_path: Path) -> None:

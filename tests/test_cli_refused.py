@@ -150,3 +150,27 @@ def test_extended_records_that_are_not_where_the_header_says_stop_what_copies_th
     struct.pack_into("<QI", data, 235, len(data) - 60, 1)
     source.write_bytes(data)
     assert fwclass("plan", config, "--out", "r", cwd=tmp_path).returncode == 0
+
+
+def test_a_file_that_ends_in_an_extended_record_is_not_copied(tmp_path):
+    """What was there of the record went into the copy, whose header promised more."""
+    config, source = small_survey(tmp_path), tmp_path / "a.las"
+    data = bytearray(source.read_bytes())
+    struct.pack_into("<QI", data, 235, len(data), 1)
+    data += evlr_head("vendor", 9, 5000) + bytes(4000)
+    source.write_bytes(data)
+    before = left(tmp_path)
+    for words in (
+        ("run", config, "--out", "r", "--workers", 0),
+        ("plan", config, "--out", "r"),
+        ("ground", source, "o.laz", "--method", "slope"),
+        ("normalize", source, "o.laz", "--method", "slope"),
+    ):
+        ended = fwclass(*words, cwd=tmp_path)
+        assert ended.returncode == 1 and "the file ends in its extended record vendor 9" in ended.stderr, ended.stderr
+        assert f"expected: {len(data) + 1000} bytes\n  got: {len(data)}" in ended.stderr and left(tmp_path) == before
+    told = fwclass("info", source, cwd=tmp_path)
+    assert told.returncode == 0 and "the file ends 1000 bytes before its extended record vendor 9" in told.stdout
+    source.write_bytes(data + bytes(1000))
+    assert fwclass("ground", source, "o.laz", "--method", "slope", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "o.laz").read_bytes().endswith(bytes(5000))

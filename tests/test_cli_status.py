@@ -162,6 +162,26 @@ def test_what_cannot_be_told(copy, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_a_file_that_is_gone_is_named_beside_what_is_there(copy):
+    """It hid everything else."""
+    made = fwclass("status", copy / "r", "--parts", "--json")
+    stages = {row["stage"]: row["parts"] for row in json.loads(made.stdout)["stages"]}
+    (copy / "a.las").unlink()
+    ended = fwclass("status", copy / "r")
+    assert ended.returncode == 3 and ended.stderr == "", ended.stderr
+    assert "a run would end here: " in ended.stdout and "a.las" in ended.stdout
+    assert f"features {stages['features']}" in ended.stdout and "the delivery" in ended.stdout
+    told = data(copy / "r")
+    assert not told["done"] and told["stages"] == [] and told["not_in_plan"] == stages
+    assert told["fault"].startswith(told["plan_ends"]) and "a.las" in told["fault"]
+    assert fwclass("status", copy / "r", "--verify").returncode == 3
+    for words in (("status", copy / "c.yaml", "--out", copy / "none"), ("run", copy / "c.yaml", "--out", copy / "r")):
+        ended = fwclass(*words)
+        assert ended.returncode in (1, 2) and "a.las" in ended.stderr and ended.stdout == ""
+    ended = fwclass("run", copy / "c.yaml", "--out", copy / "r", "--only", "features/0_0")
+    assert ended.returncode in (1, 2) and "a.las" in ended.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "rc", "told"),
     [

@@ -125,7 +125,10 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
     location = location_of_run(request, config)
     with record_run(location, request, only) as entry, open_runner(location, 0, None, config.run) as runner:
         entry.begin(runner)
-        task = task_alone(_look(config, request), only, request)
+        looked = _look(config, request)
+        if looked.fault is not None:
+            raise looked.fault
+        task = task_alone(looked, only, request)
         runner.do([task])
         outcome = runner.outcomes[task.name]
         if not outcome.ok:

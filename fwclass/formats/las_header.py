@@ -261,6 +261,8 @@ def _evlrs(
             break
         records.append(record)
         at += EVLR_HEADER + record.length
+        if at > size and record.number != WDP_RECORD:  # of packets the reader tells it
+            faults.append(f"the file ends {at - size} bytes before its extended record {record.user} {record.number}")
     return tuple(records)
 
 

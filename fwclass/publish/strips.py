@@ -21,6 +21,7 @@ from fwclass.formats.las_bytes import (
     EXTERNAL,
     INTERNAL,
     LasHead,
+    broken,
     chunk_rows,
     class_byte,
     copy_bytes,
@@ -29,6 +30,7 @@ from fwclass.formats.las_bytes import (
     point_chunks,
     read_head,
 )
+from fwclass.formats.las_header import Record
 from fwclass.formats.laz_writer import assemble, point_writer
 from fwclass.publish.files import whole
 from fwclass.publish.heights import Heights, store_heights, with_heights
@@ -123,8 +125,22 @@ def check_records(source: Path) -> None:
     """`InputError` where `write_strip_laz` would refuse the header of `source`, or one of its records; no point is
     read."""
     head = read_head(source)
-    with source.open("rb") as file:
-        extended_records(file, head)
+    _whole_records(head, find_packets(head))
+
+
+def _whole_records(head: LasHead, packets: Packets) -> list[Record]:
+    """The extended records that go into a copy; `InputError` for one that the file ends in."""
+    with head.path.open("rb") as file:
+        copied = [r for r in extended_records(file, head) if is_copied(r, packets)]
+    for record in copied:
+        if record.end > head.file_size:
+            raise broken(
+                head.path,
+                f"the file ends in its extended record {record.user} {record.number}",
+                f"{record.end} bytes",
+                head.file_size,
+            )
+    return copied
 
 
 def _check(head: LasHead, output: Path, classes: NDArray[np.uint8], extra: Mapping[str, NDArray]) -> None:
@@ -211,11 +227,9 @@ def _block(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> by
 
 def _copy_extended(head: LasHead, file: BinaryIO, end: int, packets: Packets) -> tuple[int, int]:
     """Append the source's extended records verbatim, without packets and octree; their start and number."""
-    count = 0
+    records = _whole_records(head, packets)
     file.seek(end)
     with head.path.open("rb") as source:
-        for rec in extended_records(source, head):
-            if is_copied(rec, packets):
-                copy_bytes(source, file, rec.start, rec.end - rec.start)
-                count += 1
-    return (end if count else 0), count
+        for rec in records:
+            copy_bytes(source, file, rec.start, rec.end - rec.start)
+    return (end if records else 0), len(records)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -13,10 +12,24 @@ from fwclass.paths import name_fault, relative_fault
 from fwclass.store.atomic import digest_of
 from fwclass.store.metas import is_told, misfit_of
 from fwclass.store.seal import seal, unseal
+from fwclass.store.shapes import COUNT, NUMBER, TEXT, Maybe, misfit, pattern
 
 FORMAT = 1
 
-_DIGEST = re.compile(r"[0-9A-Za-z_]{1,64}")
+_DIGEST = pattern("a digest", r"[0-9A-Za-z_]{1,64}")
+_SHAPE = {
+    "key": _DIGEST,
+    "digest": _DIGEST,
+    "params": pattern("a digest, or nothing", r"[0-9A-Za-z_]{0,64}"),
+    "libraries": pattern("a digest, or nothing", r"[0-9A-Za-z_]{0,64}"),
+    "place": pattern("store, deliver or run", r"store|deliver|run"),
+    "inputs": {TEXT: TEXT},
+    "outputs": {TEXT: {"bytes": COUNT, "digest": _DIGEST}},
+    "meta": {},
+    "cost": {TEXT: NUMBER},
+    "version": Maybe(COUNT),
+    **dict.fromkeys(("seconds", "peak_mib", "keeping"), NUMBER),
+}
 _LINE = json.JSONEncoder(sort_keys=True, allow_nan=False)
 
 
@@ -99,19 +112,11 @@ class Receipt:
         for what, name in (("stage", self.stage), ("part", self.part)):
             if name_fault(name):
                 return f"{what} {str(name)[:80]!r}: {name_fault(name)}"
-        texts = (self.key, self.digest, self.params or "0", self.libraries or "0")
-        if not all(isinstance(t, str) and _DIGEST.fullmatch(t) for t in texts):
-            return "a key or a digest that is none"
-        if self.place not in ("store", "deliver", "run"):
-            return f"place {str(self.place)[:80]!r}"
-        if not all(isinstance(m, Mapping) for m in (self.inputs, self.outputs, self.meta, self.cost)):
-            return "inputs, outputs, meta or cost that are no objects"
-        for name, facts in self.outputs.items():
-            if relative_fault(name):
-                return f"output {name[:80]!r}: {relative_fault(name)}"
-            if not isinstance(facts, Mapping) or not isinstance(facts.get("bytes"), int) or "digest" not in facts:
-                return f"output {name[:80]!r} without its size or its digest"
-        return ""
+        wrong = misfit(vars(self), _SHAPE)
+        if wrong:
+            return f"{wrong.at.removeprefix('.')}: {wrong.got}, expected {wrong.expected}"
+        outside = next((name for name in self.outputs if relative_fault(name)), None)
+        return "" if outside is None else f"output {outside[:80]!r}: {relative_fault(outside)}"
 
 
 class Meta(Mapping[str, Any]):

@@ -66,8 +66,9 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and type(value) is not bool and abs(value) <= LARGEST
 
 
-def _pattern(called: str, pattern: str) -> Kind:
-    known = re.compile(pattern)
+def pattern(called: str, expression: str) -> Kind:
+    """Text that all of a regular expression matches."""
+    known = re.compile(expression)
     return Kind(called, lambda value: isinstance(value, str) and known.fullmatch(value) is not None)
 
 
@@ -78,10 +79,10 @@ POSITIVE = Kind("a number above 0", lambda value: _is_number(value) and value > 
 FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 TEXT = Kind("text", lambda value: isinstance(value, str))
 ANY = Kind("anything", lambda value: True)
-NUMERAL = _pattern("a whole number as text", r"\d{1,15}")
+NUMERAL = pattern("a whole number as text", r"\d{1,15}")
 CODE = Kind("a class code as text", lambda value: NUMERAL.fits(value) and int(value) <= 255)
-DECIMAL = _pattern("a number above 0 as text", r"(?=.*[1-9])\d{1,9}(\.\d{1,9})?")
-TILE = _pattern("the key of a tile, as 12_34", r"-?\d{1,9}_-?\d{1,9}")
+DECIMAL = pattern("a number above 0 as text", r"(?=.*[1-9])\d{1,9}(\.\d{1,9})?")
+TILE = pattern("the key of a tile, as 12_34", r"-?\d{1,9}_-?\d{1,9}")
 
 
 def square(shape: Shape = COUNT) -> Related:

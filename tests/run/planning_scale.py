@@ -40,7 +40,7 @@ def headers() -> tuple[SourceFacts, ...]:
 def main(directory: Path) -> None:
     began = time.perf_counter()
     config = conf.load("city-1200m", ("tile.size=316", "areas.train=[[450000, 5350000, 450100, 5350100]]"))
-    facts = SurveyFacts(headers(), 0, CRS.from_epsg(25832).to_wkt(), None)
+    facts = SurveyFacts(headers(), (), CRS.from_epsg(25832).to_wkt(), None)
     plan = make_plan(config, facts, 64, Room(64 * 16_000.0, 1e15))
     paths = deliver(plan, directory)
     told = {

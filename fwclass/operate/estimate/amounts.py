@@ -164,9 +164,9 @@ class _Quantities:
 
     def _of_files(self, stage: Stage, plan: Plan) -> Amount | None:
         if stage.unit == "reference":
-            points = self.facts.reference_points
-            most = min(points, CLOUD_ROWS)
-            return Amount(math.ceil(points / CLOUD_ROWS), points, most, most) if points else None
+            files, points = self.facts.reference, self.facts.reference_points
+            most = min(max(files, default=0), CLOUD_ROWS)
+            return Amount(sum(math.ceil(n / CLOUD_ROWS) for n in files), points, most, most) if points else None
         survey = self.config.survey
         if stage is READ_CORRECTIONS:  # the run directory may have some, and they take next to nothing
             return Amount(1, 1.0, 1.0, 1.0) if survey.reference.corrections else None

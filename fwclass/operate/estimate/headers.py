@@ -96,13 +96,19 @@ class Sample:
 
 @dataclass(frozen=True)
 class SurveyFacts:
-    """All that a plan knows of a survey. `simulated`: no file is there yet; `crs` is WKT or None."""
+    """All that a plan knows of a survey. `reference`: points of every file of a reference cloud; `simulated`: no file
+    is there yet; `crs` is WKT or None."""
 
     sources: tuple[SourceFacts, ...]
-    reference_points: int
+    reference: tuple[int, ...]
     crs: str | None
     sample: Sample | None
     simulated: bool = False
+
+    @property
+    def reference_points(self) -> int:
+        """Of all its files."""
+        return sum(self.reference)
 
     @property
     def box(self) -> Box:
@@ -141,12 +147,12 @@ def survey_facts(config: Config, root: Path, copied: bool = False) -> SurveyFact
         )
     with Display() as display:
         crs = common_crs(config, full, Runner(root, Loop(), display))
-    reference = 0
+    reference: tuple[int, ...] = ()
     if config.survey.reference.kind == "cloud":
         files = find_files(
             config.survey.reference.files, directory, "survey.reference.files", config.path, config.store
         )
-        reference = sum(open_source(local(p)).n_points for p in files)
+        reference = tuple(open_source(local(p)).n_points for p in files)
     sources = tuple(_with_places(facts_of(s), s) for s in full)
     largest, of_it = max(zip(full, sources, strict=True), key=lambda pair: pair[0].n_points)
     sample = sample_points(largest, config.plan.sample_points, of_it) if isinstance(largest, LasSource) else None
@@ -220,5 +226,5 @@ def simulated_facts(config: Config) -> SurveyFacts:
         SourceFacts(Path(f"strip_{k + 1:02d}.las"), points, 0, True, size_of_waves, box, (), formats[k % len(formats)])
         for k in range(params.strips)
     )
-    reference = points * params.strips if config.survey.reference.kind == "cloud" else 0
+    reference = (points,) * params.strips if config.survey.reference.kind == "cloud" else ()
     return SurveyFacts(strips, reference, config.survey.crs or params.crs, None, simulated=True)

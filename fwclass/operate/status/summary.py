@@ -27,6 +27,7 @@ def as_data(looked: RunStatus, request: Request, writer: Mapping[str, Any] | Non
         "done": looked.all_done,
         "running": dict(writer) if writer else None,
         "plan_ends": looked.ends,
+        "fault": None if looked.fault is None else str(looked.fault),
         "stages": [{"stage": stage, **counts} for stage, counts in _counts(looked.states).items()],
         "parts": parts,
         "not_in_plan": others(looked, request),
@@ -70,16 +71,20 @@ def as_text(looked: RunStatus, request: Request, writer: Mapping[str, Any] | Non
     if writer:
         rows.append(f"a run is writing to it: pid {writer.get('pid')} on {writer.get('host')}")
     width = max([5, *map(len, counts)])
-    rows += ["", f"{'stage':<{width}}" + "".join(f"{name:>9}" for name in ("parts", *STANDINGS))]
+    if counts:
+        rows += ["", f"{'stage':<{width}}" + "".join(f"{name:>9}" for name in ("parts", *STANDINGS))]
     for stage, row in counts.items():
         rows.append(f"{stage:<{width}}" + "".join(f"{row[n] or '-':>9}" for n in ("parts", *STANDINGS)))
     rows += ["", *(_every(looked) if every else _grouped(looked))]
     rows += _failed(looked, request)
-    if looked.ends is not None:
+    if looked.ends is not None and looked.fault is None:
         rows.append(f"which other parts there are is known once those are made ({looked.ends})")
     left = others(looked, request)
+    others_by_stage = ", ".join(f"{stage} {n}" for stage, n in left.items())
+    if looked.fault is not None:
+        rows += [f"a run would end here: {looked.fault}", "so it cannot be told which parts are stale"]
+        return "\n".join([*rows, f"the store holds {others_by_stage}"] if left else rows)
     if left:
-        others_by_stage = ", ".join(f"{stage} {n}" for stage, n in left.items())
         rows.append(f"besides, the store holds parts that the plan does not name (so far): {others_by_stage}")
     rows += [text_of(row) for row in by_libraries(looked.libraries, looked.store)]
     return "\n".join([*rows, _verdict(looked, request, writer)])

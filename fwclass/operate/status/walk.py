@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from fwclass.errors import ConfigError, FwclassError
+from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.graph.survey import header_box
 from fwclass.grid import Box, TileGrid
 from fwclass.operate.status.why import Reason, new_files, reasons, same, waiting
@@ -157,13 +157,14 @@ class StatusWalk(Runner):
 @dataclass(frozen=True)
 class RunStatus:
     """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is; how many
-    receipts have which `libraries`."""
+    receipts have which `libraries`; the fault of the input by which it is not, None where it is another reason."""
 
     store: Store
     states: dict[Name, State]
     tasks: dict[Name, Task]
     ends: str | None
     libraries: Mapping[str, int]
+    fault: FwclassError | None = None
 
     @property
     def waiting(self) -> int:
@@ -179,11 +180,11 @@ class RunStatus:
 def look_at(location: RunLocation, workflow: Callable[[Runner], object], accept_libraries: bool = False) -> RunStatus:
     """Walk `workflow` over the run in `location` without making anything.
 
-    Faults of the configuration and of the input come out as they would from a run; where parts are missing that tell
-    which others there will be, the plan ends there.
+    Faults of the configuration come out as they would from a run, and so do faults of the input where nothing was made
+    yet; elsewhere the plan ends there, and where parts are missing that tell which others there will be.
     """
     look = StatusWalk(location, accept_libraries)
-    ends = None
+    ends, wrong = None, None
     try:
         workflow(look)
         if look.absent:
@@ -192,8 +193,10 @@ def look_at(location: RunLocation, workflow: Callable[[Runner], object], accept_
         raise
     except FwclassError as fault:
         if all(s.standing == "done" for s in look.states.values()):
-            raise
+            if not isinstance(fault, InputError) or not look.store.parts():
+                raise
+            wrong = fault
         ends = fault.what
         if isinstance(fault, Lacking):
             ends = f"{'/'.join(fault.name)} is {look.states[fault.name].standing}"
-    return RunStatus(look.store, look.states, look.tasks, ends, look.libraries)
+    return RunStatus(look.store, look.states, look.tasks, ends, look.libraries, wrong)
