@@ -261,6 +261,14 @@ def _check(config: Config) -> None:
                     got=name,
                     do=nearest(name, names),
                 )
+    if config.stack.enabled and "water" in config.stack.surfaces and config.water.file is None:
+        raise ConfigError(
+            "weak echoes of water are looked for along the levels of its polygons, and there are none",
+            where=f"{where}: stack.surfaces",
+            expected="water.file: polygons of standing water",
+            got="null",
+            do="name a file in water.file, or leave water out of stack.surfaces",
+        )
     if config.classify.refine.between and config.thin.rate < 1.0:
         raise ConfigError(
             "a thinned run has no second layer: the features at a boundary would be those of few echoes",

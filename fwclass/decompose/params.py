@@ -126,7 +126,9 @@ class StackParams(Params):
 
     Attributes
     ----------
-    enabled : weak ground echoes are looked for, and the terrain is made once more with them.
+    enabled : weak echoes are looked for, and the terrain is made once more with those of the ground.
+    surfaces : along which: ``ground`` is the terrain, ``roof`` planes of strong echoes, ``water`` the level of the
+        bodies in `water.file`.
     pulses, least : pulses that are added up at most and at least, the nearest ones in plan.
     radius : none is further from the middle one [m].
     gap : where a single pulse has shown the ground this close [m], nothing is looked for.
@@ -135,9 +137,12 @@ class StackParams(Params):
     threshold : least height of the sum over its standard deviation.
     decoy : so far beneath the surface the same is tried where nothing can be [m], to tell how often noise does it.
     max_false : share of the echoes of a block that noise may have made; a higher threshold is taken for it.
+    plane_residual : root mean square distance of a roof's echoes from their plane, at most [m].
+    plane_reach : a roof is carried on no further from its strong echoes [m].
     """
 
     enabled: bool
+    surfaces: tuple[Literal["ground", "roof", "water"], ...] = Field(min_length=1, max_length=3)
     pulses: int = Field(ge=2, le=49)
     least: int = Field(ge=2, le=49)
     radius: float = Field(gt=0.0, le=100.0)
@@ -147,6 +152,8 @@ class StackParams(Params):
     threshold: float = Field(gt=0.0)
     decoy: float = Field(gt=0.0, le=100.0)
     max_false: float = Field(ge=0.0, le=1.0)
+    plane_residual: float = Field(gt=0.0, le=10.0)
+    plane_reach: float = Field(gt=0.0, le=100.0)
 
     @model_validator(mode="after")
     def _apart(self) -> StackParams:

@@ -52,8 +52,8 @@ STACK_COLUMNS = (
     "classification",
 )
 
-GROUND = 2
-"""Class code of the surface's echoes."""
+GROUND, ROOF, WATER = 2, 6, 9
+"""Class codes of the surfaces' echoes."""
 PHASES = 16
 """Values of the pulse's shape in a sample; straight between them, 2e-3 of the height."""
 STEP = 0.5
@@ -138,13 +138,17 @@ def candidates(
     fit: DecomposeParams,
     pulse: SystemPulse,
     placement: Placement,
-) -> Candidates | None:
-    """The pulses of a chunk that meet the surface inside `box` and have no echo near it; None without any.
+    *,
+    silent: bool = False,
+) -> tuple[Candidates | None, Floats]:
+    """The pulses of a chunk that meet the surface inside `box` and have no echo near it, None without any; and where
+    those meet it that have one behind it (n, 2) [m].
 
     Parameters
     ----------
     waves : pulses and samples of a chunk, and whether its format has returns.
     surface : what predicts their echoes.
+    silent : pulses without any echo are looked at, too: water mirrors the light away.
     """
     late, _ = origins_of(waves, fit, pulse, placement)
     at_return, late = waves.returns.rows > 0, np.asarray(late)
@@ -155,7 +159,7 @@ def candidates(
     near = np.flatnonzero(np.isfinite(met))
     near = near[box.contains(x[near], y[near])]
     if len(near) == 0:
-        return None
+        return None, np.empty((0, 2))
     some, late, beam, speed = rows_of(waves, near), late[near], beam[near], speed[near]
     fits = fit_waveforms(some, fit, pulse)
     after = fits.time - offsets_of(fits, some.pulses, placement)
@@ -164,8 +168,11 @@ def candidates(
     start = _first_samples(some, late + shift + _faint_offset(some, placement, fits), beam, speed)
     velocity = beam * speed[:, None]
     met = _meeting(start, velocity, surface)
-    hidden, echoes = _hidden(fits, after - shift[fits.row] if at_return else after, some, velocity, surface, params)
-    return _match(some, strip, fits, hidden & np.isfinite(met), start, velocity, met, echoes, params, fit, pulse)
+    place = start + met[:, None] * velocity
+    ahead, echoes = _ahead(fits, after - shift[fits.row] if at_return else after, some, place, beam, velocity)
+    through = place[ahead < -params.clear, :2]
+    hidden = np.isfinite(met) & (ahead > params.clear) & ((echoes > 0) | silent)
+    return _match(some, strip, fits, hidden, start, velocity, met, echoes, params, fit, pulse), through
 
 
 def _first_samples(waves: Waveforms, late: Floats, beam: Floats, speed: Floats) -> Floats:
@@ -199,21 +206,20 @@ def _meeting(start: Floats, velocity: Floats, surface: Surface) -> Floats:
         return np.where(down & (np.abs(off) < CLOSE), time, np.nan)
 
 
-def _hidden(
-    fits: Fits, after: Floats, waves: Waveforms, velocity: Floats, surface: Surface, params: StackParams
-) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Rows of pulses all of whose echoes are `clear` above the surface, and that have one; echoes of every row's
-    pulse."""
+def _ahead(
+    fits: Fits, after: Floats, waves: Waveforms, place: Floats, beam: Floats, velocity: Floats
+) -> tuple[Floats, NDArray[np.int64]]:
+    """How far before the surface, which it meets at `place`, the last echo of every row's pulse lies along the beam
+    [m], NaN where one is saturated or nothing is met, infinite without echoes; and how many it has."""
     anchor = np.stack([waves.pulses[f"anchor_{axis}"] for axis in "xyz"], axis=1)
-    place = anchor[fits.row] + after[:, None] * velocity[fits.row]
-    above = place[:, 2] - surface.at(place[:, 0], place[:, 1])
+    off = place[fits.row] - anchor[fits.row] - after[:, None] * velocity[fits.row]
+    before = (off * beam[fits.row]).sum(axis=1)
+    before[(fits.flags & SATURATED) != 0] = np.nan
     names, pulse = np.unique(waves.pulses["pulse"], return_inverse=True)
-    lowest, saturated = np.full(len(names), np.inf), np.zeros(len(names), np.int64)
-    np.minimum.at(lowest, pulse[fits.row], np.nan_to_num(above, nan=-np.inf))
-    np.maximum.at(saturated, pulse[fits.row], fits.flags & SATURATED)
+    least = np.full(len(names), np.inf)
+    np.minimum.at(least, pulse[fits.row], before)
     count = np.bincount(pulse[fits.row], minlength=len(names))
-    good = (lowest > params.clear) & (count > 0) & (saturated == 0)
-    return good[pulse], count[pulse]
+    return least[pulse], count[pulse]
 
 
 def _match(
@@ -330,7 +336,7 @@ def _of_kind(
 
 
 def stack(
-    candidates: Candidates, known: Floats, box: Box, roughness: float, params: StackParams
+    candidates: Candidates, known: Floats, box: Box, roughness: float, params: StackParams, code: int = GROUND
 ) -> tuple[Table, dict[str, float]]:
     """The echoes that groups of candidates show, of those that meet the surface in `box`.
 
@@ -339,6 +345,7 @@ def stack(
     candidates : candidates of `box` and of `params.radius` around it.
     known : (n, 2) where single pulses have shown the surface, in `box` and `params.gap` around it [m].
     roughness : standard deviation of the surface's own echoes about it [m]; part of every echo's error.
+    code : class code of the echoes.
 
     Returns
     -------
@@ -363,7 +370,7 @@ def stack(
         "false": int((decoys > params.threshold).sum()),
         "threshold": threshold if np.isfinite(threshold) else -1.0,
     }
-    return _echoes(candidates, rows[significant], sums[significant], roughness), counts
+    return _echoes(candidates, rows[significant], sums[significant], roughness, code), counts
 
 
 def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
@@ -417,7 +424,7 @@ def _heights(sums: Floats) -> Floats:
     return np.where(np.isfinite(sums[:, 3]), sums[:, 0], -np.inf)
 
 
-def _echoes(candidates: Candidates, rows: NDArray[np.int64], sums: Floats, roughness: float) -> Table:
+def _echoes(candidates: Candidates, rows: NDArray[np.int64], sums: Floats, roughness: float, code: int) -> Table:
     tried = candidates.product.shape[1]
     later = STEP * (sums[:, 3] - tried // 2)
     place = candidates.place[rows] + later[:, None] * candidates.beam[rows]
@@ -439,7 +446,7 @@ def _echoes(candidates: Candidates, rows: NDArray[np.int64], sums: Floats, rough
             "range_sigma": np.hypot(sums[:, 4] * speed, roughness / np.maximum(steep, 0.1)),
             "stacked_pulses": sums[:, 5],
             "significance": sums[:, 0],
-            "classification": np.full(len(rows), GROUND),
+            "classification": np.full(len(rows), code),
         }
     )
 
@@ -466,8 +473,8 @@ def roughness_of(x: Floats, y: Floats, z: Floats) -> float:
 
 STACK = Computation(
     "stack",
-    1,
-    reads=("x", "y", "z", "ground", "number_of_echoes"),
+    2,
+    reads=("x", "y", "z", "ground", "noise", "echo_number", "number_of_echoes"),
     writes=STACK_COLUMNS,
-    halo=lambda p: float(p.radius),
+    halo=lambda p: float(p.radius + ("roof" in p.surfaces) * 2.0 * p.plane_reach),
 )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.stacking import GROUND
 from fwclass.errors import StoreError
 from fwclass.graph.breaklines import BREAKLINES, beside_ground, breaklines_in, breaklines_needed
 from fwclass.graph.ground_auto import AUTO, halo_of, parameters_at, parts_for
@@ -112,7 +113,8 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
     core = Window.covering(here.tile.box, params.cell)
     around = around_block(here)
     t, own = around.table.select(TERRAIN.reads), around.own
-    more = [here.inputs.table(STACK, key, "xyz") for key in here.parts(STACK)]
+    stacked = [here.inputs.table(STACK, key, (*"xyz", "classification")) for key in here.parts(STACK)]
+    more = [table.take(table["classification"] == GROUND).select("xyz") for table in stacked]
     for table in more:
         no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
         t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])

@@ -1,17 +1,34 @@
-"""Stages of stacking: a first terrain, the weak ground echoes that pulses along it show together, their delivery."""
+"""Stages of stacking: a first terrain, the weak echoes of ground, roofs and water that pulses along them show
+together, their delivery."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.decompose.params import DecomposeParams, StackParams
-from fwclass.decompose.stacking import STACK, STACK_COLUMNS, Candidates, Surface, candidates, roughness_of, stack
+from fwclass.decompose.plane_surface import planar, plane_surface
+from fwclass.decompose.stacking import (
+    GROUND,
+    ROOF,
+    STACK,
+    STACK_COLUMNS,
+    WATER,
+    Candidates,
+    Surface,
+    candidates,
+    roughness_of,
+    stack,
+)
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.sources import placement_of, pulse_of, strip_of, waveforms_of
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.tiling import SPLIT_ECHOES
+from fwclass.graph.water import LEVELS, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.ground.terrain.params import TerrainParams
@@ -38,29 +55,85 @@ def make_first_terrain(here: StageInputs, params: TerrainParams) -> Result:
     return {}
 
 
+@dataclass(frozen=True)
+class Searched:
+    """A surface along which weak echoes are looked for.
+
+    Attributes
+    ----------
+    code : class code of its echoes; heights : its own, in the block and around it.
+    known : (n, 2) where single pulses have shown it [m]; roughness : of those echoes [m].
+    """
+
+    code: int
+    heights: Surface
+    known: NDArray[np.float64]
+    roughness: float
+
+
 def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, cell: float, block: float) -> Result:
-    """The ground echoes that the pulses of a block show together."""
+    """The weak echoes that the pulses of a block show together, surface after surface."""
     box = here.tile.box
     reach = box.grown(params.radius)
-    window = Window.covering(reach, cell, 2)
-    blocks = [TileGrid(block).tile(key) for key in here.parts(FIRST_TERRAIN)]
-    dtm = Mosaic(here.inputs, FIRST_TERRAIN, blocks, cell, {"dtm": np.float32(np.nan)}).laid(window)["dtm"]
-    surface = Surface(dtm, window)
-    ground = around_block(here).table
-    ground = ground.take(ground["ground"])
-    under = ground.take(ground["number_of_echoes"] > 1)  # crowns, as what is looked for
-    roughness = roughness_of(under["x"], under["y"], under["z"])
-    parts = []
+    searched = _surfaces(here, params, cell, block)
+    parts: dict[str, list[Candidates]] = {name: [] for name in searched}
+    passed: dict[str, list[NDArray[np.float64]]] = {name: [] for name in searched}
     for chunk in here.parts("read"):
         strip, inputs = strip_of(chunk), here.inputs
-        pulse, placement = pulse_of(strip, inputs), placement_of(strip, inputs)
-        part = candidates(waveforms_of(chunk, inputs), strip, surface, reach, params, fit, pulse, placement)
-        parts += [part] if part is not None else []
-    if not parts:
-        return Table.empty(STACK_COLUMNS), {"roughness": roughness}
-    known = np.stack([ground["x"], ground["y"]], axis=1)
-    table, counts = stack(Candidates.joined(parts), known, box, roughness, params)
-    return table, {**counts, "roughness": roughness}
+        waves, pulse, placement = waveforms_of(chunk, inputs), pulse_of(strip, inputs), placement_of(strip, inputs)
+        for name, one in searched.items():
+            silent = one.code != GROUND
+            part, through = candidates(waves, strip, one.heights, reach, params, fit, pulse, placement, silent=silent)
+            parts[name] += [part] if part is not None else []
+            passed[name] += [through] if silent else []
+    tables, facts = [Table.empty(STACK_COLUMNS)], {}
+    for name, one in searched.items():
+        counts = {"roughness": one.roughness}
+        if parts[name]:
+            elsewhere = np.concatenate([one.known, *passed[name]])
+            table, more = stack(Candidates.joined(parts[name]), elsewhere, box, one.roughness, params, one.code)
+            tables.append(table)
+            counts |= more
+        facts[name] = counts
+    return Table.concat(tables), facts
+
+
+def _surfaces(here: StageInputs, params: StackParams, cell: float, block: float) -> dict[str, Searched]:
+    """What `params.surfaces` names, as far as there is some."""
+    window = Window.covering(here.tile.box.grown(params.radius), cell, 2)
+    blocks = [TileGrid(block).tile(key) for key in here.parts(FIRST_TERRAIN)]
+    dtm = Mosaic(here.inputs, FIRST_TERRAIN, blocks, cell, {"dtm": np.float32(np.nan)}).laid(window)["dtm"]
+    terrain, echoes = Surface(dtm, window), around_block(here).table
+    out = {}
+    if "ground" in params.surfaces:
+        ground = echoes.take(echoes["ground"])
+        under = ground.take(ground["number_of_echoes"] > 1)  # crowns, as what is looked for
+        out["ground"] = Searched(GROUND, terrain, _plan(ground), roughness_of(*_places(under).T))
+    if "roof" in params.surfaces:
+        last = echoes.take(~echoes["ground"] & ~echoes["noise"] & (echoes["echo_number"] == echoes["number_of_echoes"]))
+        high = last.take(last["z"] - terrain.at(last["x"], last["y"]) > params.clear)
+        roofs = high.take(planar(_places(high), params))
+        heights = plane_surface(_places(roofs), window, params)
+        out["roof"] = Searched(ROOF, heights, _plan(_along(heights, high, params)), roughness_of(*_places(roofs).T))
+    water = water_of(here) if "water" in params.surfaces else None
+    if water is not None:
+        heights = Surface(water.of_cells(window).astype(np.float32), window)
+        inside = _along(heights, echoes, params)
+        out["water"] = Searched(WATER, heights, _plan(inside), roughness_of(*_places(inside).T))
+    return out
+
+
+def _along(surface: Surface, echoes: Table, params: StackParams) -> Table:
+    """The echoes that show a surface: to within the window that is searched."""
+    return echoes.take(np.abs(echoes["z"] - surface.at(echoes["x"], echoes["y"])) < params.window)
+
+
+def _places(echoes: Table) -> NDArray[np.float64]:
+    return np.stack([echoes[axis] for axis in "xyz"], axis=1)
+
+
+def _plan(echoes: Table) -> NDArray[np.float64]:
+    return _places(echoes)[:, :2]
 
 
 def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool) -> Result:
@@ -113,6 +186,7 @@ def _stack_needs(plan: Plan, block: Tile) -> list[Name]:
         *((FIRST_TERRAIN, b.key) for b in terrain_blocks(plan.layout) if b.box.touches(box)),
         *(("read", c) for c in chunks),
         *((stage, s) for s in strips for stage in ("pulse", "places")),
+        *(levels_needed(plan) if "water" in plan.config.stack.surfaces else ()),
     ]
 
 
@@ -146,7 +220,7 @@ STACK_PULSES = Stage(
     reads=STACK.reads,
     writes=STACK.writes,
     halo=lambda plan: STACK.halo(plan.config.stack),
-    after=("read", "pulse", "places", FIRST_TERRAIN),
+    after=("read", "pulse", "places", FIRST_TERRAIN, LEVELS),
     needs=_stack_needs,
 )
 DELIVER_STACK = Stage(

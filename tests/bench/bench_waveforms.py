@@ -34,10 +34,11 @@ import woodmaker  # noqa: E402
 from fwclass.decompose.fitting import fit_waveforms  # noqa: E402
 from fwclass.decompose.params import DecomposeParams, StackParams  # noqa: E402
 from fwclass.decompose.placement import AS_STORED  # noqa: E402
+from fwclass.decompose.plane_surface import planar, plane_surface  # noqa: E402
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse, join_samples  # noqa: E402
 from fwclass.decompose.quiet import with_correlated_noise  # noqa: E402
 from fwclass.decompose.signal_noise import with_signal_noise  # noqa: E402
-from fwclass.decompose.stacking import Surface, candidates, stack  # noqa: E402
+from fwclass.decompose.stacking import ROOF, WATER, Surface, candidates, stack  # noqa: E402
 from fwclass.decompose.stage import decompose  # noqa: E402
 from fwclass.decompose.system_pulse import SystemPulse  # noqa: E402
 from fwclass.errors import FwclassError  # noqa: E402
@@ -509,7 +510,7 @@ def stacking(scale: float) -> list[Figure]:
         for seed in range(woods if ratio else 6 * woods):
             waves, ground = woodmaker.flown(100.0, ratio, seed=100 + seed)
             told = Surface(heights, Window(1.0, -10, -10, 60, 60)), box.grown(asked.radius), asked, PARAMS
-            found = candidates(waves, 1, *told, GAUSSIAN, AS_STORED)
+            found, _ = candidates(waves, 1, *told, GAUSSIAN, AS_STORED)
             table, counts = stack(found, np.empty((0, 2)), box, 0.0, asked)
             there += [1.0] * int(counts["stacked"]) + [0.0] * int(counts["candidates"] - counts["stacked"])
             decoys += [1.0] * int(counts["false"]) + [0.0] * int(counts["decoys"] - counts["false"])
@@ -524,6 +525,36 @@ def stacking(scale: float) -> list[Figure]:
     return out
 
 
+def stacked_planes(scale: float) -> list[Figure]:
+    """Echoes of several pulses together on a roof that a tree hides, and on water that mirrors the light away."""
+    out, scenes, asked, nowhere = [], max(int(12 * scale), 2), StackParams(**BASE["stack"]), np.empty((0, 2))
+    box, window = Box(3.0, 3.0, 21.0, 21.0), Window(1.0, -10, -10, 60, 60)
+    level = Surface(np.full((60, 60), 100.0, np.float32), window)
+    for what, code in (("roof", ROOF), ("water", WATER)):
+        for ratio in (1.5, 2.0, 0.0):
+            there, decoys, standard = [], [], []
+            for seed in range(scenes if ratio else 4 * scenes):
+                surface, rough, known = level, 0.02, nowhere
+                if code == ROOF:
+                    waves, place, strong = woodmaker.under_tree(ratio, seed=200 + seed)
+                    echoes, rough = strong[planar(strong, asked)], 0.03
+                    surface, known = plane_surface(echoes, window, asked), echoes[:, :2]
+                else:
+                    waves, place = woodmaker.pond(ratio, seed=200 + seed)
+                told = surface, box.grown(asked.radius), asked, PARAMS
+                some, through = candidates(waves, 1, *told, GAUSSIAN, AS_STORED, silent=True)
+                table, counts = stack(some, np.concatenate([known, through]), box, rough, asked, code)
+                there += [1.0] * int(counts["stacked"]) + [0.0] * int(counts["candidates"] - counts["stacked"])
+                decoys += [1.0] * int(counts["false"]) + [0.0] * int(counts["decoys"] - counts["false"])
+                standard.append((table["z"] - place[table["pulse"], 2]) / table["range_sigma"])
+            name = f"{what} of A/σ {ratio}"
+            out.append(share(name, "found with nine pulses", np.array(there), ">= 0.95" if ratio else "<= 1e-3"))
+            out.append(share(name, "  decoys above the threshold", np.array(decoys), "<= 1e-3"))
+            if ratio:
+                out.append(spread(name, "  standardised height", np.concatenate(standard)))
+    return out
+
+
 GROUPS = (
     speed,
     completeness,
@@ -535,6 +566,7 @@ GROUPS = (
     other_noise,
     long_records,
     stacking,
+    stacked_planes,
 )
 
 

@@ -31,7 +31,7 @@ INNER = Box(3.0, 3.0, 21.0, 21.0)
 
 def shown(waves, seen, asked, pulse=None, roughness=0.0):
     box = INNER.grown(asked.radius)
-    found = candidates(waves, 1, seen, box, asked, FIT, pulse or SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
+    found, _ = candidates(waves, 1, seen, box, asked, FIT, pulse or SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
     return (*stack(found, NOWHERE, INNER, roughness, asked), found)
 
 
@@ -86,16 +86,17 @@ def test_what_is_told_of_an_echo():
 
 def test_who_has_seen_the_ground_is_not_looked_at():
     waves, _ = flown(100.0, 20.0, seed=6)
-    none = candidates(waves, 1, surface(100.0), INNER, params(), FIT, SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
+    pulse = SystemPulse.gaussian(wm.PULSE_WIDTH)
+    none, _ = candidates(waves, 1, surface(100.0), INNER, params(), FIT, pulse, AS_STORED)
     assert none is None or len(none.pulse) < 0.01 * SIDE**2
     nowhere = Surface(np.full((60, 60), np.nan, np.float32), Window(1.0, -10, -10, 60, 60))
-    assert candidates(waves, 1, nowhere, INNER, params(), FIT, SystemPulse.gaussian(3.5), AS_STORED) is None
+    assert candidates(waves, 1, nowhere, INNER, params(), FIT, pulse, AS_STORED)[0] is None
 
 
 def test_the_cut_of_the_strip_does_not_matter():
     waves, _ = flown(100.0, 1.5, seed=7)
     asked, box, pulse = params(), INNER.grown(2.0), SystemPulse.gaussian(wm.PULSE_WIDTH)
-    whole = candidates(waves, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED)
+    whole, _ = candidates(waves, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED)
     halves = [
         Waveforms(
             waves.pulses.take(rows),
@@ -105,7 +106,7 @@ def test_the_cut_of_the_strip_does_not_matter():
         )
         for rows in (np.arange(700, SIDE**2), np.arange(700))
     ]
-    parts = [candidates(h, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED) for h in halves]
+    parts = [candidates(h, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED)[0] for h in halves]
     again = Candidates.joined(p for p in parts if p is not None)
     one, two = (stack(c, NOWHERE, INNER, 0.0, asked)[0] for c in (whole, again))
     assert one.rows and all(np.array_equal(one[n], two[n]) for n in one)
@@ -126,7 +127,7 @@ def test_where_the_ground_is_known_nothing_is_looked_for():
     waves, ground = flown(100.0, 1.5, seed=8)
     asked = params()
     box = INNER.grown(asked.radius)
-    found = candidates(waves, 1, surface(100.0), box, asked, FIT, SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
+    found, _ = candidates(waves, 1, surface(100.0), box, asked, FIT, SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
     table, told = stack(found, ground[:1, :2] * 0.0 + 12.0, INNER, 0.0, asked)
     assert table.rows and np.hypot(table["x"] - 12.0, table["y"] - 12.0).min() > asked.gap - 0.3
     assert told["candidates"] < INNER.contains(found.place[:, 0], found.place[:, 1]).sum()

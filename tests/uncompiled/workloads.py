@@ -411,7 +411,7 @@ def work_stacking(_: Path) -> Any:
     heights, box = np.full((20, 20), 100.0, np.float32), Box(-5.0, -5.0, 10.0, 10.0)
     asked, fit = StackParams(**section("stack", threshold=2.0, max_false=1.0)), DecomposeParams(**section("decompose"))
     told = SystemPulse.gaussian(wavemaker.PULSE_WIDTH), AS_STORED
-    found = candidates(waves, 1, Surface(heights, Window(1.0, -10, -10, 20, 20)), box, asked, fit, *told)
+    found, _ = candidates(waves, 1, Surface(heights, Window(1.0, -10, -10, 20, 20)), box, asked, fit, *told)
     table, counts = stack(found, np.empty((0, 2)), box, 0.0, asked)
     return [*dict(table).values(), np.array(list(counts.values()))]
 
