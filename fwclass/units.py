@@ -16,6 +16,9 @@ METRES_PER_NS = SPEED_OF_LIGHT * 1e-9 / (2.0 * REFRACTIVE_INDEX)
 FWHM_PER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
 """Full width at half maximum of a Gaussian of unit standard deviation."""
 
+SIGMA_PER_MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
 AREA_PER_FWHM = math.sqrt(math.pi / (4.0 * math.log(2.0)))
 """Area of a Gaussian of unit height and unit full width at half maximum."""
 

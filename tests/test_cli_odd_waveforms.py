@@ -50,6 +50,17 @@ def test_it_is_told_and_ends_with_4(tmp_path: Path, change, said: str, fault: st
     assert decompose(tmp_path, change(columns), "--accept-implausible")[0] == 0
 
 
+@pytest.mark.parametrize(("turned", "code"), [(60, 4), (9, 0), (0, 0)])
+def test_a_rare_channel_of_another_sign(tmp_path: Path, turned: int, code: int) -> None:
+    """60 of 3 000 waveforms end with 4, 9 are told."""
+    columns = scene(pulses=3000, n=80).columns(at="sensor")
+    some = set(np.linspace(7, 2990, turned).astype(int).tolist())
+    other = upside_down(columns)["samples"]
+    mixed = [other[i] if i in some else s for i, s in enumerate(columns["samples"])]
+    ended, words = decompose(tmp_path, columns | {"samples": mixed})
+    assert ended == code and (f"{turned} of 3,000 waveforms" in words) == (turned > 0), words
+
+
 def test_info_shows_what_is_odd(tmp_path: Path) -> None:
     columns = scene(pulses=600, n=80).columns(at="sensor")
     path = tmp_path / "a.parquet"

@@ -27,6 +27,7 @@ from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.grid import Box, Window, quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
+from fwclass.units import SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
 
 Floats = NDArray[np.float64]
@@ -66,8 +67,6 @@ NEIGHBOURS, LOOKED_AT = 8, 20_000
 """Echoes around one that tell what the surface is like; echoes that are held against theirs, about."""
 HIGHEST = 8.0
 """Standard deviations over the least threshold up to which a higher one is looked for."""
-ALIKE = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -468,7 +467,7 @@ def roughness_of(x: Floats, y: Floats, z: Floats) -> float:
     known = local.transpose(0, 2, 1) @ local + 1e-6 * np.eye(3)
     weights = np.linalg.solve(known, local.transpose(0, 2, 1))[:, 0]  # of the neighbours, for the height in the middle
     off = height[some] - (weights * height[near]).sum(axis=1)
-    return float(ALIKE * np.median(np.abs(off) / np.sqrt(1.0 + (weights**2).sum(axis=1))))
+    return float(SIGMA_PER_MAD * np.median(np.abs(off) / np.sqrt(1.0 + (weights**2).sum(axis=1))))
 
 
 STACK = Computation(

@@ -17,7 +17,7 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
-from fwclass.units import AREA_PER_FWHM
+from fwclass.units import AREA_PER_FWHM, SIGMA_PER_MAD
 from fwclass.waveforms import ECHO_COLUMNS, IMPLAUSIBLE, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
@@ -80,8 +80,12 @@ def decompose(
 FLOORED = 0.25
 """Share of a waveform's samples at 0 from which on its noise cannot be told; of a level two deviations above 0.02."""
 
-DOWNWARD, LEAST_SAMPLES = 3.0, 8
-"""Times that a waveform of so many samples goes further below its mean than above it where its echoes point down."""
+DOWNWARD, DEEP, LEAST_SAMPLES = 3.0, 8.0, 8
+"""Times that a waveform of so many samples goes further below its mean than above it where its echoes point down, and
+deviations that it goes below its level: noise does it in 6e-5 of 12 samples, in 1e-5 of 24 or more."""
+
+ENDS, QUIETEST = 4, 0.5
+"""Samples at either end that tell the level; the least deviation, of whole numbers [DN]."""
 
 
 def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
@@ -95,6 +99,7 @@ def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
     highest, lowest = (f.reduceat(samples, first).astype(np.float64) for f in (np.maximum, np.minimum))
     mean = np.add.reduceat(samples, first, dtype=np.int64) / length
     down = (mean - lowest > DOWNWARD * (highest - mean)) & (length >= LEAST_SAMPLES)
+    down[down] = _dips(samples, first[down], length[down])
     zeros = np.add.reduceat(samples == 0, first, dtype=np.int64)
     floored = (zeros > FLOORED * length) & (highest > 0)
     pulses = waves.pulses["pulse"][rows]
@@ -102,6 +107,20 @@ def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
     blank = waveforms - len(np.unique(pulses[highest > 0]))
     odd = {"downward": len(np.unique(pulses[down])), "floored": len(np.unique(pulses[floored]))}
     return {"waveforms": waveforms, "blank": blank, **odd}
+
+
+def _dips(samples: NDArray, first: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which waveforms go `DEEP` deviations below the level of their samples and of their ends; a broad echo that fills
+    its record does not."""
+    out = np.zeros(len(first), bool)
+    for n in np.unique(length):
+        rows = np.flatnonzero(length == n)
+        values = samples[first[rows, None] + np.arange(n)].astype(np.float64)
+        middle = np.median(values, axis=1)
+        deviation = SIGMA_PER_MAD * np.median(np.abs(values - middle[:, None]), axis=1)
+        ends = np.minimum(values[:, :ENDS].mean(axis=1), values[:, -ENDS:].mean(axis=1))
+        out[rows] = np.minimum(middle, ends) - values.min(axis=1) > DEEP * np.maximum(deviation, QUIETEST)
+    return out
 
 
 def _judge(

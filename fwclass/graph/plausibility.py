@@ -17,7 +17,7 @@ TOLD_FROM = 0.1
 """Share of the echoes without a return, or of the returns without an echo, from which a remark tells it."""
 
 RARE = 0.001
-"""Share of the echoes up to which implausible ones are counted, and not worth a remark."""
+"""Share of the echoes, or of the waveforms, up to which implausible ones are counted, and not worth a remark."""
 
 INFLATED = 1.1
 """From so many times the noise that was reckoned with on, it is told."""
@@ -130,7 +130,7 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"{blank:,} of {pulses:,} pulses ({_percent(blank / pulses)}) have nothing but zeros for a waveform, which "
             f"no receiver records: is the packet file whole? ({_names(some)})"
         )
-    if some := [s for s in strips if (s["downward_share"] or 0.0) > TOLD_FROM]:
+    if some := [s for s in strips if (s["downward_share"] or 0.0) > RARE]:
         down, pulses = _sums(some, "downward", "waveforms")
         lines.append(
             f"{down:,} of {pulses:,} waveforms ({_percent(down / pulses)}) have echoes that point down, and are not "

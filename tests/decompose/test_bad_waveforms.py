@@ -6,20 +6,21 @@ import contextlib
 import struct
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import laspy
 import numpy as np
 import pytest
+import wavemaker as wm
 from commandline import fwclass
 from lasmaker import METRES_PER_NS, Descriptor, digitise, gaussian, write_las
 from numpy.typing import NDArray
 
 from fwclass.decompose.fitting import SATURATED, Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.stage import VENDOR_KEPT, decompose
+from fwclass.decompose.stage import VENDOR_KEPT, _odd_waveforms, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import FwclassError
 from fwclass.schema import Table
@@ -388,3 +389,17 @@ def test_a_long_waveform_in_a_file_is_read_once(tmp_path: Path) -> None:
         decompose_file(source, tmp_path / "o.laz", (), False)
     z = np.asarray(laspy.read(tmp_path / "o.laz").z)
     assert np.abs(z).min() < 0.02
+
+
+@pytest.mark.parametrize(("samples", "phi"), [(10, ()), (16, (0.6,)), (40, (0.9,)), (72, ())])
+def test_noise_and_broad_echoes_do_not_point_down(samples, phi):
+    """At most 3 of 20 000 waveforms of noise; none that one echo fills; nearly all that are turned and hold a level."""
+    noise, _ = wm.noise_only(20_000, samples=samples, phi=phi, seed=samples)
+    assert _odd_waveforms(noise)["downward"] <= 3
+    time = np.full((500, 1), samples / 2.0)
+    for width in (4.0, 0.5 * samples, 1.5 * samples):
+        broad, _ = wm.simulate(np.full((500, 1), 80.0), time, np.full((500, 1), width / wm.FWHM), samples=samples)
+        assert _odd_waveforms(broad)["downward"] == 0
+    one, _ = wm.simulate(np.full((500, 1), 80.0), time, np.full((500, 1), 4.0 / wm.FWHM), samples=samples)
+    turned = replace(one, samples=255 - one.samples)
+    assert _odd_waveforms(turned)["downward"] >= (480 if samples >= 40 else 0)
