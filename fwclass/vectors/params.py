@@ -51,8 +51,11 @@ class TreeParams(Params):
     cell : edge of the cells at least [m].
     least_area : of a crown [m²].
     smooth : standard deviation that the surface is smoothed by [m].
+    pit : radius of the ball that closes pits of the surface [m].
+    scale, widest : standard deviation that crowns are looked for at: share of the height, and at most [m].
     narrowest, widening : width of a crown at no height [m], and more of it for a square metre of height [1/m].
     share : of a tree's height that its crown is not lower than.
+    spread : from a tree's top to the end of its crown, share of the height.
     reach : from a tree's top to the end of its crown, at most [m].
     """
 
@@ -61,15 +64,19 @@ class TreeParams(Params):
     cell: float = Field(ge=0.05, le=100)
     least_area: float = Field(ge=0, le=10_000)
     smooth: float = Field(ge=0.05, le=10)
+    pit: float = Field(ge=0.05, le=10)
+    scale: float = Field(gt=0, le=1)
+    widest: float = Field(ge=0.1, le=10)
     narrowest: float = Field(gt=0, le=20)
     widening: float = Field(ge=0, le=1)
     share: float = Field(gt=0, le=1)
+    spread: float = Field(gt=0, le=10)
     reach: float = Field(ge=1, le=50)
 
     def halo(self, cell: float) -> float:
         """What is read around cells of `cell` [m] for the trees whose tops lie in them [m]: their crowns, those beside,
-        and what the surface is smoothed by."""
-        return 2.0 * self.reach + 4.0 * self.smooth + 3.0 * cell
+        and what their surface comes from."""
+        return 2.0 * self.reach + 3.0 * (self.widest + self.smooth) + 2.0 * self.pit + 6.0 * cell
 
     def width(self, height: NDArray[np.float64]) -> NDArray[np.float64]:
         """Width of the crown of a tree of some height [m] (Popescu and Wynne 2004, equation 1)."""

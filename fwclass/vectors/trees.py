@@ -1,4 +1,5 @@
-"""Trees from the heights of vegetation: tops by a window that grows with height, crowns by watershed."""
+"""Trees from the heights of vegetation: tops where their surface bulges most at the scale of a crown of its height,
+and the cells nearest to them."""
 
 from __future__ import annotations
 
@@ -18,9 +19,14 @@ from fwclass.vectors.shapes import Shapes
 
 COLUMNS = ("x", "y", "object_height", "object_area", "confidence", "object_echoes")
 
-_CENTIMETRES = 100.0
-_NEVER = 65_535
-"""Level of cells that no crown takes; others are so many centimetres and one higher, up to 655 m above ground."""
+_LEVELS = 8
+"""Scales that the surface is looked at in."""
+
+_TRUNCATE = 3.0
+"""Deviations after which a Gaussian ends."""
+
+_ASIDE = 2
+"""Cells that the highest echo of a tree may lie beside the middle of its crown."""
 
 
 class Canopy(NamedTuple):
@@ -28,41 +34,78 @@ class Canopy(NamedTuple):
 
     Attributes
     ----------
-    top : of the highest echo; single empty cells have their highest neighbour's, 0 elsewhere.
-    smooth : the same without its twigs.
+    top : of the highest echo, 0 where there is none.
+    surface : the same without its pits (`without_pits`).
+    smooth : that without its twigs.
+    bulge : how much it is higher than around it, at the scale of a crown of its height (`bulge`).
     """
 
     top: NDArray[np.float64]
+    surface: NDArray[np.float64]
     smooth: NDArray[np.float64]
+    bulge: NDArray[np.float64]
 
 
 def canopy(counts: Counts, cell: float, params: TreeParams) -> Canopy:
     """The surface of vegetation by the tops of its cells (`cells.counted`)."""
     top = np.nan_to_num(counts.top.astype(np.float64), nan=0.0).clip(0.0)
-    around = scipy.ndimage.grey_closing(np.pad(top, 1), footprint=EIGHT)[1:-1, 1:-1]
-    top = np.where(top > 0.0, top, around)
-    return Canopy(top, scipy.ndimage.gaussian_filter(top, params.smooth / cell, mode="constant", truncate=3.0))
+    surface = without_pits(top, cell, params.pit)
+    smooth = _smoothed(surface, params.smooth / cell)
+    return Canopy(top, surface, smooth, bulge(surface, smooth, cell, params))
+
+
+def without_pits(top: NDArray[np.float64], cell: float, radius: float) -> NDArray[np.float64]:
+    """The surface that a ball of `radius` [m] does not fall below, as it rolls over `top` [m]: pits between leaves are
+    closed, and gaps between crowns stay where they are wider than the ball."""
+    wide = int(radius / cell)
+    y, x = cell * np.mgrid[-wide : wide + 1, -wide : wide + 1]
+    under = radius**2 - x**2 - y**2
+    ball = np.sqrt(np.maximum(under, 0.0)) - radius
+    closed = scipy.ndimage.grey_closing(np.pad(top, wide), footprint=under >= 0.0, structure=ball)
+    return np.asarray(closed[wide : wide + top.shape[0], wide : wide + top.shape[1]])
+
+
+def bulge(
+    surface: NDArray[np.float64], smooth: NDArray[np.float64], cell: float, params: TreeParams
+) -> NDArray[np.float64]:
+    """The surface's Laplacian turned over, normalised by scale [m] (Lindeberg 1998, equation 22).
+
+    The scale is the deviation of the Gaussian that it is taken after: `params.scale` of the `smooth` height,
+    `params.widest` at most; between `_LEVELS` scales values are linear.
+    """
+    scales = np.linspace(min(cell, params.widest), params.widest, _LEVELS)
+    at = np.minimum(params.scale * smooth, params.widest)
+    level = np.interp(at, scales, np.arange(_LEVELS))
+    out = np.zeros_like(surface)
+    for k, scale in enumerate(scales):
+        weight = np.maximum(0.0, 1.0 - np.abs(level - k))
+        out -= weight * (scale / cell) ** 2 * scipy.ndimage.laplace(_smoothed(surface, scale / cell), mode="constant")
+    return out
+
+
+def _smoothed(surface: NDArray[np.float64], deviation: float) -> NDArray[np.float64]:
+    return np.asarray(scipy.ndimage.gaussian_filter(surface, deviation, mode="constant", truncate=_TRUNCATE))
 
 
 def tops(surface: Canopy, cell: float, params: TreeParams) -> NDArray[np.int64]:
-    """Row and column (trees, 2) of cells that are the highest within half the width of a crown of their height.
+    """Row and column (trees, 2) of cells that bulge most within half the width of a crown of their height.
 
     Of equal ones that touch the first counts.
     """
-    smooth = surface.smooth
-    radius = 0.5 * np.minimum(params.width(surface.top), 2.0 * params.reach)
+    value = surface.bulge
+    radius = 0.5 * np.minimum(params.width(surface.surface), 2.0 * params.reach)
     radius = np.maximum(1, np.rint(radius / cell)).astype(np.int64)
-    highest = (surface.top >= params.least_height) & (smooth == scipy.ndimage.maximum_filter(smooth, 3))
-    labels, _ = scipy.ndimage.label(highest, EIGHT)
+    most = (surface.surface >= params.least_height) & (value > 0.0) & (value == scipy.ndimage.maximum_filter(value, 3))
+    labels, _ = scipy.ndimage.label(most, EIGHT)
     places = scipy.ndimage.find_objects(labels)
     first = [(s[0].start, s[1].start + int(np.argmax(labels[s][0] == k))) for k, s in enumerate(places, 1)]
     wide = int(radius.max(initial=1))
-    around, discs = np.pad(smooth, wide), {r: _disc(r) for r in np.unique(radius[highest]).tolist()}
+    around, discs = np.pad(value, wide), {r: _disc(r) for r in np.unique(radius[most]).tolist()}
     alone = []
     for row, col in first:
         r = int(radius[row, col])
         near = around[row + wide - r : row + wide + r + 1, col + wide - r : col + wide + r + 1]
-        if near[discs[r]].max() <= smooth[row, col]:
+        if near[discs[r]].max() <= value[row, col]:
             alone.append((row, col))
     return np.array(alone, np.int64).reshape(-1, 2)
 
@@ -73,25 +116,22 @@ def _disc(radius: int) -> NDArray[np.bool_]:
 
 
 def crowns(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, params: TreeParams) -> NDArray[np.int32]:
-    """Number (from 1) of the tree that each cell belongs to, 0 for none: watersheds of the surface turned over.
+    """Number (from 1) of the tree that each cell belongs to, 0 for none: that of the nearest top, the first of equal
+    ones (Silva et al. 2016).
 
-    A crown has no cell lower than `params.share` of its top, and none further from it than `params.reach`.
+    A crown has no cell lower than `params.share` of its top, and none further from it than `params.spread` of its
+    height and `params.reach`.
     """
-    number = len(tree_tops)
-    height = np.zeros(number + 1)
-    rows, cols = tree_tops.T
-    height[1:] = surface.smooth[rows, cols]
-    markers = np.zeros(surface.smooth.shape, np.int32)
-    ground = surface.top < params.least_height * params.share
-    markers[ground] = -1
-    markers[rows, cols] = np.arange(1, number + 1)
-    high = np.minimum(np.rint(_CENTIMETRES * surface.smooth), _NEVER - 1)
-    depth = np.where(ground, _NEVER, _NEVER - 1 - high).astype(np.uint16)
-    tree = np.maximum(scipy.ndimage.watershed_ift(depth, markers, EIGHT), 0).astype(np.int32)
-    y, x = np.indices(tree.shape)
-    at = np.concatenate([[[0, 0]], tree_tops])
-    near = np.hypot(y - at[tree, 0], x - at[tree, 1]) * cell <= params.reach
-    tree[~near | (surface.smooth < params.share * height[tree])] = 0
+    tree = np.zeros(surface.smooth.shape, np.int32)
+    nearest = np.full(tree.shape, np.inf)
+    place = np.indices(tree.shape)
+    heights = surface.smooth[tree_tops[:, 0], tree_tops[:, 1]]
+    for k, ((row, col), height) in enumerate(zip(tree_tops.tolist(), heights.tolist(), strict=True), 1):
+        wide = int(min(params.reach, params.spread * height) / cell)
+        part = (slice(max(0, row - wide), row + wide + 1), slice(max(0, col - wide), col + wide + 1))
+        far = (place[0][part] - row) ** 2 + (place[1][part] - col) ** 2
+        mine = (far < nearest[part]) & (far <= wide**2) & (surface.smooth[part] >= params.share * height)
+        tree[part][mine], nearest[part][mine] = k, far[mine]
     return tree
 
 
@@ -113,8 +153,8 @@ def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> S
             continue
         polygon = _outline(mine, window, piece)
         rated, percent = int(counts.rated[piece][mine].sum()), int(counts.percent[piece][mine].sum())
-        low_r, low_c = np.maximum(places[k - 1] - 1, 0)
-        height = float(surface.top[low_r : low_r + 3, low_c : low_c + 3].max())  # smoothing may move it by a cell
+        low_r, low_c = np.maximum(places[k - 1] - _ASIDE, 0)
+        height = float(surface.top[low_r : low_r + 2 * _ASIDE + 1, low_c : low_c + 2 * _ASIDE + 1].max())
         size = sum(area(ring) for ring in polygon)
         sure = 0.01 * percent / rated if rated else math.nan
         x, y = (col + 0.5) * window.cell, (row + 0.5) * window.cell

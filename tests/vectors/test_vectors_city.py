@@ -75,6 +75,6 @@ def test_footprints_and_trees_of_the_city(tmp_path: Path):
     buildings, trees = scored_run(tmp_path / "r", truth)
     assert buildings["found"] >= 0.95 and buildings["iou"] >= 0.82 and buildings["joint_iou"] >= 0.9
     assert buildings["doubled"] == buildings["invalid"] == buildings["false"] == 0
-    assert trees["found_open"] >= 0.75 and trees["false"] <= 0.25
+    assert trees["found_open"] >= 0.85 and trees["false"] <= 0.2
     crowns = pyogrio.read_dataframe(tmp_path / "r/vectors.gpkg", layer="crowns")
     assert crowns.is_valid.all()

@@ -11,7 +11,7 @@ from fwclass.grid import Window
 from fwclass.schema import Table
 from fwclass.vectors.cells import count_cells
 from fwclass.vectors.shapes import Shapes
-from fwclass.vectors.trees import trees
+from fwclass.vectors.trees import bulge, trees, without_pits
 
 CELL = 0.5
 TREES = np.array([[12.2, 14.1, 9.0, 3.0], [17.9, 13.2, 12.0, 3.5], [31.4, 31.8, 15.0, 5.0], [50.0, 20.0, 6.0, 2.0]])
@@ -40,6 +40,13 @@ def echoes(some=TREES, seed=0, density=8.0) -> Table:
             "confidence": np.full(len(x), 0.75),
         }
     )
+
+
+def leafy(table: Table, depth: float, seed=1) -> Table:
+    """The same echoes from leaves at an exponential depth below the outside of the crown, of `depth` [m] on average."""
+    inside = np.random.default_rng(seed).exponential(depth, table.rows)
+    height = table["height_above_ground"]
+    return table.with_columns({"height_above_ground": np.where(height > 0, np.maximum(height - inside, 0.1), 0.0)})
 
 
 def found(table: Table, edge: int = 128, settings=None) -> Shapes:
@@ -97,3 +104,42 @@ def test_the_order_of_the_echoes_changes_nothing():
     turned = table.take(np.random.default_rng(1).permutation(table.rows))
     one, other = found(table), found(turned)
     assert all((one.corners[n] == other.corners[n]).all() for n in one.corners)
+
+
+def test_leaves_below_the_outside_of_a_crown_make_no_tops():
+    big = np.array([[15.0, 15.0, 12.0, 4.5], [45.0, 18.0, 14.0, 5.0], [20.0, 45.0, 10.0, 4.0], [48.0, 46.0, 16.0, 5.5]])
+    made = found(leafy(echoes(big, density=4.0), 0.8))
+    assert made.rows.rows == len(big)
+    for tx, ty, tall, _ in big:
+        k = int(np.argmin(np.hypot(made.rows["x"] - tx, made.rows["y"] - ty)))
+        assert np.hypot(made.rows["x"][k] - tx, made.rows["y"][k] - ty) < 1.5
+        assert made.rows["object_height"][k] == pytest.approx(tall, abs=1.0)
+
+
+def test_a_tree_on_the_shoulder_of_a_taller_one_is_found():
+    """The surface between them is hardly lower: that it bends tells the smaller one."""
+    pair = np.array([[30.0, 30.0, 14.0, 4.5], [34.7, 30.0, 10.0, 3.5]])
+    along = np.linspace(30.0, 34.7, 100)
+    share = np.abs(along[:, None] - pair[:, 0]) / pair[:, 3]
+    outside = pair[:, 2] * (0.5 + 0.5 * np.sqrt(np.clip(1 - share**2, 0, None)))
+    assert np.where(share < 1, outside, 0.0).max(axis=1).min() > 0.98 * pair[1, 2]
+    made = found(echoes(pair))
+    near = np.hypot(made.rows["x"][:, None] - pair[:, 0], made.rows["y"][:, None] - pair[:, 1])
+    assert made.rows.rows == 2 and (near.min(axis=0) < 2.0).all()
+
+
+def test_a_paraboloid_bulges_by_its_curvature_and_the_scale():
+    """Of h - r² / 2R the Laplacian is -2 / R everywhere, and smoothing does not change that."""
+    y, x = CELL * np.mgrid[-60:61, -60:61]
+    settings, radius = params(), 40.0
+    surface = 60.0 - (x**2 + y**2) / (2.0 * radius)
+    middle = bulge(surface, surface, CELL, settings)[60, 60]
+    assert middle == pytest.approx(2.0 * settings.widest**2 / radius, rel=0.05)  # a Gaussian that ends at 3 deviations
+
+
+def test_a_ball_closes_what_is_narrower_and_nothing_else():
+    surface = np.full((60, 60), 9.0)
+    surface[20, 20], surface[30:40, 30:40] = 0.0, 1.0
+    closed = without_pits(surface, CELL, 0.9)
+    assert closed[20, 20] > 8.8 and closed[35, 35] == 1.0
+    assert (closed >= surface).all() and closed == pytest.approx(without_pits(closed, CELL, 0.9))
