@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.stacking import GROUND
 from fwclass.graph.breaklines import BREAKLINES, breaklines_needed
 from fwclass.graph.ground import STACK, knots_in, surroundings, terrain_blocks
 from fwclass.graph.ground_auto import AUTO, adapts, settled, square_edge, squares
@@ -106,8 +107,8 @@ def _with_stacked(here: StageInputs, points: Points, box: Box) -> Points:
     """The `points`, and the echoes of several pulses in `box`, which are ground too."""
     parts = [points]
     for key in here.parts(STACK):
-        table = here.inputs.table(STACK, key, "xyz")
-        inside = box.contains(table["x"], table["y"])
+        table = here.inputs.table(STACK, key, (*"xyz", "classification"))
+        inside = box.contains(table["x"], table["y"]) & (table["classification"] == GROUND)
         parts.append((table["x"][inside], table["y"][inside], table["z"][inside]))
     x, y, z = (np.concatenate(values) for values in zip(*parts, strict=True))
     return x, y, z
@@ -221,7 +222,7 @@ CHECK_SEAMS = Stage(
         **({"square": square_edge(plan)} if adapts(plan) else {}),
     },
     reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
-    after=("terrain", AUTO, LEVELS, BREAKLINES),
+    after=("terrain", STACK, AUTO, LEVELS, BREAKLINES),
     needs=lambda plan, part: [
         *((TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)),
         *((AUTO, square.key) for square in squares(plan) if adapts(plan)),

@@ -163,7 +163,10 @@ def train_fine(
     """The second layer, and both as one model, delivered as the run's."""
     coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
     sample, without = _with_values(load_sample(here.inputs, MERGED, "all", layer.names))
-    params = params.model_copy(update={"method": refine.method, "samples_per_class": refine.samples_per_class})
+    own: dict[str, Any] = {"method": refine.method, "samples_per_class": refine.samples_per_class}
+    if not isinstance(params.class_weights, str):  # this layer tells two of the classes
+        own["class_weights"] = {c.name: params.class_weights.get(c.name, 1.0) for c in classes}
+    params = params.model_copy(update=own)
     fine: Any = fit_layer(sample, params, compare, classes, block, gap)
     if without:
         fine.card["notes"].append(f"no training row has a value of {', '.join(without)}: left out")

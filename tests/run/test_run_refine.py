@@ -50,6 +50,14 @@ def boundary(root):
 
 
 @pytest.mark.slow
+def test_weights_of_classes_that_the_second_layer_lacks_are_the_first_one_s(survey, tmp_path):
+    """The training of the second layer failed, after hours."""
+    runner, report = walk(survey, tmp_path, *LAYER, "train.class_weights={ground: 0.2}")
+    assert not runner.failures, runner.failures
+    assert report["accuracy"]["overall_accuracy"] > 0.5
+
+
+@pytest.mark.slow
 def test_answers_change_at_the_boundary_alone(survey, refined, finished):
     after, before = echoes(refined[0]), echoes(finished[0])
     changed = np.zeros(len(after["strip"]), bool)
