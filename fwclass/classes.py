@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, DamagedError
 
 MOST_LETTERS = 100
 """Of a class's name."""
@@ -43,6 +44,23 @@ STANDARD: Mapping[int, str] = {
 def standard_name(code: int) -> str:
     """What the standard calls `code`, or the code itself."""
     return STANDARD.get(code, f"class {code}")
+
+
+def counts_of(values: Any, shape: tuple[int, ...], what: str) -> NDArray[np.int64]:
+    """Stored counts as an array of `shape`, int64; `DamagedError` where they are of another one: `what` was counted for
+    other classes or areas than those of the run."""
+    try:
+        counts = np.array(values, np.int64)
+    except (ValueError, OverflowError):  # rows of different lengths
+        counts = np.zeros(0, np.int64)
+    if counts.shape != shape and counts.size + math.prod(shape):
+        raise DamagedError(
+            f"{what} do not belong to the classes and areas of the run",
+            expected=f"counts of shape {shape}",
+            got=f"{counts.shape}",
+            do="take another run directory",
+        )
+    return counts.reshape(shape)
 
 
 @dataclass(frozen=True)

@@ -83,12 +83,11 @@ def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> st
 
 def time_faults(first: float, last: float) -> list[str]:
     """A sentence for GPS times [s] that are none; none for those that are, or not finite."""
-    if not max(abs(first), abs(last)) > LATEST_GPS or not math.isfinite(first + last):
+    most = max(abs(first), abs(last))
+    if not most > LATEST_GPS or not (math.isfinite(first) and math.isfinite(last)):
         return []
-    return [
-        f"GPS times reach {max(abs(first), abs(last)):.3g} s, {max(abs(first), abs(last)) / 3.156e7:,.0f} years: they "
-        "are not in seconds"
-    ]
+    years = most / 3.156e7
+    return [f"GPS times reach {most:.3g} s, {years:{',.0f' if years < 1e9 else '.3g'}} years: they are not in seconds"]
 
 
 def _metres_of_height(crs: Any, header: Records | None) -> float:

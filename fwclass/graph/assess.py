@@ -21,6 +21,7 @@ from fwclass.assess.stage import (
     unclassified,
     unpack,
 )
+from fwclass.classes import counts_of
 from fwclass.classify.kept import Kept
 from fwclass.classify.unsure import PERCENT, percent_of
 from fwclass.conf.model import AreasSection
@@ -162,8 +163,8 @@ def assess_survey(
     parts, counted, sure, left_out = [], [], np.zeros((3, PERCENT), np.int64), 0
     for tile in here.parts("confusion"):
         meta = here.inputs.meta("confusion", tile)
-        matrix += np.array(meta["matrix"], np.int64)
-        lost += np.array(meta["lost"], np.int64)
+        matrix += counts_of(meta["matrix"], (n, n), "confusion matrices")
+        lost += counts_of(meta["lost"], (n,), "confusion matrices")
         filtered += np.array(meta["ground"], np.int64)
         sure += np.array(meta["sure"], np.int64)
         left_out += meta.get("kept", 0)

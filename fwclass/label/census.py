@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.classes import counts_of
 from fwclass.grid import Box, millimetres
 from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table
@@ -125,7 +126,7 @@ def total_training(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
 def _sum(arrays: Iterable[Any], shape: tuple[int, ...]) -> Any:
     sums = np.zeros(shape, np.int64)
     for array in arrays:
-        sums += np.array(array, np.int64).reshape(shape)
+        sums += counts_of(array, shape, "counts of labels")
     return sums.tolist()
 
 

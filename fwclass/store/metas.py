@@ -10,6 +10,7 @@ from fwclass.store.shapes import (
     CODE,
     COUNT,
     DECIMAL,
+    FINITE,
     FLAG,
     NUMBER,
     NUMERAL,
@@ -27,10 +28,12 @@ from fwclass.store.shapes import (
 
 _FIGURE = Maybe(NUMBER)
 _PAIR = (NUMBER, NUMBER)
+_TIMES = (FINITE, FINITE)
+"""As files have them, whatever they are."""
 _TWO = ((COUNT, COUNT), (COUNT, COUNT))
 _PERCENT = (COUNT,) * 101
 _PLANE = (NUMBER,) * 4
-_SPACE = (NUMBER,) * 6
+_SPACE = (FINITE,) * 6
 _REMARKS = [TEXT]
 _FAULTS = {TEXT: COUNT}
 _ROWS = {"rows": COUNT}
@@ -116,20 +119,25 @@ _CHECKED = {
     "open": _HEIGHTS,
     "vegetated": _HEIGHTS,
 }
-_STRIP = {
-    "name": TEXT,
-    "files": [TEXT],
-    "echoes": COUNT,
-    "times": Maybe(_PAIR),
-    "azimuth": _FIGURE,
-    "timed": FLAG,
-    "centre": _PAIR,
-    "width": NUMBER,
-    "length": NUMBER,
-    "pairs": COUNT,
-    "group": WHOLE,
-    **{f"{n}{end}": _FIGURE for n in ("height", "roll", "pitch") for end in ("", "_error")},
-}
+_MOVED = ("height", "roll", "pitch")
+_STRIP = Related(
+    {
+        "name": TEXT,
+        "files": [TEXT],
+        "echoes": COUNT,
+        "times": Maybe(_TIMES),
+        "azimuth": _FIGURE,
+        "timed": FLAG,
+        "centre": _PAIR,
+        "width": NUMBER,
+        "length": NUMBER,
+        "pairs": COUNT,
+        "group": WHOLE,
+        **{f"{n}{end}": _FIGURE for n in _MOVED for end in ("", "_error")},
+    },
+    "an error of what is adjusted, and of nothing else",
+    lambda strip: all((strip[n] is None) == (strip[f"{n}_error"] is None) for n in _MOVED),
+)
 _QUALITY = {
     "survey": TEXT,
     "echoes": COUNT,
@@ -139,7 +147,7 @@ _QUALITY = {
     "density": {
         **dict.fromkeys(("cell", "area"), NUMBER),
         **dict.fromkeys(("echoes", "pulses", "spacing"), _FIGURE),
-        "percentiles": {TEXT: _FIGURE},
+        "percentiles": dict.fromkeys(("p5", "p50", "p95"), NUMBER),
     },
     "voids": {"area": NUMBER, "count": COUNT, "least": NUMBER, "share": _FIGURE, "largest": _VOIDS},
     "strips": {
@@ -218,8 +226,8 @@ _TILE_FACTS = {
     "classes": {CODE: COUNT},
     "sure": {CODE: (COUNT, NUMBER)},
     "confidence": _FIGURE,
-    "times": Maybe(_PAIR),
-    "figures": {TEXT: {"count": COUNT, **dict.fromkeys(("minimum", "maximum", "mean", "stddev"), NUMBER)}},
+    "times": Maybe(_TIMES),
+    "figures": {TEXT: {"count": COUNT, **dict.fromkeys(("minimum", "maximum", "mean", "stddev"), FINITE)}},
 }
 
 META: dict[str, Shape] = {
@@ -247,11 +255,11 @@ META: dict[str, Shape] = {
         "blocks": {DECIMAL: [TILE]},
         "bounds": _SPACE,
         "strips": [COUNT],
-        "times": [(COUNT, NUMBER, NUMBER)],
+        "times": [(COUNT, FINITE, FINITE)],
         "repeated?": [(COUNT, COUNT, COUNT)],
     },
     "reference": _ROWS,
-    "trajectory": {"fixes": COUNT, "begins": Related([NUMBER], "at least one", bool), "ends": NUMBER},
+    "trajectory": {"fixes": COUNT, "begins": Related([FINITE], "at least one", bool), "ends": FINITE},
     "calibrate": {"calibration": _CALIBRATION},
     "radiometry": {"sums": {NUMERAL: (NUMBER,) * 16}, "without_range": COUNT, "pointing_error": _FIGURE},
     "polygons": {

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,8 +19,8 @@ Shape = Any
 LARGEST_WHOLE = 2**53
 """Larger counts are none that a computer has made."""
 
-LARGEST = 1e30
-"""Its square and its cube are numbers still."""
+LARGEST = 1e100
+"""Of what is computed: more than the square of any 32-bit float, and its own square and cube are numbers still."""
 
 SHOWN = 80
 """Characters of a value that are told."""
@@ -62,8 +63,12 @@ def _is_whole(value: Any) -> bool:
     return type(value) is int and abs(value) <= LARGEST_WHOLE
 
 
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and type(value) is not bool and abs(value) <= sys.float_info.max
+
+
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and type(value) is not bool and abs(value) <= LARGEST
+    return _is_finite(value) and abs(value) <= LARGEST
 
 
 def pattern(called: str, expression: str) -> Kind:
@@ -75,6 +80,7 @@ def pattern(called: str, expression: str) -> Kind:
 COUNT = Kind("a count", lambda value: _is_whole(value) and value >= 0)
 WHOLE = Kind("a whole number", _is_whole)
 NUMBER = Kind("a number", _is_number)
+FINITE = Kind("a finite number", _is_finite)
 POSITIVE = Kind("a number above 0", lambda value: _is_number(value) and value > 0)
 FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 TEXT = Kind("text", lambda value: isinstance(value, str))
@@ -82,7 +88,7 @@ ANY = Kind("anything", lambda value: True)
 NUMERAL = pattern("a whole number as text", r"\d{1,15}")
 CODE = Kind("a class code as text", lambda value: NUMERAL.fits(value) and int(value) <= 255)
 DECIMAL = pattern("a number above 0 as text", r"(?=.*[1-9])\d{1,9}(\.\d{1,9})?")
-TILE = pattern("the key of a tile, as 12_34", r"-?\d{1,9}_-?\d{1,9}")
+TILE = pattern("the key of a tile, as 12_34", r"-?\d{1,15}_-?\d{1,15}")
 
 
 def square(shape: Shape = COUNT) -> Related:

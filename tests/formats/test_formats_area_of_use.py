@@ -75,6 +75,7 @@ def test_times_that_are_none() -> None:
     for sound in ((0.0, 604_800.0), (-9.9e8, 4.2e8), (1.3e9, 1.4e9), (math.nan, math.nan), (math.inf, -math.inf)):
         assert time_faults(*sound) == []
     assert "1e+11 s, 3,169 years" in time_faults(3e10, 1e11)[0]
+    assert time_faults(1e300, 1.7e308) == ["GPS times reach 1.7e+308 s, 5.39e+300 years: they are not in seconds"]
 
 
 def test_info_and_a_run_tell_it(tmp_path: Path) -> None:

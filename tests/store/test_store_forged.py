@@ -13,6 +13,7 @@ from commandline import fwclass
 from runmaker import rewrite_table
 from smallsurvey import deliver, small_survey
 
+from fwclass.classes import counts_of
 from fwclass.errors import DamagedError
 from fwclass.graph.stages import STAGES
 from fwclass.store.cells import digest_within
@@ -76,12 +77,26 @@ def test_lengths_keys_and_bounds_are_told_too(stage: str, meta: dict[str, Any], 
     assert fault.value.expected.endswith(f": {expected}")
 
 
+def test_times_are_what_files_have() -> None:
+    """A file's GPS times may be any number that is finite."""
+    told = {"fixes": 2, "begins": [-1.7e308, 1e300], "ends": 1.7e308}
+    assert dict(receipt_of("trajectory", told).meta) == told
+
+
+@pytest.mark.parametrize("counts", [[], [[1, 2]], [[1, 2], [3]], [[1, 2, 3]] * 3])
+def test_counts_of_other_classes_than_the_run_has_are_told(counts) -> None:
+    assert counts_of([[1, 2], [3, 4]], (2, 2), "matrices").tolist() == [[1, 2], [3, 4]]
+    assert counts_of([], (0, 2), "boxes").shape == (0, 2)
+    with pytest.raises(DamagedError, match="matrices do not belong to the classes"):
+        counts_of(counts, (2, 2), "matrices")
+
+
 def test_numbers_that_are_none_fit_nothing() -> None:
     plain = json.loads(receipt_of("trajectory", {"fixes": 1, "begins": [0.0], "ends": 1.0}).to_text())
     del plain["seal"]
-    for value in (float("nan"), float("inf"), 1e308):
+    for value in (float("nan"), float("inf"), 10**400):
         plain["meta"]["ends"] = value
-        with pytest.raises(DamagedError, match="a number"):
+        with pytest.raises(DamagedError, match="a finite number"):
             dict(Receipt.from_json(plain, "receipt.json").meta)
 
 
