@@ -234,27 +234,27 @@ def _shapes(folder: Path) -> list[Case]:
     ]
 
 
-def _drawn(kind: str, coordinates: list, folder: Path) -> list[Seed]:
+def _drawn(kind: str, coordinates: list, folder: Path, system: int = 25832) -> list[Seed]:
     """The shape in every format; numbers of a Shapefile are damaged where they stand."""
     import geopandas
     import shapely
 
     frame = geopandas.GeoDataFrame(geometry=[shapely.geometry.shape({"type": kind, "coordinates": coordinates})])
-    made = [_geojson(kind, coordinates)]
+    made = [_geojson(kind, coordinates, system)]
     for ending in ("shp", "gpkg"):
         own = folder / kind / ending
         own.mkdir(parents=True)
-        frame.set_crs(25832).to_file(own / f"b.{ending}")
+        frame.set_crs(system).to_file(own / f"b.{ending}")
         size = (own / f"b.{ending}").stat().st_size
         places = range(24, size - 4, 4) if ending == "shp" else ()
         made.append(seeds._taken(own, f"{kind}-{ending}", f"b.{ending}", [(f"b.{ending}", at, 8) for at in places]))
     return made
 
 
-def _geojson(kind: str, coordinates: list) -> Seed:
+def _geojson(kind: str, coordinates: list, system: int = 25832) -> Seed:
     feature = {"type": "Feature", "properties": {}, "geometry": {"type": kind, "coordinates": coordinates}}
-    system = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
-    file = json.dumps({"type": "FeatureCollection", "crs": system, "features": [feature]})
+    named = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{system}"}}
+    file = json.dumps({"type": "FeatureCollection", "crs": named, "features": [feature]})
     return Seed(kind, "b.geojson", {"b.geojson": file.encode()}, (), ("b.geojson",))
 
 
@@ -263,6 +263,21 @@ def _backscatter(folder: Path) -> list[Case]:
     return given(some, "voxels", "{}", "--out", "r", "--workers", "0") + given(
         some, "profile", "{}", "--out", "r", "--workers", "0", mark="-profile"
     )
+
+
+PLACES = [[500000 + 4 * a, 5400000 + 4 * b] for a, b in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))]
+
+
+def _confirm(folder: Path) -> list[Case]:
+    """Places in every format, and a sound one in a damaged run."""
+    places = _drawn("Polygon", [PLACES], folder, 32633)
+    (run,) = run_cases.collected("label", "confirm", "r", "b.geojson")(folder)[:1]
+    whole = {n: d for n, d in {**run.fixed, **run.seed.files}.items() if n.startswith("r/")}
+    sound = _geojson("Polygon", [PLACES], 32633).files
+    return [
+        *(replace(c, links=run_cases.LINKS) for c in given(places, "label", "confirm", "r", "{}", fixed=whole)),
+        *run_cases.delivery("label", "confirm", "r", "b.geojson", beside=sound)(folder),
+    ]
 
 
 def _export(folder: Path) -> list[Case]:
@@ -312,6 +327,9 @@ COMMANDS = {
     "view-large": Command(run_cases.delivery("view", "r", "--export", "d", "--set", "view.whole=1000"), 1),
     "view-worklist": Command(run_cases.delivery("view", "r", "--worklist", "w.gpkg"), 1),
     "suggest": Command(run_cases.delivery("suggest", "r", "w.gpkg"), 1),
+    "checkout": Command(run_cases.delivery("label", "checkout", "r", "d", "--least-sure", "2"), 1),
+    "collect": Command(run_cases.collected("label", "collect", "d", "--run", "r", "--who", "me"), 2),
+    "confirm": Command(_confirm, 1),
     "diff": Command(run_cases.delivery("diff", "r", "r"), 1),
     "street-stream": Command(street_cases.stream, 2),
     "street": Command(street_cases.recordings, 2),

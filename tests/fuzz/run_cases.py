@@ -132,19 +132,63 @@ def chunks(*words: str) -> Made:
     return cases
 
 
+@cache
+def _checked_out() -> Files:
+    """The tiles of the run, checked out into `d`; one of them was saved with other classes, by another program."""
+    import laspy
+    from click.testing import CliRunner
+
+    from fwclass.cli import cli
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file, data in _ran("run").items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (folder / file).write_bytes(data)
+        (folder / "r" / "current").symlink_to(LINKS["r/current"])
+        tiles = ",".join(sorted(p.name.split(".")[0] for p in (folder / "r/current/laz/tiles").iterdir()))
+        words = ["label", "checkout", str(folder / "r"), str(folder / "d"), "--tiles", tiles]
+        ended = CliRunner().invoke(cli, words)
+        assert ended.exit_code == 0, ended.output
+        path = folder / "d" / f"{tiles.split(',')[0]}.copc.laz"
+        cloud = laspy.read(path, laz_backend=laspy.LazBackend.Laszip)
+        plain = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+        plain.header.scales, plain.header.offsets = cloud.header.scales, cloud.header.offsets
+        plain.header.add_extra_dims([laspy.ExtraBytesParams("pulse", "u4")])
+        plain = laspy.LasData(plain.header)
+        for field in ("X", "Y", "Z", "point_source_id", "return_number", "classification", "pulse"):
+            plain[field] = cloud[field]
+        plain.classification[:5] = 5
+        path.unlink()
+        plain.write(path, laz_backend=laspy.LazBackend.Lazrs)
+        return {p.relative_to(folder).as_posix(): p.read_bytes() for p in (folder / "d").rglob("*") if p.is_file()}
+
+
+def collected(*words: str) -> Made:
+    """A command on tiles that were checked out, of which everything is damaged."""
+
+    def cases(folder: Path) -> list[Case]:
+        made = _checked_out()
+        (case,) = _cases({**_ran("run"), **made}, sorted(made), ["d/checkout.json"], words, "checked-out")
+        return [case]
+
+    return cases
+
+
 def is_chunk(name: str) -> bool:
     """Whether a file of a run holds a chunk of a Zarr array."""
     return ".zarr/" in name and not name.endswith("zarr.json")
 
 
-def delivery(*words: str) -> Made:
-    """A command on a run directory in which what was delivered is damaged."""
+def delivery(*words: str, beside: Files | None = None) -> Made:
+    """A command on a run directory in which what was delivered is damaged; `beside` lies there too."""
 
     def cases(folder: Path) -> list[Case]:
         files = _ran("run")
         endings = (".parquet", ".copc.laz", ".json", ".gpkg", ".npy", ".tif")
         some = [n for n in files if n.startswith("r/generations/") and n.endswith(endings)]
-        return _sealed(_cases(files, some, [n for n in some if n.endswith(".json")], words))
+        made = _sealed(_cases(files, some, [n for n in some if n.endswith(".json")], words))
+        return [replace(c, fixed={**c.fixed, **(beside or {})}) for c in made]
 
     return cases
 
