@@ -86,8 +86,8 @@ def check_writable(location: RunLocation) -> None:
             location.objects.put(key, b"")
             location.objects.delete([key])
             return
-        probe = location / CORRECTIONS
-        beside = probe.with_name(f".{uuid.uuid4().hex}")
+        labels = (location / CORRECTIONS).parent
+        beside = (labels if labels.exists() else location) / f".{uuid.uuid4().hex}"
         write_bytes(beside, b"")
         beside.unlink()
     except OSError as fault:

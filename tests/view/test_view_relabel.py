@@ -232,6 +232,12 @@ def test_a_code_or_a_selection_that_is_none_is_refused(scene: ViewedRun, small_r
     assert not (small_run / CORRECTIONS).exists()
 
 
+def test_to_open_the_tool_writes_nothing(scene: ViewedRun, small_run: Path) -> None:
+    before = sorted(p.name for p in small_run.iterdir())
+    scene.relabel.begin()
+    assert sorted(p.name for p in small_run.iterdir()) == before
+
+
 def test_where_nothing_can_be_written_it_is_said_before_anything_is_drawn(scene: ViewedRun, small_run: Path) -> None:
     (small_run / "labels").write_text("")  # a file in the way: also root cannot write below it
     with pytest.raises(StoreError, match="cannot be written here"):
