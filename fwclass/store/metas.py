@@ -182,7 +182,7 @@ _PULSE = {
         "shape": TEXT,
         "echoes": COUNT,
         "outgoing": COUNT,
-        **dict.fromkeys(("fwhm", "rise_time", "skew", "tail_share", "shape_error"), _FIGURE),
+        **dict.fromkeys(("fwhm", "rise_time", "skew", "tail_share", "shape_error"), NUMBER),
     },
     "noise": _FIGURE,
     "channels": [
@@ -196,8 +196,9 @@ _PULSE = {
     "sampled": COUNT,
     "quiet_samples": COUNT,
     "noise_order": COUNT,
-    "noise_period?": _FIGURE,
-    **dict.fromkeys(("lag1", "inflation", "noise_growth", "noise_periodic?"), _FIGURE),
+    "noise_period?": COUNT,
+    "lag1": _FIGURE,
+    **dict.fromkeys(("inflation", "noise_growth", "noise_periodic?"), NUMBER),
 }
 _PLACES = {
     "vendor_offset": [
