@@ -36,6 +36,7 @@ ROUNDING = 1e-6
 """Coordinates that are nearer than this to a whole millimetre are meant to be one [m]."""
 
 SIDES = ("xmin", "ymin", "xmax", "ymax")
+_PLACES = ("x", "y", "z")
 
 
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -244,14 +245,16 @@ def _geo(
 
 
 def _options(table: Table, params: PublishParams) -> dict[str, Any]:
-    """Zstandard; floating-point columns by byte planes, which compress twice as well; codes by dictionary."""
-    planes = {name: "BYTE_STREAM_SPLIT" for name in table if table[name].dtype.kind == "f"}
+    """Zstandard; measurements by byte planes, which compress twice as well, whole numbers by their differences, codes
+    and heights by dictionary; places as they are: of decimals the bytes repeat, and planes of them do not."""
+    planes = {name: "BYTE_STREAM_SPLIT" for name in table if table[name].dtype.kind == "f" and name not in _PLACES}
     planes |= {f"bbox.{side}": "BYTE_STREAM_SPLIT" for side in SIDES}
-    codes = [name for name in table if name not in planes and table[name].dtype.itemsize == 1]
+    whole = [name for name in table if table[name].dtype.kind in "iu"]
+    codes = [name for name in whole if table[name].dtype.itemsize <= 2]
     return {
         "compression": "zstd",
         "compression_level": params.zstd_level,
-        "use_dictionary": codes,
-        "column_encoding": planes,
+        "use_dictionary": [*codes, "z"],
+        "column_encoding": planes | {name: "DELTA_BINARY_PACKED" for name in whole if name not in codes},
         "write_statistics": [*table, *(f"bbox.{side}" for side in SIDES)],
     }

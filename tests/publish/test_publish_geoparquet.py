@@ -62,6 +62,33 @@ def test_duckdb_reads_box_and_wkb(echoes: Callable[..., Table], params: PublishP
         assert found[:2] == (table["x"][i], table["y"][i])
 
 
+def test_duckdb_reads_whole_numbers_and_heights(
+    echoes: Callable[..., Table], params: PublishParams, tmp_path: Path
+) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    table, path = echoes(), tmp_path / "t.parquet"
+    write_geoparquet(table, path, None, params)
+    rows = duckdb.sql(f"select z, pulse from read_parquet('{path}')").fetchnumpy()  # noqa: S608
+    assert np.array_equal(rows["z"], table["z"]) and np.array_equal(rows["pulse"], table["pulse"])
+
+
+def test_centimetres_take_two_bytes_a_coordinate(params: PublishParams, tmp_path: Path) -> None:
+    """A file of 50 m in centimetres has some 12 bits a coordinate; planes of the doubles' bytes took up to 40."""
+    rng = np.random.default_rng(0)
+    x, y = np.sort(rng.integers(0, 5_000, (2, 40_000)), axis=1) / 100.0
+    z = 300.0 + np.rint(100.0 * (np.sin(x) + rng.uniform(0, 8, len(x)))) / 100.0
+    pulse = np.arange(len(x), dtype=np.uint32) * 3
+    path = tmp_path / "t.parquet"
+    write_geoparquet(Table({"x": x + 770_000.0, "y": y + 6_277_000.0, "z": z, "pulse": pulse}), path, None, params)
+    about = pq.read_metadata(path)
+    size = {about.row_group(0).column(k).path_in_schema: 0 for k in range(about.num_columns)}
+    for group in range(about.num_row_groups):
+        for k in range(about.num_columns):
+            one = about.row_group(group).column(k)
+            size[one.path_in_schema] += one.total_compressed_size
+    assert size["z"] < 2.2 * len(x) and size["pulse"] < 0.5 * len(x)
+
+
 def wkb_xyz(wkb: bytes) -> tuple[float, ...]:
     """Coordinates of a little-endian WKB point, ISO with height or plain."""
     order, kind = struct.unpack_from("<BI", wkb)
