@@ -61,6 +61,14 @@ def test_a_rare_channel_of_another_sign(tmp_path: Path, turned: int, code: int) 
     assert ended == code and (f"{turned} of 3,000 waveforms" in words) == (turned > 0), words
 
 
+def test_places_that_are_swapped_end_with_4(tmp_path: Path) -> None:
+    columns = scene(pulses=600, n=80).columns()
+    swapped = columns | {"x": columns["y"], "y": columns["x"], "dx": columns["dy"], "dy": columns["dx"]}
+    code, words = decompose(tmp_path, swapped)
+    assert code == 4 and "are x and y swapped" in words and "do not lie where" in words, words
+    assert decompose(tmp_path, swapped, "--accept-implausible")[0] == 0
+
+
 def test_info_shows_what_is_odd(tmp_path: Path) -> None:
     columns = scene(pulses=600, n=80).columns(at="sensor")
     path = tmp_path / "a.parquet"

@@ -115,6 +115,7 @@ def decompose(
     from fwclass import conf
     from fwclass.graph.plausibility import judge
     from fwclass.graph.radiometry_remarks import judge_radiometry
+    from fwclass.graph.report_facts import judge_place
     from fwclass.single_file.decompose import decompose_file
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
@@ -123,6 +124,7 @@ def decompose(
     click.echo(sentences, err=True)
     bounds = conf.section("plausibility", settings)
     judge(judged, bounds)
+    judge_place(judged[0]["place"], bounds.accept, source)
     judge_radiometry(judged[0]["radiometry"], bounds.accept, source)
 
 

@@ -9,7 +9,7 @@ from fwclass.errors import refuse_unsound
 from fwclass.graph.layout import Strip
 from fwclass.radiometry.calibration import Calibration
 from fwclass.radiometry.params import RadiometryParams
-from fwclass.radiometry.soundness import by_strip, faults
+from fwclass.radiometry.soundness import altitude_faults, by_strip, faults
 
 
 def radiometry_facts(
@@ -18,19 +18,21 @@ def radiometry_facts(
     strips: Iterable[Strip],
     params: RadiometryParams,
     flown: bool,
+    sensors: Mapping[str, tuple[float, float]],
 ) -> dict[str, Any] | None:
     """``implausible``: what no sound survey shows (`soundness.faults`); None without radiometry.
 
     Parameters
     ----------
     metas : of the parts `radiometry`. calibration : of the part `calibrate`. flown : a trajectory, or an altitude, is
-        given.
+        given. sensors : by name of the strip, what `altitude_faults` holds the altitude against [m].
     """
     total = by_strip(meta["sums"] for meta in metas)
     if not total:
         return None
     known = Calibration.from_json(calibration) if calibration is not None else Calibration()
-    return {"implausible": faults(total, known, {s.number: s.path.name for s in strips}, params.sound, flown)}
+    said = faults(total, known, {s.number: s.path.name for s in strips}, params.sound, flown)
+    return {"implausible": said + altitude_faults(sensors, params)}
 
 
 def judge_radiometry(said: Sequence[str], accepted: bool, where: object) -> None:

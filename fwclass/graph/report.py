@@ -100,6 +100,7 @@ def write_report(
         survey.strips,
         config.radiometry,
         bool(config.survey.trajectory.files) or config.radiometry.platform_altitude is not None,
+        {} if config.survey.trajectory.files else _sensors(runner, survey),
     )
     earlier = since_earlier(runner, REPORT, config.survey.name, files["files"])
     report = {
@@ -180,6 +181,12 @@ def _classes(config: Config, source: Mapping[int, int]) -> list[dict[str, Any]]:
     own = [{"name": c.name, "code": c.code} for c in config.survey.classes]
     others = other_names(source, config.classify, [c.code for c in config.survey.classes])
     return [*own, *({"name": name, "code": code} for code, name in others.items())]
+
+
+def _sensors(runner: Runner, survey: Survey) -> dict[str, tuple[float, float]]:
+    """Heights of the sensor and of what it saw [m], by strip that tells them."""
+    indexed = {r.part: sensor for r in receipts_of_run(runner, "index") if (sensor := r.meta.get("sensor"))}
+    return {s.path.name: (indexed[s.key][0], indexed[s.key][1]) for s in survey.strips if s.key in indexed}
 
 
 def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] | None:

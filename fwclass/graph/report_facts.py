@@ -69,7 +69,7 @@ def judge_place(place: Mapping[str, Any] | None, accepted: bool, where: object) 
         where=where,
         expected="places in the area that the system is used in, at heights where land is",
         got="; ".join(place["remarks"]),
-        do="name the right system (survey.crs), or mend the files' coordinates; --accept-implausible "
+        do="name the right system (--crs, survey.crs), or mend the files' coordinates; --accept-implausible "
         "(plausibility.accept=true) takes them as they are",
     )
 

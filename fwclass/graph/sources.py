@@ -22,9 +22,10 @@ from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.read.beams import sensor_height
 from fwclass.read.source import PulseSource, open_source
 from fwclass.read.spans import Span
-from fwclass.read.stage import READ, ReadParams, index_source, read_span
+from fwclass.read.stage import READ, ReadParams, index_source, read_span, with_settings
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
@@ -104,6 +105,7 @@ def index_strip(here: StageInputs, params: ReadParams) -> Result:
         "pulses": sum(s.n_pulses for s in spans) if source.has_waves else 0,
         "point_format": source.point_format,
         "from_outgoing": isinstance(source, PulseSource),
+        "sensor": sensor_height(with_settings(source, params)),
     }
 
 

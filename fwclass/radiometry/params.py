@@ -59,7 +59,8 @@ class RadiometrySoundParams(Params):
     Attributes
     ----------
     max_without_range : share of a strip's echoes without a range. max_astray : share that no scanner at the trajectory
-    would see. displaced : between the trajectory and where the beams come from [m].
+    would see. displaced : between the trajectory and where the beams come from [m]. max_altitude_ratio : of the
+        flying heights by `platform_altitude` and by the beams.
     brightest, darkest : reflectances [dB] of no surface; max_impossible : share of them.
     max_residual : of ln gain, between strips, or of the target in several. max_target_spread : standard deviation of
     ln backscatter on the target.
@@ -68,6 +69,7 @@ class RadiometrySoundParams(Params):
     max_without_range: float = Field(ge=0.0, le=1.0)
     max_astray: float = Field(ge=0.0, le=1.0)
     displaced: float = Field(gt=0.0, le=100_000.0)
+    max_altitude_ratio: float = Field(gt=1.0, le=1000.0)
     brightest: float = Field(ge=-1000.0, le=1000.0)
     darkest: float = Field(ge=-1000.0, le=1000.0)
     max_impossible: float = Field(ge=0.0, le=1.0)

@@ -152,6 +152,23 @@ def faults(
     return said + _target_faults(calibration, name, sound)
 
 
+def altitude_faults(sensors: Mapping[str, tuple[float, float]], params: RadiometryParams) -> list[str]:
+    """Where `platform_altitude` is not the height that beams come from, a sentence each.
+
+    `sensors`: by name of the strip, the height of the sensor as its beams tell, and of what it saw [m].
+    """
+    altitude, most = params.platform_altitude, params.sound.max_altitude_ratio
+    if altitude is None:
+        return []
+    return [
+        f"{name}: the beams of neighbouring pulses meet at {height:,.0f} m, {height - seen:,.0f} m above the first "
+        f"samples, where the sensor was; radiometry.platform_altitude is {altitude:,.0f} m: it is a height in the "
+        "survey's system, in metres, and none above ground"
+        for name, (height, seen) in sensors.items()
+        if not (height - seen) / most <= altitude - seen <= (height - seen) * most
+    ]
+
+
 def _target_faults(calibration: Calibration, name: Any, sound: RadiometrySoundParams) -> list[str]:
     """What the echoes on the target say against each other."""
     said = []

@@ -83,12 +83,13 @@ class FirstSamples:
 @dataclass(frozen=True)
 class Meeting:
     """Groups whose beams meet, of `groups`; the median distance to that place, positive towards the sensor [m]; and the
-    share of them in which it lies that way, and higher than the places."""
+    share of them in which it lies that way, and higher than the places; the median height of that place [m]."""
 
     meet: int
     groups: int
     away: float
     above: float
+    height: float
 
     @property
     def sound(self) -> bool:
@@ -144,6 +145,16 @@ def beam_fault(source: Source) -> str:
     return f"the beams of neighbouring pulses meet {where}: {wrong}"
 
 
+def sensor_height(source: Source) -> tuple[float, float] | None:
+    """How high the sensor was, as the beams of the first pulses tell, and their first samples [m, medians]; None where
+    the source knows its distances, or the beams do not meet."""
+    firsts = _first_samples(source)
+    crossing = meeting(firsts.place, firsts.beam)
+    if not crossing.sound or (source.ranged and np.isfinite(firsts.distance).any()):
+        return None
+    return crossing.height, float(np.median(firsts.place[:, 2]))
+
+
 def _distance_fault(crossing: Meeting, firsts: FirstSamples, ranged: bool) -> str:
     """That beams meet elsewhere than as far away as the file says; "" where it is silent, right, or not `ranged`."""
     known = firsts.distance[np.isfinite(firsts.distance)] if ranged else np.empty(0)
@@ -182,7 +193,7 @@ def meeting(place: Floats, beam: Floats) -> Meeting:
     groups of `GROUP` rows, each by least squares."""
     n = len(place) // GROUP
     if n == 0:
-        return Meeting(0, 0, 0.0, 0.0)
+        return Meeting(0, 0, 0.0, 0.0, np.nan)
     p, b = (v[: n * GROUP].reshape(n, GROUP, 3) for v in (place, beam))
     mean = b.mean(axis=1, keepdims=True)
     mean /= np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-12)
@@ -197,9 +208,10 @@ def meeting(place: Floats, beam: Floats) -> Meeting:
     wide = (spread >= WIDE) & (turn >= STEEP)
     meet = wide & (miss <= MEET * spread)
     if not meet.any():
-        return Meeting(0, int(wide.sum()), 0.0, 0.0)
+        return Meeting(0, int(wide.sum()), 0.0, 0.0, np.nan)
     above = (away > 0.0) & (point[:, 2, 0] > 0.0)
-    return Meeting(int(meet.sum()), int(wide.sum()), float(np.median(away[meet])), float(above[meet].mean()))
+    height = float(np.median((p.mean(axis=1)[:, 2] + point[:, 2, 0])[meet]))
+    return Meeting(int(meet.sum()), int(wide.sum()), float(np.median(away[meet])), float(above[meet].mean()), height)
 
 
 def _root_mean_square(vectors: Floats) -> Floats:

@@ -16,14 +16,16 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
-from fwclass.formats.area_of_use import place_faults
+from fwclass.formats.area_of_use import elsewhere, place_faults
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.radiometry import soundness
+from fwclass.radiometry.soundness import altitude_faults
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
+from fwclass.read.beams import sensor_height
 from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
@@ -97,11 +99,11 @@ def decompose_file(
         raise InputError(
             "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
         )
-    table, odd_places = Table.concat(tables), []
+    table, place, beyond = Table.concat(tables), list[str](), False
     if table.rows:
         ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
         refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
-        odd_places = place_faults(system, ends[0], ends[1])
+        place, beyond = place_faults(system, ends[0], ends[1]), elsewhere(system, ends[0], ends[1])
     flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
     whole, notes, odd_radiometry = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
@@ -112,7 +114,9 @@ def decompose_file(
         fit.vendor_tolerance,
         strip_plausibility(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
     )
-    judged["radiometry"] = odd_radiometry
+    if trajectory is None and (sensor := sensor_height(opened)) is not None:
+        odd_radiometry += altitude_faults({source.name: sensor}, params["radiometry"])
+    judged |= {"radiometry": odd_radiometry, "place": {"remarks": place, "elsewhere": beyond}}
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [
@@ -122,7 +126,7 @@ def decompose_file(
         *(f"plausibility: {text}" for text in plausibility_remarks([judged], fit)),
         *notes,
         *(f"fault: {text}" for text in odd_radiometry),
-        *odd_places,
+        *place,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {visible(output)}",
     ]

@@ -9,6 +9,7 @@ from commandline import fwclass
 from rawmaker import scene, write_parquet
 
 from fwclass import conf
+from fwclass.graph.radiometry_remarks import radiometry_facts
 from fwclass.radiometry.calibration import Calibration, PairRatio
 from fwclass.radiometry.soundness import COUNTS, by_strip, displacement, faults, strip_sums
 from fwclass.schema import Table
@@ -57,6 +58,26 @@ def test_a_trajectory_that_lies_elsewhere(flight, moved) -> None:
 def test_half_of_a_flight(flight) -> None:
     code, words = decompose(flight, rows=slice(0, 60))
     assert code == 4 and "echoes have no range: no fix of the trajectory is at their times" in words, words
+
+
+@pytest.mark.parametrize(("altitude", "code"), [(720.0, 0), (650.0, 0), (400.0, 4), (2362.0, 4)])
+def test_an_altitude_is_held_against_the_beams(flight, altitude: float, code: int) -> None:
+    """The sensor flew at 720 m over ground at 120 m; 2362 are its feet."""
+    root = flight[0]
+    line = ("decompose", root / "a.parquet", root / "a.laz", "--overwrite", "--set", "radiometry.calibration=1e-15")
+    line += ("--set", "radiometry.sound.darkest=-300", "--set", "radiometry.sound.brightest=300")
+    ended = fwclass(*line, "--set", f"radiometry.platform_altitude={altitude}")
+    assert ended.returncode == code, ended.stderr
+    assert ("meet at 720 m" in ended.stderr) == (code == 4), ended.stderr
+
+
+@pytest.mark.parametrize(("altitude", "count"), [(700.0, 0), (300.0, 1)])
+def test_an_altitude_in_a_run(altitude: float, count: int) -> None:
+    params = conf.section("radiometry", (f"radiometry.platform_altitude={altitude}",))
+    sums = {"sums": {"0": [0.0] * (len(COUNTS) + 9)}}
+    facts = radiometry_facts([sums], None, [], params, True, {"a.las": (720.0, 120.0)})
+    assert facts is not None and len(facts["implausible"]) == count
+    assert radiometry_facts([sums], None, [], params, True, {}) == {"implausible": []}
 
 
 @pytest.mark.parametrize(("constant", "said"), [("1e-9", "above 3 dB"), ("1e-24", "below -30 dB")])
