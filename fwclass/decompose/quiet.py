@@ -61,7 +61,8 @@ class QuietNoise:
     samples : quiet samples looked at.
     order : samples that the fit foretells the next one from; 0: it takes the noise for white.
     growth : what a DN of signal adds to the variance [DN].
-    periodic : share of the variance that comes back every `period` samples, as a disturbance does that is picked up.
+    periodic : share of the variance that comes back every `period` samples, as a disturbance does that is picked up;
+        of the channel where it is most.
     """
 
     lag1: float | None
@@ -102,20 +103,20 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
     nothing else stands out. Depends on the set of waveforms only: of a channel with more than `MOST_SAMPLES` every n-th
     in their order is taken.
     """
-    worst = QuietNoise(None, 1.0, 0)
+    worst, tone = QuietNoise(None, 1.0, 0), (0.0, 0)
     for _, channel, part in _channels(waves, pulse, params):
         differences = _differences(part.value, part.quiet, part.row)
         correlation, samples = _correlation(differences), int(part.quiet.sum())
         if len(correlation) < 2:
             continue
-        periodic = periodicity(differences)
+        tone = max(tone, periodicity(differences))
         noise = channel.autoregression
         gain = filter_gain(correlation, noise, _template(pulse.of(channel), channel.sample_spacing))
         inflation = math.sqrt(max(gain, 1.0))
-        measured = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth, *periodic)
+        measured = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
         if worst.lag1 is None or measured.inflation > worst.inflation:
             worst = measured
-    return worst
+    return replace(worst, periodic=tone[0], period=tone[1])
 
 
 def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> SystemPulse:

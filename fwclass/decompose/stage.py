@@ -275,6 +275,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=7)
+PULSE = Computation(name="pulse", version=8)
 PLACES = Computation(name="places", version=3)
 DECOMPOSE = Computation(name="decompose", version=10, writes=ECHO_COLUMNS)

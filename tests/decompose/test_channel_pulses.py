@@ -14,6 +14,7 @@ from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of, signal_of
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse, join_samples
 from fwclass.decompose.pulse_sample import outgoing_of, rows_of
+from fwclass.decompose.quiet import quiet_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse, disagree
 from fwclass.errors import InputError
@@ -156,3 +157,16 @@ def test_a_stored_pulse_of_a_channel_is_checked(params):
     for wrong in ("yes", [], {"fwhm": 3.0}):
         with pytest.raises(InputError):
             SystemPulse.from_json({**stored, "channels": [{**own, "pulse": wrong}]})
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_tone_is_told_of_the_channel_that_has_it(params: PulseParams, fit: DecomposeParams, swapped: bool) -> None:
+    """The other one is correlated, and known less."""
+    plain = of_width(3.5, noise=(1.0, 1.0))
+    phase = np.random.default_rng(4).uniform(0.0, 2.0 * np.pi, 3000)
+    tone = 3.0 * np.sin(2.0 * np.pi * np.arange(120) / 11.0 + phase[:, None])
+    hum = replace(plain, samples=np.clip(np.rint(plain.samples + tone.ravel()), 0, 255).astype(np.uint8))
+    other = of_width(3.5, saturation=250.0, seed=2, phi=(0.8,))
+    waves = both(other, hum) if swapped else both(hum, other)
+    noise = quiet_noise(waves, estimate_pulse(waves, params), fit)
+    assert noise.period == 11 and noise.periodic > 0.5
