@@ -12,6 +12,7 @@ from fwclass.store.shapes import (
     DECIMAL,
     FINITE,
     FLAG,
+    KEY,
     NUMBER,
     NUMERAL,
     POSITIVE,
@@ -233,7 +234,7 @@ _TILE_FACTS = {
 
 META: dict[str, Shape] = {
     "index": {
-        "spans": [(COUNT, COUNT, COUNT, COUNT, [COUNT])],
+        "spans": [(COUNT, COUNT, COUNT, COUNT, [KEY])],
         "points": COUNT,
         "pulses": COUNT,
         "point_format": WHOLE,

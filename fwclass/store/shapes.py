@@ -78,6 +78,7 @@ def pattern(called: str, expression: str) -> Kind:
 
 
 COUNT = Kind("a count", lambda value: _is_whole(value) and value >= 0)
+KEY = Kind("a whole number of 64 bits", lambda value: type(value) is int and 0 <= value < 2**64)
 WHOLE = Kind("a whole number", _is_whole)
 NUMBER = Kind("a number", _is_number)
 FINITE = Kind("a finite number", _is_finite)

@@ -34,13 +34,13 @@ def echoes(tile, inputs, directory):
     write_table(directory / TABLE, table)
     write_arrays(directory / "a", {"z": table["z"]})
     ends = [float(f(table[c])) for f in (np.min, np.max) for c in "xyz"]
-    return {"rows": n, "bounds": ends, CELLS: by_place(table, x, y)}
+    return {"rows": n, "bounds": ends, "blocks": {}, "strips": [], "times": [], CELLS: by_place(table, x, y)}
 
 
 def named(inputs, directory):
     table = Table({"z": np.arange(4.0)})
     write_groups(directory / TABLE, table, [0, 2, 4])
-    return {"tiles": {"0_0": [0, 2], "1_0": [1, 2]}, CELLS: by_name(table, ["0_0", "1_0"], [0, 2, 4])}
+    return {"rows": 4, "tiles": {"0_0": [0, 2], "1_0": [1, 2]}, CELLS: by_name(table, ["0_0", "1_0"], [0, 2, 4])}
 
 
 @pytest.fixture
