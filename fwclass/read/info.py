@@ -26,6 +26,9 @@ from fwclass.read.polygons_info import describe_polygons, polygon_info
 from fwclass.read.quantities import quantities_of, words_of
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
 
+MANY = 100
+"""Points whose intensities are all the same by no accident."""
+
 Z_MARGIN = 100.0
 """A point is a z outlier this far [m], plus the spread of the middle 98 %, beyond that middle."""
 
@@ -211,6 +214,9 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     if tally.zero_intensity:
         share = "all" if tally.zero_intensity == n else f"{tally.zero_intensity} of {n}"
         faults.append(f"{share} intensities are zero")
+    low, high = tally.intensity
+    if low == high > 0 and n >= MANY:
+        faults.append(f"all {n} intensities are {low}: they were not measured; leave features of intensity out")
     if tally.pairs[0].sum():
         faults.append(f"{tally.pairs[0].sum()} points have return number 0")
     above = int(np.tril(tally.pairs, -1).sum())

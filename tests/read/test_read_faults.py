@@ -238,6 +238,13 @@ def test_info_tells_faults_of_the_points(tmp_path):
         assert expected in text
 
 
+@pytest.mark.parametrize(("values", "told"), [(255, True), (np.arange(500) % 2 + 254, False)])
+def test_info_tells_intensities_that_nobody_measured(tmp_path, values, told):
+    xyz = np.random.default_rng(0).uniform(0, 20, (500, 3))
+    path = write_las(tmp_path / "a.las", xyz, point_format=1, intensity=values)
+    assert ("all 500 intensities are 255" in "\n".join(info(path)["faults"])) is told
+
+
 def test_empty_file_of_points(tmp_path):
     path = write_las(tmp_path / "a.las", np.empty((0, 3)), point_format=9)
     found = info(path)
