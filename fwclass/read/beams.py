@@ -152,7 +152,8 @@ def sensor_height(source: Source) -> tuple[float, float] | None:
     crossing = meeting(firsts.place, firsts.beam)
     if not crossing.sound or (source.ranged and np.isfinite(firsts.distance).any()):
         return None
-    return crossing.height, float(np.median(firsts.place[:, 2]))
+    height, first = float(crossing.height), float(np.nanmedian(firsts.place[:, 2]))
+    return (height, first) if np.isfinite([height, first]).all() else None
 
 
 def _distance_fault(crossing: Meeting, firsts: FirstSamples, ranged: bool) -> str:

@@ -239,6 +239,7 @@ META: dict[str, Shape] = {
         "pulses": COUNT,
         "point_format": WHOLE,
         "from_outgoing?": FLAG,
+        "sensor?": Maybe((FINITE, FINITE)),
     },
     "read": _READ,
     "pulse": _PULSE,
