@@ -131,7 +131,7 @@ def test_the_classification_says_all_that_the_file_lacks(bare: Path) -> None:
 
 
 @pytest.mark.slow
-def test_stray_points_over_a_wide_land_are_no_survey_for_the_check_of_seams(bare: Path, tmp_path: Path) -> None:
+def test_stray_points_over_a_wide_land_cost_the_check_of_seams_no_wide_raster(bare: Path, tmp_path: Path) -> None:
     """An echo in each of 20 x 20 blocks that touch: the rasters of their box would hold 4 000 cells for each."""
     points = laspy.read(bare.parent / "a.las")
     places = np.arange(400)
@@ -145,6 +145,4 @@ def test_stray_points_over_a_wide_land_are_no_survey_for_the_check_of_seams(bare
     ended = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "run", *WORDS, *words)
     assert ended.returncode in (0, 4), ended.stderr
     seams = json.loads((tmp_path / "run" / "report.json").read_text())["ground"]["seams"]
-    assert seams["left_out"] > 300 and seams["echoes"] == 0
-    page = (tmp_path / "run" / "report.html").read_text()
-    assert "hold hardly one" in page
+    assert seams["echoes"] == 400 and seams["left_out"] == 0 and seams["cells"] < 4 * 400

@@ -124,6 +124,17 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     assert told.returncode == 2 and "given twice" in told.stderr and "no training area" in told.stderr
 
 
+def copying(config, source, directory):
+    """Every command that copies a file's records, one after another."""
+    for words in (
+        ("run", config, "--out", "r", "--workers", 0),
+        ("plan", config, "--out", "r"),
+        ("ground", source, "o.laz", "--method", "slope"),
+        ("normalize", source, "o.laz", "--method", "slope"),
+    ):
+        yield fwclass(*words, cwd=directory)
+
+
 @pytest.mark.parametrize(
     ("place", "count"),
     [(lambda size: size - 60, 2), (lambda size: size + 1, 1), (lambda size: 400, 1), (lambda size: 0, 1)],
@@ -136,13 +147,7 @@ def test_extended_records_that_are_not_where_the_header_says_stop_what_copies_th
     struct.pack_into("<QI", data, 235, place(len(data)), count)
     source.write_bytes(data)
     before = left(tmp_path)
-    for words in (
-        ("run", config, "--out", "r", "--workers", 0),
-        ("plan", config, "--out", "r"),
-        ("ground", source, "o.laz", "--method", "slope"),
-        ("normalize", source, "o.laz", "--method", "slope"),
-    ):
-        ended = fwclass(*words, cwd=tmp_path)
+    for ended in copying(config, source, tmp_path):
         assert ended.returncode == 1 and "extended record" in ended.stderr, ended.stderr
         assert "decompose" not in ended.stderr and left(tmp_path) == before
     told = fwclass("info", source, cwd=tmp_path)
@@ -160,13 +165,7 @@ def test_a_file_that_ends_in_an_extended_record_is_not_copied(tmp_path):
     data += evlr_head("vendor", 9, 5000) + bytes(4000)
     source.write_bytes(data)
     before = left(tmp_path)
-    for words in (
-        ("run", config, "--out", "r", "--workers", 0),
-        ("plan", config, "--out", "r"),
-        ("ground", source, "o.laz", "--method", "slope"),
-        ("normalize", source, "o.laz", "--method", "slope"),
-    ):
-        ended = fwclass(*words, cwd=tmp_path)
+    for ended in copying(config, source, tmp_path):
         assert ended.returncode == 1 and "the file ends in its extended record vendor 9" in ended.stderr, ended.stderr
         assert f"expected: {len(data) + 1000} bytes\n  got: {len(data)}" in ended.stderr and left(tmp_path) == before
     told = fwclass("info", source, cwd=tmp_path)

@@ -218,7 +218,7 @@ class AreasSection(Section):
 class RunSection(Section):
     """Where it runs; never changes a result.
 
-    `seam_check_echoes`: so many echoes are filtered once more in wider windows that lie elsewhere, to tell in the
+    `seam_check_echoes`: so many echoes are filtered once more in windows that lie elsewhere, to tell in the
     report what the seams between blocks changed; 0 leaves the check out. `keep_generations`: whole deliveries that
     stay.
     `keep_intermediate`: parts stay after a whole delivery; without them every run makes all anew.

@@ -21,6 +21,7 @@ from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
 from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
+from fwclass.units import SIGMA_PER_MAD
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 Floats = NDArray[np.float64]
@@ -150,7 +151,7 @@ def _curve(gap: Floats, height: Floats, spacing: float, saturation: float) -> Of
 def _robust(values: Floats) -> tuple[float, float]:
     """Median and standard deviation, the latter from the median deviation."""
     middle = float(np.median(values))
-    return middle, 1.4826 * float(np.median(np.abs(values - middle)))
+    return middle, SIGMA_PER_MAD * float(np.median(np.abs(values - middle)))
 
 
 def _outgoing(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse, rule: bool) -> Placement:

@@ -9,7 +9,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.kernel import kernel
-from fwclass.units import FWHM_PER_SIGMA
+from fwclass.units import FWHM_PER_SIGMA, SIGMA_PER_MAD
 
 Floats = NDArray[np.floating]
 
@@ -158,7 +158,7 @@ def _biweight(
         coefficients = scipy.linalg.cho_solve_banded((banded, True), right)
         residual = np.empty(len(v))
         _departures(basis, start, v, scaled, coefficients, residual)
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        scale = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-12)
         scales = _scales(np.abs(residual), start, size, scale)[start]
         robust = weight * np.clip(1.0 - (residual / (BISQUARE * scales)) ** 2, 0.0, None) ** 2
     share = robust / weight
@@ -170,9 +170,9 @@ def _biweight(
 def _scales(departure: Floats, piece: NDArray[np.integer], pieces: int, scale: float) -> Floats:
     """Scale that every piece (pieces,) is judged by: `scale`, or its own where half of it departs `SYSTEMATIC` far."""
     scales, count = np.full(pieces, scale), np.bincount(piece, minlength=pieces)
-    near = np.bincount(piece[1.4826 * departure <= SYSTEMATIC * scale], minlength=pieces)
+    near = np.bincount(piece[SIGMA_PER_MAD * departure <= SYSTEMATIC * scale], minlength=pieces)
     for k in np.flatnonzero((count > 0) & (near <= count // 2)).tolist():
-        scales[k] = 1.4826 * np.sort(departure[piece == k])[count[k] // 2]
+        scales[k] = SIGMA_PER_MAD * np.sort(departure[piece == k])[count[k] // 2]
     return scales
 
 

@@ -108,13 +108,18 @@ STACK = "stack"
 """The stage whose echoes, of several pulses together, are ground too."""
 
 
+def stacked_ground(here: StageInputs, block: str) -> Table:
+    """Places of the ground echoes that several pulses of a block show together."""
+    table = here.inputs.table(STACK, block, (*"xyz", "classification"))
+    return table.take(table["classification"] == GROUND).select("xyz")
+
+
 def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
     """Terrain rasters of a block, and the heights above ground of its echoes, tile after tile."""
     core = Window.covering(here.tile.box, params.cell)
     around = around_block(here)
     t, own = around.table.select(TERRAIN.reads), around.own
-    stacked = [here.inputs.table(STACK, key, (*"xyz", "classification")) for key in here.parts(STACK)]
-    more = [table.take(table["classification"] == GROUND).select("xyz") for table in stacked]
+    more = [stacked_ground(here, key) for key in here.parts(STACK)]
     for table in more:
         no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
         t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])

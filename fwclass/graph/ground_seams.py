@@ -1,4 +1,4 @@
-"""What the ground's blocks change: filter and terrain once more in wider windows that lie elsewhere."""
+"""What the ground's blocks change: filter and terrain once more in windows that lie elsewhere."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.stacking import GROUND
 from fwclass.graph.breaklines import BREAKLINES, breaklines_needed
-from fwclass.graph.ground import STACK, knots_in, surroundings, terrain_blocks
+from fwclass.graph.ground import STACK, knots_in, stacked_ground, surroundings, terrain_blocks
 from fwclass.graph.ground_auto import AUTO, adapts, settled, square_edge, squares
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -29,11 +28,8 @@ from fwclass.waveforms import IMPLAUSIBLE
 WITHIN = 0.01
 """Difference of terrain heights that counts as none [m]."""
 
-BLOCKS = 2
-"""Edge of a window in blocks: a worker holds it whole, and its halo is a small part of it."""
-
-SPARSE = 100
-"""Cells of the terrain for an echo, above which a window holds stray points and no survey."""
+MOST_CELLS = 16_000_000
+"""Cells after which no further window is drawn: what they differ by is held for its quantile."""
 
 EVERYWHERE = Box(-math.inf, -math.inf, math.inf, math.inf)
 BORDER = 5.0
@@ -43,12 +39,13 @@ Regions = Sequence[tuple[Box, GroundParams]]
 
 
 def windows(tiles: Iterable[Tile], block: float, seed: int) -> list[Tile]:
-    """Squares of `BLOCKS` times the edge `block` [m], moved by half of it, that share area with `tiles`.
+    """Squares of the filter's blocks of edge `block` [m], moved by half of it, that share area with `tiles`.
 
-    Their order hangs on them and the seed alone. Every border of blocks lies inside one.
+    Their order hangs on them and the seed alone. Every border of blocks lies inside one, and none needs more memory
+    than the blocks did.
     """
-    half, edge = round(500.0 * block) / 1000.0, round(1000.0 * BLOCKS * block) / 1000.0
-    grid = TileGrid(edge, (half, half))
+    half = round(500.0 * block) / 1000.0
+    grid = TileGrid(block, (half, half))
     some = sorted({window for tile in tiles for window in grid.touching(tile.box)})
     return [some[k] for k in draw_order(some, seed)]
 
@@ -58,9 +55,8 @@ def measure_seams(
 ) -> Result:
     """Filter and terrain of windows, drawn until they hold `most` echoes, against what the blocks say.
 
-    Windows of stray points, with more than `SPARSE` cells of the terrain for an echo, are left out. With parameters
-    chosen for every `square` [m] each of these is filtered by itself, and what the parameters of neighbours would
-    change at its border is told.
+    With parameters chosen for every `square` [m] each of these is filtered by itself, and what the parameters of
+    neighbours would change at its border is told.
     """
     regions = _regions(here, ground, square)
     reach = max(TERRAIN.halo(terrain), *(params.halo + BORDER for _, params in regions))
@@ -70,19 +66,18 @@ def measure_seams(
     differences, looked, water = _Differences(), 0, water_of(here)
     tiles = TileGrid(here.tile_size)
     for place in windows((tiles.tile(key) for key in here.present), ground.block, seed):
-        if looked >= most:
+        if looked >= most or differences.counts["cells"] >= MOST_CELLS:
             break
         around = surroundings(here.inputs, place, reach, here.tile_size, here.columns, here.present)
         table, own = _where(around.table, around.own, (around.table["fit_flags"] & IMPLAUSIBLE) == 0)
         if not own.any():
             continue
-        box = _box(table["x"][own], table["y"][own])
-        window = Window.covering(box, terrain.cell)
-        if math.prod(window.shape) > SPARSE * int(own.sum()):
-            continue
+        window = Window.covering(_box(table["x"][own], table["y"][own]), terrain.cell)
         looked += int(around.own.sum())
         rows = differences.add_flags(table, own, place.box, regions)
-        points = _with_stacked(here, (table["x"][rows], table["y"][rows], table["z"][rows]), place.box.grown(reach))
+        points = _with_stacked(
+            here, (table["x"][rows], table["y"][rows], table["z"][rows]), place.box.grown(reach), terrain.block
+        )
         del around, table, own, rows  # the triangles have their room
         knots = knots_in(here, water, place.box.grown(reach))
         differences.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
@@ -103,13 +98,13 @@ def _box(x: NDArray[np.float64], y: NDArray[np.float64]) -> Box:
     return Box(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
 
 
-def _with_stacked(here: StageInputs, points: Points, box: Box) -> Points:
-    """The `points`, and the echoes of several pulses in `box`, which are ground too."""
+def _with_stacked(here: StageInputs, points: Points, box: Box, block: float) -> Points:
+    """The `points`, and the echoes of several pulses of the blocks of edge `block` [m] around `box`: ground too."""
     parts = [points]
     for key in here.parts(STACK):
-        table = here.inputs.table(STACK, key, (*"xyz", "classification"))
-        inside = box.contains(table["x"], table["y"]) & (table["classification"] == GROUND)
-        parts.append((table["x"][inside], table["y"][inside], table["z"][inside]))
+        if TileGrid(block).tile(key).box.touches(box):
+            table = stacked_ground(here, key)
+            parts.append((table["x"], table["y"], table["z"]))
     x, y, z = (np.concatenate(values) for values in zip(*parts, strict=True))
     return x, y, z
 

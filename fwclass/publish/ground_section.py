@@ -90,15 +90,13 @@ def _seams(facts: Mapping[str, Any]) -> list[str]:
         return ["The seams between blocks were not measured (run.seam_check_echoes is 0)."]
     left_out = seams.get("left_out", 0)
     if left_out and not seams["echoes"]:
-        return [
-            "The seams between blocks were not measured: all echoes lie in windows that hold hardly one, or are noise."
-        ]
+        return ["The seams between blocks were not measured: no echo of the windows looked at is plausible."]
     share = seams["flags_differ"] / max(seams["echoes"], 1)
     across = seams.get("across")
     squares = "" if across is None else ", and in every square with parameters of its own apart"
     off = (seams["cells_off"] + seams["cells_one_sided"]) / max(seams["cells"], 1)
     notes = [
-        f"The filter works in blocks of {facts['block']:g} m. Run once more in wider windows that lie "
+        f"The filter works in blocks of {facts['block']:g} m. Run once more in windows that lie "
         f"elsewhere{squares}, it changes {number(seams['flags_differ'])} flags ({100 * share:.4f} % of "
         f"{number(seams['echoes'])} echoes) and moves the terrain by more than {100 * seams['within']:g} cm in "
         f"{100 * off:.3f} % of the cells."
@@ -112,8 +110,8 @@ def _seams(facts: Mapping[str, Any]) -> list[str]:
         )
     if left_out:
         notes.append(
-            f"{number(left_out)} echoes took no part: windows are drawn until they hold run.seam_check_echoes, and "
-            "those that hold hardly one are left out."
+            f"{number(left_out)} echoes took no part: windows are drawn until they hold run.seam_check_echoes, or "
+            "16 million cells of the terrain."
         )
     if share > FLAGS_LIMIT.get(facts["method"], RASTER_LIMIT) or off > CELLS_LIMIT:
         notes.append("That is more than it should be: choose larger blocks or a wider halo (ground.block, block_halo).")

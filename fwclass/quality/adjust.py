@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.quality.pieces import Strip
+from fwclass.units import SIGMA_PER_MAD
 
 ROUNDS = 30
 TUKEY = 6.0
@@ -120,7 +121,7 @@ class _Design:
         left = np.concatenate([self.dz[some] - np.median(self.dz[some]) for some, _, _ in self.blocks])
         x, sigma = np.zeros(3 * self.n), np.nan
         for _ in range(ROUNDS):
-            spread = max(1.4826 * float(np.median(np.abs(left))), LEAST_SIGMA)
+            spread = max(SIGMA_PER_MAD * float(np.median(np.abs(left))), LEAST_SIGMA)
             far = np.minimum(1.0, (left / (TUKEY * spread)) ** 2)
             weight = self.weight * (1 - far) ** 2
             normal, right = np.zeros((3 * self.n, 3 * self.n)), np.zeros(3 * self.n)

@@ -11,6 +11,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.grid import millimetres
+from fwclass.units import SIGMA_PER_MAD
 
 Floats = NDArray[np.float64]
 
@@ -213,7 +214,7 @@ def _far_off(dz: Floats) -> NDArray[np.bool_]:
     if len(known) < 3:
         return np.zeros(len(dz), bool)
     middle = np.median(known)
-    spread = 1.4826 * float(np.median(np.abs(known - middle)))
+    spread = SIGMA_PER_MAD * float(np.median(np.abs(known - middle)))
     return np.isfinite(dz) & (np.abs(dz - middle) > max(FAR_OFF, 6.0 * spread))
 
 

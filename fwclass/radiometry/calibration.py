@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.radiometry.overlap import PARTS, STEP, Overlap, merge
 from fwclass.radiometry.params import RadiometryParams
+from fwclass.units import SIGMA_PER_MAD
 
 LEAST_ON_TARGET = 5
 """Echoes on a target; with fewer, the standard error of their median says nothing."""
@@ -240,7 +241,7 @@ def _levels_on_target(
     away, count = np.concatenate(about), np.concatenate(weights)
     order = np.argsort(away, kind="stable")
     upto = np.cumsum(count[order])
-    return tuple(levels), 1.4826 * float(away[order][np.searchsorted(upto, 0.5 * upto[-1])])
+    return tuple(levels), SIGMA_PER_MAD * float(away[order][np.searchsorted(upto, 0.5 * upto[-1])])
 
 
 def _on_target(

@@ -86,6 +86,7 @@ def test_echoes_to_blocks(run: Path) -> None:
     if points:
         other = (time.process_time() - began) / points * scene.echoes
         print(f"LASzip of the COPC tiles alone {scene.echoes / other / 1e6:.2f} M: ratio {other / seconds:.1f}")
+        assert seconds < other
 
 
 def made(scene: ViewedRun) -> tuple[float, int]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.corrections import READ_CORRECTIONS
-from fwclass.graph.ground_seams import BLOCKS, CHECK_SEAMS
+from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.learn import TREES_PER_PART
 from fwclass.graph.radiometry import READ_TRAJECTORY
 from fwclass.graph.sites import in_sites
@@ -227,9 +227,14 @@ class _Quantities:
     def _of_survey(self, stage: Stage, plan: Plan) -> Amount | None:
         config, total = self.config, float(self.counts.echoes.sum())
         if stage is CHECK_SEAMS:
-            spread = spread_of(self.counts.pieces(self.facts), BLOCKS * config.ground.block)
+            spread = spread_of(self.counts.pieces(self.facts), config.ground.block)
             echoes = min(total, float(config.run.seam_check_echoes) + float(spread.counts.max()))
-            return Amount(1, echoes, echoes, float(spread.grown(config.ground.halo).max()) * self.crowd)
+            return Amount(
+                1,
+                echoes,
+                echoes,
+                float(spread.grown(max(config.ground.halo, config.terrain.block_halo)).max()) * self.crowd,
+            )
         if stage.unit == "cell":
             cell, boxes = self._cell(), raster_boxes(config, self.facts, self.counts)
             sizes = [b.area / cell**2 for b in boxes]
