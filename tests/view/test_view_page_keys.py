@@ -58,6 +58,13 @@ def in_strip(scene: ViewedRun, line: Any) -> list[int]:
     return total
 
 
+LONELIEST = """(() => {
+  const near = (a, b) => Math.hypot(a.x - b.x, a.y - b.y), all = fwclass.state.section.echoes;
+  const alone = (e) => Math.min(...all.filter((o) => o !== e).map((o) => near(e, o)));
+  const e = all.reduce((a, b) => (alone(b) > alone(a) ? b : a));
+  return [e.x, e.y, e.node.key, e.row];
+})()"""
+"""The echo of a section that no other one lies close to: a click rounds to pixels."""
 LINE = "(({A, B, half}) => [A.slice(0, 2), B.slice(0, 2), half])(fwclass.state.section)"
 
 
@@ -102,9 +109,7 @@ def test_section_measure_and_pick_in_the_section_without_a_mouse(browser_page: D
         assert page.run("fwclass.state.section.echoes.length") == echoes
         keys(page, "0", "c")
         assert "takes it away" in text(page, "says")
-        one = page.run(
-            "(() => { const e = fwclass.state.section.echoes[20]; return [e.x, e.y, e.node.key, e.row]; })()"
-        )
+        one = page.run(LONELIEST)
         x, y = page.run(HERE)
         for name, by in (("Right", round(one[0]) - x), ("Down", round(one[1]) - y)):
             keys(page, f"+Arrow{name if by > 0 else {'Right': 'Left', 'Down': 'Up'}[name]}*{abs(by)}")

@@ -202,7 +202,8 @@ def test_two_runs_say_which_is_which(browser_page: Driven, small_run: Path) -> N
         assert text(page, "name") == " | ".join(names)
         page.run(f"{PICK}")
         page.until("document.getElementById('says').textContent.startsWith('survey/run: ')")
-        page.until("/ sure; in again.run [a-z]+, [0-9]+ % sure$/.test(document.getElementById('what').textContent)")
+        both = "/ sure; reference: [a-z]+; in again.run [a-z]+, [0-9]+ % sure$/"
+        page.until(f"{both}.test(document.getElementById('what').textContent)")
         page.run("fwclass.show(1, fwclass.state.selected)")
         page.until("document.getElementById('says').textContent.startsWith('again/run: ')")
         page.until("document.getElementById('what').textContent.includes('; in survey/run ')")
