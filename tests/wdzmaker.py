@@ -95,6 +95,9 @@ class Coder:
         model.saw(symbol)
 
     def raw(self, value: int, bits: int) -> None:
+        if bits > 19:
+            self.raw(value & 0xFFFF, 16)
+            value, bits = value >> 16, bits - 16
         self._narrow(value * (self.span >> bits), self.span >> bits)
 
     def done(self) -> bytes:
@@ -106,21 +109,36 @@ class Coder:
         return bytes(self.out) + bytes(3 if long else 2)
 
 
+class Differences:
+    """Whole numbers of `bits` bits, as what they are more than was expected."""
+
+    def __init__(self, coder: Coder, bits: int, contexts: int = 1) -> None:
+        self.coder, self.bits, self.zero = coder, bits, Chance()
+        self.lengths = [Frequencies(bits + 1) for _ in range(contexts)]
+        self.known: dict[int, Frequencies] = {}
+
+    def put(self, expected: int, value: int, context: int = 0) -> None:
+        half = 1 << (self.bits - 1)
+        c = (value - expected + half) % (2 * half) - half
+        k = (-c if c <= 0 else c - 1).bit_length()
+        self.coder.symbol(self.lengths[context], k)
+        if k == 0:
+            self.coder.bit(self.zero, c)
+            return
+        if k == 32:
+            return
+        c = c + (1 << k) - 1 if c < 0 else c - 1
+        known = self.known.setdefault(k, Frequencies(1 << min(k, 8)))
+        self.coder.symbol(known, c >> max(k - 8, 0))
+        if k > 8:
+            self.coder.raw(c & ((1 << (k - 8)) - 1), k - 8)
+
+
 def packed(samples: Sequence[int], bits: int) -> bytes:
     """A packet: the first sample, then the coded differences."""
     values = [int(v) for v in samples]
-    coder, zero, models = Coder(), Chance(), {0: Frequencies(bits + 1)}
-    half = 1 << (bits - 1)
+    coder = Coder()
+    differences = Differences(coder, bits)
     for before, after in zip(values, values[1:], strict=False):
-        c = (after - before + half) % (2 * half) - half
-        k = (-c if c <= 0 else c - 1).bit_length()
-        coder.symbol(models[0], k)
-        if k == 0:
-            coder.bit(zero, c)
-            continue
-        c = c + (1 << k) - 1 if c < 0 else c - 1
-        known = models.setdefault(k, Frequencies(1 << min(k, 8)))
-        coder.symbol(known, c >> max(k - 8, 0))
-        if k > 8:
-            coder.raw(c & ((1 << (k - 8)) - 1), k - 8)
+        differences.put(before, after)
     return values[0].to_bytes(bits // 8, "little") + coder.done()

@@ -8,14 +8,18 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import BinaryIO
 
 from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales
 from fwclass.formats.las_header import MAX_EVLR_BODY, Record, text
 from fwclass.paths import open_regular
+from fwclass.read.pls_compressed import RECORD_NUMBER, Chunks, read_chunks
 
 SIGNATURE = b"PulseWavesPulse\0"
+SPEC = "PulseWaves_Spec"
+"""Who writes the records of the specification."""
+
 HEADER, RECORD_HEADER, PULSE = 352, 96, 48
 """Shortest lengths: of the header, of a record's header, of a pulse."""
 
@@ -37,6 +41,7 @@ class PulseHeader:
     standard_gps_time : times count from the GPS epoch.
     bounds : xmin, ymin, zmin, xmax, ymax, zmax as the header states them [m].
     vlrs, avlrs : the records that lie whole in the file.
+    chunks : of compressed pulses; None where they stand as they are.
     faults : what is wrong without making the file useless.
     """
 
@@ -56,6 +61,7 @@ class PulseHeader:
     vlrs: tuple[Record, ...]
     avlrs: tuple[Record, ...]
     faults: tuple[str, ...]
+    chunks: Chunks | None
 
     @property
     def global_encoding(self) -> int:
@@ -83,8 +89,6 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
     _refuse_foreign(head, path)
     header_size, start, n_pulses, kind, _, pulse_size, compression = struct.unpack_from("<HqqIIII", head, 174)
     n_vlrs, n_avlrs = struct.unpack_from("<Ii", head, 216)
-    if compression:
-        _refuse_compressed(path)
     _check_layout(path, size, header_size, start, n_pulses, kind, pulse_size)
     t_scale, t_offset = struct.unpack_from("<2d", head, 224)
     scales, offsets = struct.unpack_from("<3d", head, 256), struct.unpack_from("<3d", head, 280)
@@ -92,8 +96,14 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
     b = struct.unpack_from("<6d", head, 304)
     faults: list[str] = []
     vlrs = _vlrs(stream, path, header_size, n_vlrs, start)
-    avlrs = _avlrs(stream, start + n_pulses * pulse_size, n_avlrs, size, faults)
-    stream.seek(start)
+    chunks, packed = None, [r.body for r in vlrs if (r.user, r.number) == (SPEC, RECORD_NUMBER)]
+    if compression or packed:  # the library leaves the header's word at 0
+        chunks = read_chunks(path, size, start, n_pulses, pulse_size, packed[-1] if packed else b"")
+    if chunks is None:
+        check_length(path, size, start, pulse_size, n_pulses, "pulses")
+    behind = int(chunks.start[-1]) if chunks else start + n_pulses * pulse_size
+    avlrs = _avlrs(stream, behind, n_avlrs, size, faults)
+    stream.seek(int(chunks.start[0]) if chunks else start)
     first = struct.unpack("<q", stream.read(8))[0] * t_scale + t_offset if n_pulses else 0.0
     return PulseHeader(
         size,
@@ -112,6 +122,7 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
         vlrs,
         avlrs,
         tuple(faults),
+        chunks,
     )
 
 
@@ -122,7 +133,7 @@ def _refuse_foreign(head: bytes, path: Path) -> None:
             where=path,
             expected="the signature PulseWavesPulse",
             got=repr(head[:16]),
-            do="give a .pls file",
+            do="give a .pls or .plz file",
         )
     if len(head) < HEADER:
         raise InputError(
@@ -140,16 +151,6 @@ def _refuse_foreign(head: bytes, path: Path) -> None:
             got=f"{head[172]}.{head[173]}",
             do="write it again with a newer PulseTools",
         )
-
-
-def _refuse_compressed(path: Path) -> NoReturn:
-    raise InputError(
-        "the pulses are compressed",
-        where=path,
-        expected="an uncompressed .pls with its .wvs",
-        got="a .plz",
-        do="decompress it with PulseTools: pulsezip -i IN.plz -o OUT.pls",
-    )
 
 
 def _check_layout(
@@ -171,7 +172,6 @@ def _check_layout(
             got=f"header size {header_size}, start of pulses {start}, {n_pulses} pulses",
             do="the file is cut short or its header damaged; copy or export it again",
         )
-    check_length(path, size, start, pulse_size, n_pulses, "pulses")
 
 
 def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tuple[Record, ...]:

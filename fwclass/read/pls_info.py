@@ -56,7 +56,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
         "size": source.size,
         "version": "{}.{}".format(*source.version),
         "point_format": None,
-        "compressed": False,
+        "compressed": source.compressed,
         "copc": False,
         "system": header.system,
         "software": header.software,

@@ -12,6 +12,7 @@ from fwclass.read.pls_waves import (
     FAULTS,
     OVERLAP,
     SILENT,
+    Pulses,
     Samplings,
     Segments,
     blocks_of,
@@ -27,6 +28,12 @@ from fwclass.read.wave_kernels import clear_of_last
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
+FEW, FITTING = 10, 0.2
+"""Pulses below which ends of waves tell nothing, and the share that must meet: a clipped file keeps runs of pulses."""
+
+UNPACKED = ("waves cut short", "too many segments", "compressed waves damaged")
+"""What compressed waves end in that are not what the pulse had."""
+
 SECOND_CHANNEL = "segments of a second channel left out"
 OVERLAPPING = "segments that begin before the one before them ends, left out"
 BAD_OUTGOING = "outgoing pulses that are saturated or sampled unlike the returning waveform, left out"
@@ -38,14 +45,15 @@ def check_pls(source: PulseSource) -> None:
     Looks at pulses until the first usable one.
     """
     counts = np.zeros(len(FAULTS), np.int64)
-    for _, pulses in blocks_of(source):
+    for records, pulses in blocks_of(source):
         counts += np.bincount(pulses.fault, minlength=len(FAULTS))
         if counts[0]:
+            _check_ends(source, records["waves"], pulses)
             return
     if source.n_records == 0:
         return
     reasons = ", ".join(f"{n} pulses: {FAULTS[i]}" for i, n in enumerate(counts) if n)
-    wvs = source.path.with_suffix(".wvs").name
+    wvs = (source.waves.path or source.path.with_suffix(".wvz" if source.compressed else ".wvs")).name
     raise InputError(
         "no waveform of the file can be read",
         where=source.path,
@@ -55,6 +63,22 @@ def check_pls(source: PulseSource) -> None:
         if source.waves.kind == "none"
         else f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged",
     )
+
+
+def _check_ends(source: PulseSource, begins: NDArray[np.int64], pulses: Pulses) -> None:
+    """Compressed waves end where those of another pulse begin, or the file does; those of another file anywhere."""
+    if not source.packed or source.waves.path is None:
+        return
+    tried = np.isin(pulses.fault, [0, SILENT, *map(FAULTS.index, UNPACKED)])
+    met = np.isin(pulses.stop[tried], np.append(begins, source.waves.available))
+    if len(met) >= FEW and met.mean() < FITTING:
+        raise InputError(
+            "the pulses and their compressed waves do not fit each other",
+            where=source.path,
+            expected=f"waves that end where those of another pulse begin, of {FITTING:.0%} of the pulses at least",
+            got=f"{int(met.sum())} of {len(met)}",
+            do=f"put the {source.waves.path.name} of this very file beside it",
+        )
 
 
 def pulse_bounds(source: PulseSource) -> tuple[float, ...]:
@@ -95,11 +119,11 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
     ends = np.concatenate([[0], np.cumsum(segments.samples)]).astype(np.int64)
     first_of_row = np.searchsorted(layout.row[layout.order], np.arange(len(head) + 1))
     _check_overlap(source, pulses.segments, kinds)
-    samples = _gather(source, segments, kinds, data, ends)
+    samples = _gather(source, segments, kinds, pulses.data, ends)
     at = segments.pulse[first_of_row[:-1]]
     spacing, top = spacing[head], top[head]
     begin = segments.begin[first_of_row[:-1]]
-    outgoing, out_offsets, out_start, unlike = _outgoing(source, pulses.segments, kinds, data, at, spacing, top)
+    outgoing, out_offsets, out_start, unlike = _outgoing(source, pulses.segments, kinds, pulses.data, at, spacing, top)
     if unlike:
         faults[BAD_OUTGOING] = unlike
     rows = {f"anchor_{axis}": pulses.anchor[at, k] for k, axis in enumerate("xyz")}
@@ -145,7 +169,7 @@ def _returning(segments: Segments, kinds: Samplings) -> tuple[Segments, dict[str
 def _check_overlap(source: PulseSource, segments: Segments, kinds: Samplings) -> None:
     """Waves that together are much longer than the file cannot be right, and would fill the memory."""
     wanted = int((segments.samples * kinds.table[segments.sampling, -1]).sum())
-    if wanted > OVERLAP * source.waves.available:
+    if not source.packed and wanted > OVERLAP * source.waves.available:
         refuse_overlap(source, f"{wanted} bytes")
 
 

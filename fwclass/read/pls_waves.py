@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.read import wave_kernels
 from fwclass.read.packets import VECTOR_RANGE
+from fwclass.read.pls_compressed import unpacked_pulses, unpacked_waves
 from fwclass.read.pls_header import PULSE
 from fwclass.read.points import ZEROS
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, WAVES_HEADER, PulseSource, Sampling
@@ -32,6 +34,7 @@ FAULTS = (
     "waves past the end",
     "waves cut short",
     "too many segments",
+    "compressed waves damaged",
     "unknown pulse descriptor",
     "unusable pulse descriptor",
     "no sane beam vector",
@@ -42,14 +45,14 @@ FAULTS = (
 )
 """What a pulse lacks; the index is the code in `Pulses.fault`. The last one is no fault: nothing came back."""
 
-DAMAGED = (*FAULTS[2:4], FAULTS[-2])
+DAMAGED = (*FAULTS[2:4], FAULTS[5], FAULTS[-2])
 """Those that a file shows which was not copied whole, or has holes of zeros."""
 
 HOLE = 256
 """Bytes of zeros where waveforms should be that tell a hole: silent pulses in a row, of a few bytes each, fall short of
 it; file systems leave holes of 512 bytes and more."""
 
-_BY_WALK = {SOUND: 0, NO_WAVES: 1, PAST_END: 2, CUT_SHORT: 3, TOO_MANY: 4}
+_BY_WALK = {SOUND: 0, NO_WAVES: 1, PAST_END: 2, CUT_SHORT: 3, TOO_MANY: 4, wave_kernels.DAMAGED: 5}
 SILENT = FAULTS.index("no returning samples")
 
 OVERLAP = 2
@@ -72,13 +75,16 @@ ANCHORS = RECORD.fields["intensity"][1] if RECORD.fields else PULSE
 
 def read_records(source: PulseSource, first: int, last: int) -> NDArray[Any]:
     """The stored pulses [first, last)."""
-    length = source.header.pulse_size
-    with source.path.open("rb") as stream:
-        stream.seek(source.header.pulses_start + first * length)
-        raw = stream.read((last - first) * length)
-    if len(raw) != (last - first) * length:
-        raise InputError("the file is cut short", where=source.path, do="copy the file again")
-    rows = np.frombuffer(raw, np.uint8).reshape(last - first, length)[:, :PULSE]
+    length, chunks = source.header.pulse_size, source.header.chunks
+    if chunks is not None:
+        rows = unpacked_pulses(source.path, chunks, first, last)[:, :PULSE]
+    else:
+        with source.path.open("rb") as stream:
+            stream.seek(source.header.pulses_start + first * length)
+            raw = stream.read((last - first) * length)
+        if len(raw) != (last - first) * length:
+            raise InputError("the file is cut short", where=source.path, do="copy the file again")
+        rows = np.frombuffer(raw, np.uint8).reshape(last - first, length)[:, :PULSE]
     empty = np.flatnonzero(~rows[:, :ANCHORS].any(axis=1))
     if len(empty) > ZEROS:
         raise InputError(
@@ -168,7 +174,8 @@ class Segments:
 
 @dataclass(frozen=True)
 class Pulses:
-    """Pulses and what their waves hold: anchor [m], step [m/ns] up the beam, `fault` codes, and all segments."""
+    """Pulses and what their waves hold: anchor [m], step [m/ns] up the beam, `fault` codes, all segments, and the bytes
+    `data` that these are in, None without any; `stop` is where the compressed waves of each end, 0 for others."""
 
     time: NDArray[np.float64]
     anchor: NDArray[np.float64]
@@ -176,6 +183,8 @@ class Pulses:
     anchor_range: NDArray[np.float64]
     fault: NDArray[np.uint8]
     segments: Segments
+    data: NDArray[np.uint8] | None
+    stop: NDArray[np.int64]
 
 
 def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDArray[np.uint8] | None) -> Pulses:
@@ -194,8 +203,9 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     if data is None:
         fault[fault == 0] = FAULTS.index("waveforms missing")
         table, ends = np.empty((0, SEGMENT_COLUMNS), np.int64), np.zeros(len(index), np.int64)
+        samples, stop = None, np.zeros(len(index), np.int64)
     else:
-        table, ends = _walk(source, data, records["waves"], np.where(fault == 0, index, -1), kinds)
+        samples, table, ends, stop = _walk(source, data, records["waves"], np.where(fault == 0, index, -1), kinds)
     codes = np.array([_BY_WALK[k] for k in range(len(_BY_WALK))], np.uint8)
     fault = np.where(fault == 0, codes[ends], fault)
     sampling = table[:, 1]
@@ -210,7 +220,7 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     rows = np.flatnonzero((fault == SILENT) & kinds.sends[index])
     fault[rows[_in_hole(data, records["waves"][rows])]] = SILENT - 1
     time = records["time"] * source.header.time_scale + source.header.time_offset
-    return Pulses(time, anchor, step, kinds.centre[index] * kinds.unit[index] * length, fault, segments)
+    return Pulses(time, anchor, step, kinds.centre[index] * kinds.unit[index] * length, fault, segments, samples, stop)
 
 
 def _in_hole(data: NDArray[np.uint8] | None, offset: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -229,7 +239,22 @@ def _walk(
     offset: NDArray[np.int64],
     descriptor: NDArray[np.int64],
     kinds: Samplings,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The bytes that hold the samples, the segments in them, what every pulse ended in, where compressed waves end."""
+    unpacking, stop = np.zeros(len(offset), np.int64), np.zeros(len(offset), np.int64)
+    if source.packed:
+        returning = kinds.kind == RETURNING
+        data, offset, unpacking, stop = unpacked_waves(
+            source.waves.path or source.path,
+            data,
+            offset,
+            descriptor,
+            kinds.described,
+            kinds.table,
+            returning,
+            WAVES_HEADER,
+            MAX_SEGMENTS,
+        )
     ends = np.empty(len(offset), np.int64)
     table = np.empty((2 * len(offset), SEGMENT_COLUMNS), np.int64)
     arguments = (data, np.ascontiguousarray(offset), descriptor, kinds.described, kinds.table, WAVES_HEADER)
@@ -239,7 +264,7 @@ def _walk(
     if count > len(table):
         table = np.empty((count, SEGMENT_COLUMNS), np.int64)
         walk(*arguments, MAX_SEGMENTS, ends, table)
-    return table[:count], ends
+    return data, table[:count], np.where(unpacking == SOUND, ends, unpacking), stop
 
 
 def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:

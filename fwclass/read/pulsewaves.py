@@ -17,11 +17,10 @@ from fwclass.errors import InputError
 from fwclass.formats.crs import crs_of
 from fwclass.paths import open_regular
 from fwclass.read.base import Source, WaveStore, file_beside
-from fwclass.read.pls_header import SIGNATURE, PulseHeader, read_pulse_header
+from fwclass.read.pls_header import SIGNATURE, SPEC, PulseHeader, read_pulse_header
 
 WAVES_SIGNATURE, WAVES_HEADER = b"PulseWavesWaves\0", 60
 
-SPEC = "PulseWaves_Spec"
 DESCRIPTOR_FIRST, DESCRIPTOR_LAST = 200_001, 200_255
 COMPOSITION, SAMPLING, DESCRIPTION = 28, 40, 64
 """Bytes of a composition and of a sampling record up to their description, and of the description."""
@@ -103,10 +102,11 @@ class PulseDescriptor:
 
 @dataclass(frozen=True, kw_only=True)
 class PulseSource(Source):
-    """A Pulse file with its Waves file."""
+    """A Pulse file with its Waves file, whose waves may be `packed`."""
 
     descriptors: Mapping[int, PulseDescriptor]
     header: PulseHeader
+    packed: bool
 
     @property
     def has_waves(self) -> bool:
@@ -135,7 +135,7 @@ def open_pls(path: Path) -> PulseSource:
     Raises
     ------
     InputError
-        No Pulse file of version 0.3, compressed, cut short, or a header that contradicts the file.
+        No Pulse file of version 0.3, cut short, or a header that contradicts the file.
     """
     if path.suffix.lower() in (".wvs", ".wvz"):
         raise InputError("this file holds waveforms, not pulses", where=path, do="give the .pls beside it")
@@ -145,11 +145,12 @@ def open_pls(path: Path) -> PulseSource:
     if header.n_pulses == 0:
         faults.append("the file has no pulses")
     descriptors = _descriptors(header, faults)
+    waves, packed = _find_waves(path, header.chunks is not None, faults)
     return PulseSource(
         path=path,
         size=header.size,
         version=header.version,
-        compressed=False,
+        compressed=header.chunks is not None,
         n_points=0,
         n_records=header.n_pulses,
         point_format=-1,
@@ -157,7 +158,8 @@ def open_pls(path: Path) -> PulseSource:
         scales=header.scales,
         offsets=header.offsets,
         crs=crs,
-        waves=_find_waves(path, faults),
+        waves=waves,
+        packed=packed,
         standard_gps_time=header.standard_gps_time,
         faults=tuple(dict.fromkeys(faults)),
         descriptors=descriptors,
@@ -201,21 +203,19 @@ def _descriptor(body: bytes) -> PulseDescriptor:
     return PulseDescriptor(math.nan if centre == FLUCTUATES else centre, extra, unit, tuple(samplings), fault)
 
 
-def _find_waves(path: Path, faults: list[str]) -> WaveStore:
-    waves, why = file_beside(path, ".wvs"), ""
+def _find_waves(path: Path, compressed: bool, faults: list[str]) -> tuple[WaveStore, bool]:
+    """The Waves file, and whether it is compressed; beside compressed pulses a .wvz comes first."""
+    names = (".wvz", ".wvs") if compressed else (".wvs", ".wvz")
+    waves, why, packed = next(filter(None, (file_beside(path, name) for name in names)), None), "", False
     if waves is None:
-        why = f"the waveforms are missing: put {path.with_suffix('.wvs').name} beside {path.name}"
-        packed = file_beside(path, ".wvz")
-        if packed is not None:
-            why = f"{packed.name} is compressed: decompress it with PulseTools: pulsezip -i {path.name} -o OUT.pls"
+        why = f"the waveforms are missing: put {path.with_suffix(names[0]).name} beside {path.name}"
     else:
         with waves.open("rb") as stream:
             head = stream.read(WAVES_HEADER)
+        packed = head[16:20] != b"\0\0\0\0"
         if len(head) < WAVES_HEADER or head[:16] != WAVES_SIGNATURE:
             why = f"{waves.name} is no Waves file: it does not begin with PulseWavesWaves"
-        elif head[16:20] != b"\0\0\0\0":
-            why = f"{waves.name} is compressed: decompress it with PulseTools: pulsezip -i {path.name} -o OUT.pls"
     if why or waves is None:
         faults.append(why)
-        return WaveStore("none", why_not=why)
-    return WaveStore("external", waves, 0, waves.stat().st_size)
+        return WaveStore("none", why_not=why), False
+    return WaveStore("external", waves, 0, waves.stat().st_size), packed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fwclass.kernel import inlined, kernel
 
-SOUND, NO_WAVES, PAST_END, CUT_SHORT, TOO_MANY = 0, 1, 2, 3, 4
+SOUND, NO_WAVES, PAST_END, CUT_SHORT, TOO_MANY, DAMAGED = 0, 1, 2, 3, 4, 5
 """What walking the waves of a pulse ended in."""
 
 EXTRA, FIRST, COUNT = 0, 1, 2

@@ -11,6 +11,7 @@ import heliosmaker
 import lasmaker
 import numpy as np
 import plsmaker
+import plzmaker
 import rawmaker
 from mutate import Field, Files
 
@@ -212,6 +213,16 @@ def pls_seeds(folder: Path) -> list[Seed]:
         found += [(len(data) - k, w) for k in range(8, 100, 4) for w in (4, 8)]
         fields = [("a.pls", at, w) for at, w in found] + [("a.wvs", at, w) for at in range(0, 160, 2) for w in (1, 2)]
         made.append(_taken(own, name, "a.pls", fields))
+    own = folder / "compressed"
+    own.mkdir(parents=True)
+    kinds = {1: plsmaker.Descriptor([plsmaker.Sampling(plsmaker.OUTGOING), plsmaker.Sampling()])}
+    path = plzmaker.compress(
+        plsmaker.survey(own / "a.pls", pulses=8, descriptors=kinds, extra_bytes=3).path, kinds, chunk=3, source=16
+    )
+    start = struct.unpack_from("<q", path.read_bytes(), 176)[0]
+    found = [*PLS_FIELDS, *((at, w) for at in range(352, start + 120, 4) for w in (2, 4))]
+    fields = [("a.plz", at, w) for at, w in found] + [("a.wvz", at, w) for at in range(0, 160, 2) for w in (1, 2)]
+    made.append(_taken(own, "compressed", "a.plz", fields))
     return made
 
 

@@ -16,6 +16,7 @@ import lasmaker
 import modelmaker
 import numpy as np
 import plsmaker
+import plzmaker
 import shapely
 import wavemaker
 import woodmaker
@@ -56,6 +57,7 @@ from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
 from fwclass.publish.class_raster import class_rasters
 from fwclass.publish.octree import octree
+from fwclass.read.pls_waves import read_records
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.read.text import read_text
 from fwclass.schema import Table
@@ -359,6 +361,22 @@ def work_compressed_packets(directory: Path) -> Any:
 
 def work_pulsewaves(directory: Path) -> Any:
     return _read(plsmaker.survey(directory / "a.pls", pulses=12).path)
+
+
+def work_compressed_pulsewaves(directory: Path) -> Any:
+    """Pulses of both kinds of sources and other bytes behind them, in chunks of fixed and of varying size."""
+    answers = []
+    for source, chunk in ((16, 5), (32, [3, 9])):
+        out = plsmaker.Sampling(plsmaker.OUTGOING, length_bits=0, samples=20, segment_bits=0, segments=1)
+        kinds = {1: plsmaker.Descriptor([out, plsmaker.Sampling()], extra=2)}
+        path = plsmaker.survey(directory / f"{source}.pls", pulses=12, extra_bytes=6, descriptors=kinds).path
+        answers += _read(plzmaker.compress(path, kinds, chunk=chunk, source=source))
+    wild = directory / "wild.pls"
+    plsmaker.write_pls(wild, [plsmaker.Pulse((0, 0, 800), (0, 0, -1), [[]])] * 90)
+    raw, rows = wild.read_bytes(), plzmaker.wild_records(90, 5).tobytes()
+    wild.write_bytes(raw[: -len(rows)] + rows)
+    packed = open_source(plzmaker.compress(wild, {}, waves=False))
+    return [*answers, read_records(packed, 0, 90).view(np.uint8)]
 
 
 def work_las_of_segments(directory: Path) -> Any:
