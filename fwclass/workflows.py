@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from fwclass.errors import ConfigError, nearest
 
 if TYPE_CHECKING:
-    from fwclass.graph.workflow import Workflow
+    from fwclass.walk.workflow import Workflow
 
 
 _HERE = Path(__file__).resolve().parent
@@ -51,7 +51,7 @@ WORKFLOWS: Mapping[str, Workflow] = _Named()
 def workflow_of(name: str) -> Workflow:
     """The workflow of a name, or of the user's own file where the name ends in ``.py``; `ConfigError` for none."""
     if name.endswith(".py"):
-        from fwclass.graph.own_workflow import own_workflow
+        from fwclass.walk.own_workflow import own_workflow
 
         return own_workflow(Path(name))
     if name not in WORKFLOWS:

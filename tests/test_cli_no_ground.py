@@ -14,7 +14,7 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 from fwclass import conf
-from fwclass.graph.ground_remarks import ground_remarks
+from fwclass.report.ground import ground_remarks
 
 WORDS = ("--workflow", "ground", "--workers", 0)
 LOW = 0.45

@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FORBIDDEN = [  # file, what it shall not import
     ("fwclass/graph/files.py", "dask"),
-    ("fwclass/graph/report.py", "distributed"),
+    ("fwclass/report/write.py", "distributed"),
     ("fwclass/operate/history.py", "dask"),
     ("fwclass/features/sums.py", "pydantic"),
     ("fwclass/features/sums.py", "yaml"),

@@ -8,7 +8,7 @@ from fwclass.graph.stacking import DELIVER_STACK
 from fwclass.graph.stages import OF_GROUND, OF_STRIPS, OF_WAVEFORMS
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import TILE_ECHOES
-from fwclass.graph.workflow import Workflow
+from fwclass.walk.workflow import Workflow
 
 backscatter = Workflow(
     "backscatter",

@@ -15,7 +15,7 @@ from fwclass.graph.stages import (
     TO_TILES,
 )
 from fwclass.graph.survey import SIMULATE
-from fwclass.graph.workflow import Workflow
+from fwclass.walk.workflow import Workflow
 
 classification = Workflow(
     "classification",

@@ -11,14 +11,14 @@ from fwclass.graph.area_of_interest import Area
 from fwclass.graph.corrections import without_corrections
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
-from fwclass.graph.walk import until_report, until_tiles
-from fwclass.graph.workflow import Workflow, after_tiles
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import fan
 from fwclass.study.papers.begin import features_like, require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
 from fwclass.study.selection import selection
+from fwclass.walk.steps import until_report, until_tiles
+from fwclass.walk.workflow import Workflow, after_tiles
 
 from .classification import classification
 

@@ -8,9 +8,9 @@ from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
-from fwclass.graph.workflow import Workflow
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers.he import deliver, facts, filter_tasks, samples_of
+from fwclass.walk.workflow import Workflow
 
 NAME = "he2023"
 

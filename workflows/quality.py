@@ -10,7 +10,7 @@ from fwclass.graph.sources import INDEX
 from fwclass.graph.stages import OF_QUALITY, OF_STRIPS
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import TILE_ECHOES
-from fwclass.graph.workflow import Workflow
+from fwclass.walk.workflow import Workflow
 
 quality = Workflow(
     "quality",

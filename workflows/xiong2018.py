@@ -11,8 +11,6 @@ from fwclass.graph.area_of_interest import Area
 from fwclass.graph.corrections import without_corrections
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
-from fwclass.graph.walk import until_report, until_tiles
-from fwclass.graph.workflow import Workflow, after_tiles
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import xiong
 from fwclass.study.papers.begin import require_whole
@@ -20,6 +18,8 @@ from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
 from fwclass.study.select.thinning import measure_rates
 from fwclass.study.selection import with_selected
+from fwclass.walk.steps import until_report, until_tiles
+from fwclass.walk.workflow import Workflow, after_tiles
 
 from .classification import classification
 

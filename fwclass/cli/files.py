@@ -113,9 +113,9 @@ def decompose(
 ) -> None:
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     from fwclass import conf
-    from fwclass.graph.plausibility import judge
-    from fwclass.graph.radiometry_remarks import judge_radiometry
-    from fwclass.graph.report_facts import judge_place
+    from fwclass.report.facts import judge_place
+    from fwclass.report.plausibility import judge
+    from fwclass.report.radiometry import judge_radiometry
     from fwclass.single_file.decompose import decompose_file
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()

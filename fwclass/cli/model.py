@@ -192,7 +192,7 @@ def classify(
     """
     from fwclass import conf
     from fwclass.classify.unsure import judge_unsure
-    from fwclass.graph.drift import judge_drift
+    from fwclass.report.drift import judge_drift
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
     from fwclass.single_file.features.echoes import Flight
     from fwclass.single_file.ground.steps import Steps

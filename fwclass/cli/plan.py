@@ -50,7 +50,6 @@ def plan(
     from fwclass.graph.outputs import DELIVER_STRIP, check_class_codes
     from fwclass.graph.stages import STAGES
     from fwclass.graph.survey import check_areas
-    from fwclass.graph.walk import with_model
     from fwclass.operate.configured import configured
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
@@ -58,6 +57,7 @@ def plan(
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
     from fwclass.operate.estimate.whole import make_plan
+    from fwclass.walk.steps import with_model
     from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)

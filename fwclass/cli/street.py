@@ -33,7 +33,7 @@ def _config(conf: Path | None, settings: tuple[str, ...], model: Path | None = N
 
 
 def _judge(summary: dict[str, Any], config: Any, options: dict[str, Any], source: object, model: Path) -> None:
-    from fwclass.graph.drift import judge_drift
+    from fwclass.report.drift import judge_drift
     from fwclass.street.soundness import judge_recording
 
     judge_recording(summary["implausible"], options["accept_implausible"] or config.plausibility.accept, source)

@@ -96,18 +96,18 @@ def _verify(runner: Any) -> None:
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
     from fwclass.classify.unsure import judge_unsure
-    from fwclass.graph import plausibility
-    from fwclass.graph.drift import judge_drift
-    from fwclass.graph.earlier import judge_sources
-    from fwclass.graph.ground_remarks import judge_ground
-    from fwclass.graph.radiometry_remarks import judge_radiometry
-    from fwclass.graph.repeated import judge_repeated
-    from fwclass.graph.report import REPORT
-    from fwclass.graph.report_facts import judge_place
-    from fwclass.graph.report_summary import summary
     from fwclass.operate.clean import clean
     from fwclass.operate.request import replaced
     from fwclass.quality.judge import judge_quality
+    from fwclass.report import plausibility
+    from fwclass.report.drift import judge_drift
+    from fwclass.report.earlier import judge_sources
+    from fwclass.report.facts import judge_place
+    from fwclass.report.ground import judge_ground
+    from fwclass.report.radiometry import judge_radiometry
+    from fwclass.report.repeated import judge_repeated
+    from fwclass.report.summary import summary
+    from fwclass.report.write import REPORT
     from fwclass.workflows import workflow_of
 
     with open_runner(entry.location, how.workers or 0, how.scheduler, config.run, performance) as runner:

@@ -19,7 +19,6 @@ from fwclass.classify.unsure import Left, by_percent, unsure_facts
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
-from fwclass.graph.drift import drift
 from fwclass.graph.kept import check_left, check_written, class_remarks, kept_codes, known_codes, other_names, written
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
@@ -32,6 +31,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.points import classes_of
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import open_source
+from fwclass.report.drift import drift
 from fwclass.schema import Table
 from fwclass.single_file.context import answer_in_context
 from fwclass.single_file.features.echoes import (

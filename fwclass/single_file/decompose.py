@@ -18,7 +18,6 @@ from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.formats.area_of_use import elsewhere, place_faults
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
-from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
@@ -30,6 +29,7 @@ from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.trajectory import in_survey_time, read_trajectory
+from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
 from fwclass.stage import Chunk

@@ -14,7 +14,6 @@ from fwclass.decompose.pulse_estimate import PulseParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import assign_numbers
-from fwclass.graph.plausibility import receiver_facts
 from fwclass.graph.sources import (
     DECOMPOSE_RETURNS,
     DECOMPOSE_WAVES,
@@ -30,6 +29,7 @@ from fwclass.graph.sources import (
 from fwclass.graph.stage import Plan, Stage
 from fwclass.read.params import ReadParams
 from fwclass.read.source import Source
+from fwclass.report.plausibility import receiver_facts
 from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.part import Task
 from fwclass.schema import Table

@@ -15,13 +15,13 @@ from fwclass.assess.remarks import pure_share
 from fwclass.assess.stage import confusion, figures
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
-from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.corrections import corrections_in
 from fwclass.graph.corrections import untaught_rows as judged_rows
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import survey_sample
 from fwclass.graph.machine_search import folds_of_squares
 from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
+from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import IDENTITY
 from fwclass.store.run_store import Store

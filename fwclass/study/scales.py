@@ -19,7 +19,6 @@ from fwclass.graph.learn import fit_layer, load_sample
 from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.refine import MERGED
 from fwclass.graph.stages import LEARNING
-from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.model import ClassDef
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -36,6 +35,7 @@ from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.search import Folding, search
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
+from fwclass.walk.steps import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 
 SCALES, MACHINE, TRIAL = "scales", "scale-machine", "scale-trial"
 VERSION = 1

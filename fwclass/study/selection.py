@@ -14,7 +14,6 @@ from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.graph.layout import Layout, plain
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
-from fwclass.graph.walk import tasks_until_labels, until_tiles
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names, Score, Trial, score
@@ -23,6 +22,7 @@ from fwclass.study.select.cost import costs
 from fwclass.study.select.result import plain_result, sets_to_time
 from fwclass.study.select.sample import PLACED, TRAINING, require_own_labels, sample_tasks, training_of
 from fwclass.study.select.trials import Trials
+from fwclass.walk.steps import tasks_until_labels, until_tiles
 
 
 def selection(

@@ -11,13 +11,12 @@ from fwclass.classify.context import context_from
 from fwclass.classify.unsure import MEASURED_BELOW, share_below
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.context_training import MERGED
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
-from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles, with_model
+from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.store.arrays import read_arrays
@@ -27,6 +26,7 @@ from fwclass.study.compare import compare_methods
 from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import cross_validate
 from fwclass.train.sample import Sample, thin
+from fwclass.walk.steps import plan_with_features, tasks_of, tasks_until_labels, until_tiles, with_model
 
 NOTHING_TESTED = (
     "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.assess.stage import describe as confusion_table
-from fwclass.graph.sampling_summary import ambiguous_text
+from fwclass.report.sampling import ambiguous_text
 
 MOST = 10
 """Features whose importance is shown."""

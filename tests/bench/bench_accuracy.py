@@ -26,12 +26,12 @@ from fwclass.assess.confusion import describe, figures
 from fwclass.assess.intervals import difference, intervals
 from fwclass.conf import Config
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
-from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.store.arrays import read_arrays
 from fwclass.study.training import training
+from fwclass.walk.steps import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "ign_hd"
 COLUMNS = ("77050", "77055", "77060")

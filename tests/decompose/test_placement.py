@@ -12,7 +12,7 @@ from rawmaker import SIGMA, scene, write_parquet
 
 from fwclass import conf
 from fwclass.decompose.plausible import COUNTS
-from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.single_file.decompose import decompose_file
 
 FLUCTUATES = 0x8FFFFFFF

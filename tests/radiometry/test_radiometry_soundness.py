@@ -9,9 +9,9 @@ from commandline import fwclass
 from rawmaker import scene, write_parquet
 
 from fwclass import conf
-from fwclass.graph.radiometry_remarks import radiometry_facts
 from fwclass.radiometry.calibration import Calibration, PairRatio
 from fwclass.radiometry.soundness import COUNTS, by_strip, displacement, faults, strip_sums
+from fwclass.report.radiometry import radiometry_facts
 from fwclass.schema import Table
 
 PARAMS = conf.section("radiometry")

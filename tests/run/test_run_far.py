@@ -12,7 +12,6 @@ from commandline import fwclass
 
 from fwclass import conf
 from fwclass.errors import InputError
-from fwclass.graph import walk as of_walk
 from fwclass.graph.sites import in_sites
 from fwclass.grid import Box, Tile, TileGrid, Window, groups
 from fwclass.operate.estimate.headers import survey_facts
@@ -23,6 +22,7 @@ from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.store.run_location import locked
+from fwclass.walk import steps as of_walk
 from fwclass.workflows import WORKFLOWS
 
 SETTINGS = (

@@ -14,8 +14,7 @@ from runmaker import SETTINGS, walk
 from fwclass import conf
 from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE
-from fwclass.graph.report_summary import summary
-from fwclass.graph.walk import plan_with_features, tasks_of, until_tiles
+from fwclass.report.summary import summary
 from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -23,6 +22,7 @@ from fwclass.run.runner import Runner
 from fwclass.store.lock import writer
 from fwclass.study.training import training
 from fwclass.study.training_text import describe
+from fwclass.walk.steps import plan_with_features, tasks_of, until_tiles
 
 CLASSES = {2: "ground", 5: "vegetation", 6: "building", 64: "artificial"}
 FAST = ("survey.features=[height_above_ground, amplitude]", "features.also=[]", "train.trees=4")

@@ -11,13 +11,13 @@ import pytest
 import rasterio
 
 from fwclass import conf
-from fwclass.graph import report_figures as report
 from fwclass.graph.raster_outputs import deliver_rasters
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.figures import class_map
 from fwclass.publish.shade import hillshade, slope
+from fwclass.report import figures as report
 from fwclass.run.inputs import PartInputs
 from fwclass.store.run_store import Store
 

@@ -8,7 +8,7 @@ import pytest
 
 from fwclass import conf
 from fwclass.errors import FwclassError
-from fwclass.graph import stages, walk
+from fwclass.graph import stages
 from fwclass.graph.assess import ASSESS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
@@ -16,6 +16,7 @@ from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_TILES, graph_of, providers
 from fwclass.publish.stage_graph import drop_implied, stage_graph
 from fwclass.schema import Table
+from fwclass.walk import steps as walk
 from fwclass.workflows import WORKFLOWS
 
 

@@ -22,13 +22,13 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import CLOUD_ROWS
-from fwclass.graph.walk import base_model, given_model, with_model
 from fwclass.grid import Box, TileGrid, groups, joint_box
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of
 from fwclass.publish.cog import STRIPE
 from fwclass.store.models import load_model
 from fwclass.store.remote_file import local
+from fwclass.walk.steps import base_model, given_model, with_model
 
 MIB = 1 << 20
 

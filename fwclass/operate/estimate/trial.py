@@ -13,8 +13,6 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.files import find_files, joint_bounds
 from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import directory_of
-from fwclass.graph.walk import plan_with_features, until_report, until_tiles
-from fwclass.graph.workflow import after_tiles
 from fwclass.grid import Box
 from fwclass.operate.estimate.amounts import plan_of
 from fwclass.operate.estimate.whole import Plan
@@ -22,6 +20,8 @@ from fwclass.read.source import open_source
 from fwclass.run.runner import Runner
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
+from fwclass.walk.steps import plan_with_features, until_report, until_tiles
+from fwclass.walk.workflow import after_tiles
 from fwclass.workflows import workflow_of
 
 

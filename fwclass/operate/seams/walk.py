@@ -11,8 +11,6 @@ from fwclass.graph.area_of_interest import Area
 from fwclass.graph.ground_seams import CHECK_SEAMS, WITHIN
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import DELIVERY, JUDGING
-from fwclass.graph.walk import tasks_of, until_tiles
-from fwclass.graph.workflow import Workflow, after_tiles
 from fwclass.grid import TileGrid, draw_order
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.guard import check_done, check_idle, check_unchanged, whole_blocks
@@ -32,6 +30,8 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.progress import Display
 from fwclass.store.run_location import RunLocation, address_of
 from fwclass.study.selection import with_selected
+from fwclass.walk.steps import tasks_of, until_tiles
+from fwclass.walk.workflow import Workflow, after_tiles
 from fwclass.workflows import workflow_of
 
 

@@ -16,7 +16,6 @@ from fwclass.errors import InputError
 from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
-from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.params import GroundParams
@@ -26,6 +25,7 @@ from fwclass.read.cloud import read_point_cloud
 from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
+from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.drift import drift
 from fwclass.graph.street import crown_accuracy, model_remarks, params_of
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.model import Model
 from fwclass.model.ranges import RangeCounter
+from fwclass.report.drift import drift
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.run.runner import Runner, require_all

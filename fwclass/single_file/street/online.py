@@ -20,11 +20,11 @@ import numpy as np
 from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.drift import drift
 from fwclass.graph.street import model_remarks, params_of
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.model import Model
 from fwclass.model.ranges import RangeCounter
+from fwclass.report.drift import drift
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.graph.plausibility import PERIODIC
+from fwclass.report.plausibility import PERIODIC
 
 
 def describe(report: dict[str, Any]) -> str:

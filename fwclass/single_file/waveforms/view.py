@@ -18,13 +18,13 @@ from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.recorded_pulse import recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.plausibility import place_remarks, plausibility_remarks, strip_plausibility
-from fwclass.graph.pulse_picture import receiver_picture
 from fwclass.graph.sources import StripSpan
 from fwclass.publish.files import whole
 from fwclass.publish.waveform_pictures import draw_waveforms
 from fwclass.read.source import open_source
 from fwclass.read.stage import ReadParams, check_source
+from fwclass.report.plausibility import place_remarks, plausibility_remarks, strip_plausibility
+from fwclass.report.pulse_picture import receiver_picture
 from fwclass.single_file.strip import FileStrip, strip_of
 from fwclass.single_file.waveforms.pictured import Shown, echo_facts, pulse_picture
 from fwclass.single_file.waveforms.shown import WaveformView, see

@@ -10,9 +10,9 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic
-from fwclass.graph.report_figures import drawable
 from fwclass.grid import TileGrid, Window
 from fwclass.publish.papers.page import render_paper
+from fwclass.report.figures import drawable
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import write_json

@@ -19,7 +19,6 @@ from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
-from fwclass.graph.walk import tasks_until_labels, until_tiles
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.publish.selection_curves import draw_rates
@@ -39,6 +38,7 @@ from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform
 from fwclass.train.stage import TRAIN_TREES, TrainParams, candidates, grow_trees
+from fwclass.walk.steps import tasks_until_labels, until_tiles
 
 THINNING = "thinning"
 RATE, RATE_COST = "select-rate", "select-rate-cost"

@@ -9,33 +9,22 @@ from fwclass import __version__
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.graph.corrections import CORRECTIONS
-from fwclass.graph.earlier import since_earlier
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.layout import Layout, Survey
-from fwclass.graph.radiometry_remarks import radiometry_facts
-from fwclass.graph.repeated import repeated_facts
-from fwclass.graph.report_accuracy import (
-    class_accuracy,
-    drift_of_run,
-    feature_distribution,
-    ground_facts,
-    training_facts,
-)
-from fwclass.graph.report_counts import delivered_files, echo_counts, source_files, stage_figures, withheld_returns
-from fwclass.graph.report_facts import legacy_codes, place_of, receipts_of_run, sureness, unsure_of_run
-from fwclass.graph.report_figures import report_figures
-from fwclass.graph.report_remarks import (
-    remarks_of_parts,
-    remarks_on_accuracy,
-    remarks_on_crowds,
-    remarks_on_empty_files,
-)
-from fwclass.graph.report_waveforms import plausibility_of_run, some_waves, waveform_facts
 from fwclass.graph.sampling import LABELS, SAMPLES
-from fwclass.graph.sampling_summary import sampling
 from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
 from fwclass.quality.covered import CoveredArea
+from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
+from fwclass.report.counts import delivered_files, echo_counts, source_files, stage_figures, withheld_returns
+from fwclass.report.earlier import since_earlier
+from fwclass.report.facts import legacy_codes, place_of, receipts_of_run, sureness, unsure_of_run
+from fwclass.report.figures import report_figures
+from fwclass.report.radiometry import radiometry_facts
+from fwclass.report.remarks import remarks_of_parts, remarks_on_accuracy, remarks_on_crowds, remarks_on_empty_files
+from fwclass.report.repeated import repeated_facts
+from fwclass.report.sampling import sampling
+from fwclass.report.waveforms import plausibility_of_run, some_waves, waveform_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner

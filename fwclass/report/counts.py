@@ -14,8 +14,8 @@ from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.overview import DELIVER_OVERVIEW
 from fwclass.graph.quality import DELIVER_QUALITY
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
-from fwclass.graph.report_facts import receipts_of_run
 from fwclass.graph.vectors import DELIVER_VECTORS
+from fwclass.report.facts import receipts_of_run
 from fwclass.run.runner import Runner, Tally
 
 DELIVERING = (

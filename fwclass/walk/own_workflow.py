@@ -16,7 +16,7 @@ from fwclass.errors import ConfigError, FwclassError, InputError, StoreError
 from fwclass.graph.own_stage import Adapter
 from fwclass.graph.stage import Plan, Stage, StageInputs
 from fwclass.graph.stages import STAGES
-from fwclass.graph.workflow import Workflow
+from fwclass.walk.workflow import Workflow
 
 _PREFIX = "fwclass_own_"
 """Of the names under which such files are modules."""

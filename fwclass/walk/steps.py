@@ -22,7 +22,6 @@ from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE, check_class_codes
 from fwclass.graph.quantities import check_learned, joint_quantities, mixed_note
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
 from fwclass.graph.reference import check_polygons
-from fwclass.graph.report import write_report
 from fwclass.graph.sampling import COUNT_LABELS, check_labels
 from fwclass.graph.sites import describe_sites, sites
 from fwclass.graph.sources import INDEX, index_name
@@ -33,6 +32,7 @@ from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, t
 from fwclass.graph.vectors import lacking
 from fwclass.label.stage import LABEL
 from fwclass.model import Contextual, Layered, TwoLayer
+from fwclass.report.write import write_report
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
 from fwclass.store.installed_models import model_place

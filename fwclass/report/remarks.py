@@ -12,15 +12,15 @@ from fwclass.conf import Config
 from fwclass.errors import first_few, visible
 from fwclass.features.dense import Crowd
 from fwclass.formats.echo_labels import written_by_fwclass
-from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.breaklines import breakline_remarks
 from fwclass.graph.contours import DELIVER_CONTOURS
 from fwclass.graph.layout import Survey
-from fwclass.graph.report_facts import receipts_of_run
-from fwclass.graph.report_summary import SHOWN
 from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.graph.water import LEVELS
 from fwclass.ground.stage import TERRAIN
+from fwclass.report.accuracy_remarks import accuracy_remarks
+from fwclass.report.facts import receipts_of_run
+from fwclass.report.summary import SHOWN
 from fwclass.run.runner import Runner
 
 CORRECTED_FROM = 0.01

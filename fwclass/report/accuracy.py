@@ -7,11 +7,11 @@ from typing import Any
 from fwclass.assess.stage import caution
 from fwclass.conf import Config
 from fwclass.graph.classify import OUTSIDE
-from fwclass.graph.drift import drift
 from fwclass.graph.ground_auto import AUTO, auto_facts
-from fwclass.graph.ground_remarks import ground_remarks
-from fwclass.graph.report_facts import receipts_of_run
 from fwclass.model.ranges import RANGES
+from fwclass.report.drift import drift
+from fwclass.report.facts import receipts_of_run
+from fwclass.report.ground import ground_remarks
 from fwclass.run.runner import Runner
 
 

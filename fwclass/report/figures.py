@@ -13,10 +13,10 @@ from fwclass.conf import Config
 from fwclass.graph.assess import COUNTS
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic
-from fwclass.graph.report_facts import receipts_of_run
 from fwclass.graph.sources import pulse_of
 from fwclass.grid import TileGrid, Window
 from fwclass.publish.class_raster import NO_CONFIDENCE
+from fwclass.report.facts import receipts_of_run
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 
@@ -90,7 +90,7 @@ def drawable(mosaic: Mosaic, window: Window, config: Config) -> tuple[NDArray, A
 
 def _pulse_figure(runner: Runner, report: Mapping[str, Any]) -> dict[str, bytes]:
     """The system's pulse of the first strip that has one."""
-    from fwclass.graph.pulse_picture import pulse_picture
+    from fwclass.report.pulse_picture import pulse_picture
 
     receipts = [r for r in receipts_of_run(runner, "pulse") if r.meta["sampled"]]
     if not receipts:

@@ -13,8 +13,8 @@ from fwclass.graph.area_of_interest import Area
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import LEARNING, STAGES, TO_TILES, check_order, check_reads
 from fwclass.graph.survey import SIMULATE
-from fwclass.graph.walk import plan_with_features, until_report, until_tiles
 from fwclass.run.runner import Runner
+from fwclass.walk.steps import plan_with_features, until_report, until_tiles
 
 Tiles = frozenset[str] | Area | None
 """What a run is restricted to: keys of tiles, an area of interest, or nothing."""
