@@ -48,7 +48,7 @@ def test_every_planted_breach_is_caught(tmp_path: Path) -> None:
 def test_parts_of_scipy_are_loaded_when_they_are_used() -> None:
     """A quarter of a second of every command, where one module of the graph loads them for all."""
     line = (
-        "import sys, fwclass.graph.survey, fwclass.graph.stages; print(*[n for n in sys.modules if n[:6] == 'scipy.'])"
+        "import sys, fwclass.graph.gather, fwclass.graph.stages; print(*[n for n in sys.modules if n[:6] == 'scipy.'])"
     )
     ended = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[1] for name in ended.stdout.split()}

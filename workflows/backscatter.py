@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from fwclass.graph.ground_classes import without_classifier
+from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.sources import INDEX
 from fwclass.graph.stacking import DELIVER_STACK
 from fwclass.graph.stages import OF_GROUND, OF_STRIPS, OF_WAVEFORMS
-from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.walk.workflow import Workflow
 

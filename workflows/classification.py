@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fwclass.graph.ground_seams import CHECK_SEAMS
+from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.stages import (
     CLASSIFYING,
     DELIVERY,
@@ -14,7 +15,6 @@ from fwclass.graph.stages import (
     TO_LABELS,
     TO_TILES,
 )
-from fwclass.graph.survey import SIMULATE
 from fwclass.walk.workflow import Workflow
 
 classification = Workflow(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fwclass.graph.ground_classes import CLASSIFY_GROUND, without_classifier
 from fwclass.graph.ground_seams import CHECK_SEAMS
+from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.sources import INDEX
 from fwclass.graph.stages import DELIVERY, OF_GROUND, OF_QUALITY, OF_STRIPS
-from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.walk.workflow import Workflow
 

@@ -6,9 +6,9 @@ from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND
 from fwclass.graph.ground_auto import CHOOSE_PARAMETERS
 from fwclass.graph.ground_classes import without_classifier
 from fwclass.graph.quality import DELIVER_QUALITY
+from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.sources import INDEX
 from fwclass.graph.stages import OF_QUALITY, OF_STRIPS
-from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.walk.workflow import Workflow
 

@@ -47,9 +47,9 @@ def plan(
     directory. What cannot fit is refused, with the numbers (exit code 2).
     """
     from fwclass.errors import visible
+    from fwclass.graph.gather import check_areas
     from fwclass.graph.outputs import DELIVER_STRIP, check_class_codes
     from fwclass.graph.stages import STAGES
-    from fwclass.graph.survey import check_areas
     from fwclass.operate.configured import configured
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at

@@ -61,7 +61,7 @@ def run_survey(
 
 def _check_apart(root: str, config: Any) -> None:
     """`ConfigError` for a run directory that is the sources' own: what it delivers would be found among them."""
-    from fwclass.graph.survey import directory_of
+    from fwclass.graph.gather import directory_of
     from fwclass.store.url import is_url, url_of
 
     if config.simulated:
@@ -259,8 +259,8 @@ def demo(out: Path, workers: int | None) -> None:
 def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | None) -> None:
     """Simulate a survey: LAS + WDP strips and reference labels."""
     from fwclass import conf as configuration
+    from fwclass.graph.simulation import simulation
     from fwclass.graph.stage import Plan
-    from fwclass.graph.survey import simulation
 
     config = configuration.load(conf, settings)
     if config.simulate is None:

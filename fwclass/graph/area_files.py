@@ -16,8 +16,10 @@ from fwclass.conf import Config
 from fwclass.conf.model import AreaFilesSection
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.area_of_interest import edges
+from fwclass.graph.bounds import flat_bounds
 from fwclass.graph.files import find_files
-from fwclass.graph.survey import directory_of, flat_bounds, given_crs, open_all, system_of
+from fwclass.graph.gather import directory_of, open_all
+from fwclass.graph.systems import given_crs, system_of
 from fwclass.grid import Box
 from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
 from fwclass.store.remote_file import local

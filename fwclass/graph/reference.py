@@ -16,6 +16,7 @@ from fwclass.graph.area_of_interest import edges, shares_area
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import FileDigests, PolygonFile
+from fwclass.graph.systems import given_crs
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
@@ -57,10 +58,11 @@ def reference_clouds(
 
 
 def reference_polygons(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None
 ) -> tuple[PolygonFile, ...]:
     """The reference's files of polygons, each with its class field, in a system that is known."""
     reference = config.survey.reference
+    user_crs = given_crs(reference.crs, "survey.reference.crs")
     if reference.kind != "polygons":
         return ()
     survey = CRS.from_wkt(crs) if crs is not None else None
@@ -80,41 +82,21 @@ def reference_polygons(
     return tuple(files)
 
 
-def water_polygons(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
-) -> PolygonFile | None:
-    """The file of the water that is flattened; `InputError` where none of it lies in the survey's `box` [m]."""
-    return _file_of_shapes("water", config.water, config, directory, digests, crs, user_crs, box)
-
-
-def breakline_file(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
-) -> PolygonFile | None:
-    """The file of the breaklines; `InputError` for lines without heights, and where none lies in the survey's `box`
-    [m]."""
-    return _file_of_shapes("breaklines", config.breaklines, config, directory, digests, crs, user_crs, box)
-
-
-def area_file(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
-) -> PolygonFile | None:
-    """The file of the area that was to be flown; `InputError` where none of it lies in the survey's `box` [m]."""
-    return _file_of_shapes("quality.area", config.quality.area, config, directory, digests, crs, user_crs, box)
-
-
 _WHAT = {"water": "water", "breaklines": "breakline", "quality.area": "area that was to be flown"}
 
 
-def _file_of_shapes(
+def shape_file(
     section: Literal["water", "breaklines", "quality.area"],
     section_params: ShapeFileParams,
     config: Config,
     directory: Path | Url,
     digests: Digests,
     crs: str | None,
-    user_crs: CRS | None,
     box: Box,
 ) -> PolygonFile | None:
+    """The file that a section of the configuration names; `InputError` for breaklines without heights, and where none
+    of its shapes lies in the survey's `box` [m]."""
+    user_crs = given_crs(section_params.crs, f"{section}.crs")
     if section_params.file is None:
         return None
     survey = CRS.from_wkt(crs) if crs is not None else None

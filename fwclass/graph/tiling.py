@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.stage import DECOMPOSE
+from fwclass.graph.bounds import CLOUD_ROWS
 from fwclass.graph.kept import kept_noise
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.numbering import assign_numbers
@@ -28,9 +29,6 @@ from fwclass.tile.params import TileParams
 from fwclass.tile.repeated import repeats
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, split
 from fwclass.waveforms import IMPLAUSIBLE
-
-CLOUD_ROWS = 2_000_000
-"""Points of a reference cloud read at a time."""
 
 CLOUD_COLUMNS = ("x", "y", "z", "gps_time", "source_class")
 """What a reference cloud's points have."""
@@ -142,7 +140,7 @@ def tile_echoes(
     return table, {
         "rows": table.rows,
         "blocks": {str(size): _occupied_blocks(table, size) for size in blocks},
-        "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
+        "bounds": [float(f(table[n])) for f in (np.min, np.max) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _passes(table),
         "repeated": repeats(table),
@@ -163,16 +161,6 @@ def _passes(table: Table) -> list[list[float]]:
         own = times[known & (strips == strip)]
         passes.append([int(strip), float(own.min()), float(own.max())])
     return passes
-
-
-def min_of(values: Any) -> float:
-    """The least of `values`, for a receipt."""
-    return float(values.min())
-
-
-def max_of(values: Any) -> float:
-    """The greatest of `values`, for a receipt."""
-    return float(values.max())
 
 
 def tile_reference(here: StageInputs, params: TileParams) -> Result:

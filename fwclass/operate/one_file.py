@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import ConfigError
-from fwclass.graph.survey import given_crs
+from fwclass.graph.systems import given_crs
 from fwclass.read.projection import to_project
 from fwclass.read.source import open_source
 from fwclass.store.atomic import write_text

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import several
-from fwclass.graph.survey import SIMULATED
+from fwclass.graph.gather import SIMULATED
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import RunLocation
 

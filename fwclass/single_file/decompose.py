@@ -18,7 +18,7 @@ from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.formats.area_of_use import elsewhere, place_faults
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
-from fwclass.graph.survey import given_crs
+from fwclass.graph.systems import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.radiometry import soundness

@@ -9,11 +9,13 @@ from typing import Any
 from fwclass.classes import counterparts, one_to_one
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection
+from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
 from fwclass.graph.base_model import base_remarks
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, label_parts
 from fwclass.graph.fine_layer import fine_layer
+from fwclass.graph.gather import gather
 from fwclass.graph.kept import check_left
 from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
@@ -23,22 +25,25 @@ from fwclass.graph.quantities import check_learned, joint_quantities, mixed_note
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
 from fwclass.graph.reference import check_polygons
 from fwclass.graph.sampling import COUNT_LABELS, check_labels
+from fwclass.graph.simulation import SIMULATE, simulate_survey
 from fwclass.graph.sites import describe_sites, sites
 from fwclass.graph.sources import INDEX, index_name
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_features, graph_of, providers
-from fwclass.graph.survey import SIMULATE, check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
 from fwclass.graph.vectors import lacking
 from fwclass.label.stage import LABEL
 from fwclass.model import Contextual, Layered, TwoLayer
 from fwclass.report.write import write_report
+from fwclass.run.part import Name
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
 from fwclass.store.installed_models import model_place
 from fwclass.store.model_rows import load_rows, rows_digest
 from fwclass.store.models import load_model, model_digest
+from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, directory_outside, local
+from fwclass.store.run_store import Store
 from fwclass.store.url import is_url, url_of
 
 LABELLING = (COUNT_LABELS.name, LABEL.name)
@@ -152,6 +157,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     stages = tuple(stages)
     config, plan = plan.config, replace(plan, providers=providers(plan, stages))
     copied = delivers and DELIVER_STRIP in stages
+    simulate_survey(config, runner)
     survey = gather(config, runner, copied)
     if copied:
         check_class_codes({s.path.name: s.point_format for s in survey.strips}, config)
@@ -167,7 +173,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     survey = replace(survey, strips=tuple(s for s in survey.strips if index_name(s) in indexed))
     plan = replace(plan, files=survey, indexed=indexed)
     splits = runner.do(_of_strips(plan) + SPLIT_REFERENCE.tasks(plan))
-    check_widths(config, plan.names, splits, runner.store)
+    _check_widths(config, plan.names, splits, runner.store)
     plan = replace(plan, splits=splits)
     tiled = runner.do(TILE_ECHOES.tasks(plan) + TILE_REFERENCE.tasks(plan))
     stop_if_nothing(runner, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
@@ -177,6 +183,24 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     plan = replace(plan, tiled=layout)
     plan = replace(plan, flown=flown_by(plan, runner.do(READ_TRAJECTORY.tasks(plan))))
     return replace(plan, pointing=has_pointing(plan))
+
+
+def _check_widths(config: Config, names: tuple[str, ...], splits: Mapping[Name, Receipt], store: Store) -> None:
+    """`ConfigError` early if the forest is to decide by echo widths and no source has any."""
+    chunks = [store.receipt("decompose", part) for stage, part in splits if stage == "split"]
+    echoes = sum(int(r.meta["echoes"]) for r in chunks if r)
+    without = sum(int(r.meta["without_width"]) for r in chunks if r)
+    wide = [n for n in names if n.split("_")[0] == "width"]
+    if wide and echoes and echoes == without:
+        others = [n for n in names if n not in wide]
+        plain = set(others) == set(feature_set("default").features)
+        raise ConfigError(
+            f"classes are to be told by {wide[0]!r}, and no echo of this survey has one",
+            where=f"{config.path}: survey.features",
+            expected="waveforms, or an extra byte `Pulse width`",
+            got=f"{echoes} echoes without a width",
+            do="--set survey.features=default" if plain else f'--set "survey.features=[{", ".join(others)}]"',
+        )
 
 
 def _of_strips(plan: Plan) -> Tasks:

@@ -9,8 +9,8 @@ from faultmaker import SMALL, running, words
 from runmaker import SETTINGS, delivered
 
 from fwclass import conf
+from fwclass.graph.simulation import simulation
 from fwclass.graph.stage import Plan
-from fwclass.graph.survey import simulation
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner

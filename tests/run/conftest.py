@@ -8,8 +8,8 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
+from fwclass.graph.simulation import simulation
 from fwclass.graph.stage import Plan
-from fwclass.graph.survey import simulation
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner

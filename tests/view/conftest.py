@@ -14,8 +14,8 @@ from smallsurvey import deliver, small_survey
 from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.graph.simulation import simulation
 from fwclass.graph.stage import Plan
-from fwclass.graph.survey import simulation
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner

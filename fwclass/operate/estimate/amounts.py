@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.graph.areas import training_tiles
+from fwclass.graph.bounds import CLOUD_ROWS
 from fwclass.graph.corrections import READ_CORRECTIONS
 from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.learn import TREES_PER_PART
 from fwclass.graph.radiometry import READ_TRAJECTORY
+from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.sites import in_sites
 from fwclass.graph.sources import INDEX
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import STAGES
-from fwclass.graph.survey import SIMULATE
-from fwclass.graph.tiling import CLOUD_ROWS
 from fwclass.grid import Box, TileGrid, groups, joint_box
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of

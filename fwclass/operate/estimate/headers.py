@@ -10,9 +10,10 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
+from fwclass.graph.bounds import CLOUD_ROWS
 from fwclass.graph.files import find_files
-from fwclass.graph.survey import common_crs, directory_of, open_all
-from fwclass.graph.tiling import CLOUD_ROWS
+from fwclass.graph.gather import directory_of, open_all
+from fwclass.graph.systems import common_crs
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates

@@ -11,8 +11,8 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.files import find_files, joint_bounds
+from fwclass.graph.gather import directory_of
 from fwclass.graph.stages import STAGES
-from fwclass.graph.survey import directory_of
 from fwclass.grid import Box
 from fwclass.operate.estimate.amounts import plan_of
 from fwclass.operate.estimate.whole import Plan

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from fwclass.errors import ConfigError, FwclassError, InputError
-from fwclass.graph.survey import header_box
+from fwclass.graph.bounds import header_box
 from fwclass.grid import Box, TileGrid
 from fwclass.operate.status.why import Reason, new_files, reasons, same, waiting
 from fwclass.run.local import Loop

@@ -16,7 +16,7 @@ from fwclass.errors import ConfigError, first_few
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import MAX_REACH, Asked, FeaturesParams, is_feature
 from fwclass.features.stage import features
-from fwclass.graph.survey import given_crs
+from fwclass.graph.systems import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.geoparquet import bounds_of, short_coordinates, write_geoparquet_parts

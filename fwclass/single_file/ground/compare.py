@@ -14,7 +14,7 @@ from fwclass import __version__, conf
 from fwclass.assess.confusion import figures
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.ground_trial import NAMES, matrix_of
-from fwclass.graph.survey import given_crs
+from fwclass.graph.systems import given_crs
 from fwclass.ground.filters import FILTERS, Flags
 from fwclass.ground.measure import measure
 from fwclass.ground.params import GroundParams

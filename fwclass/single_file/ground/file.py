@@ -15,7 +15,7 @@ from fwclass import compiling, conf
 from fwclass.errors import InputError
 from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
-from fwclass.graph.survey import given_crs
+from fwclass.graph.systems import given_crs
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags

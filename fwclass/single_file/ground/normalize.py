@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.survey import given_crs
+from fwclass.graph.systems import given_crs
 from fwclass.ground.filters import Flags
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.publish.heights import NO_HEIGHT

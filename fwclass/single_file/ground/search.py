@@ -13,7 +13,7 @@ import yaml
 from fwclass import __version__, conf
 from fwclass.errors import ConfigError
 from fwclass.graph.ground_trial import Trial, halves, ranges_of, search_halves, start_of
-from fwclass.graph.survey import given_crs
+from fwclass.graph.systems import given_crs
 from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.search import Setting, most_runs
 from fwclass.ground.tuning_params import GroundSearchParams, Values

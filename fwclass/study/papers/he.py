@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.files import find_files
-from fwclass.graph.survey import directory_of
+from fwclass.graph.gather import directory_of
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task

@@ -1,0 +1,205 @@
+"""The survey's files: found, and checked from their headers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.conf.files import PUBLIC, public_data
+from fwclass.errors import ConfigError, InputError
+from fwclass.formats.flat import refuse_unless_flat
+from fwclass.graph.bounds import flat_bounds
+from fwclass.graph.check_point_file import check_point_file
+from fwclass.graph.file_digests import Digests
+from fwclass.graph.files import box_text, find_files, joint_bounds
+from fwclass.graph.layout import Strip, Survey
+from fwclass.graph.numbering import assign_numbers
+from fwclass.graph.reference import (
+    reference_clouds,
+    reference_corrections,
+    reference_echo_labels,
+    reference_polygons,
+    shape_file,
+)
+from fwclass.graph.systems import common_crs, given_crs, system_of
+from fwclass.grid import Box
+from fwclass.paths import name_fault
+from fwclass.publish.strips import check_records
+from fwclass.read.quantities import quantities_of
+from fwclass.read.source import LasSource, Source, open_source
+from fwclass.read.stage import check_source, with_settings
+from fwclass.run.runner import Runner
+from fwclass.store.remote_file import Location, local
+from fwclass.store.url import Url, is_url, url_of
+
+SIMULATED = "survey"
+"""Where a simulated survey lies below its run directory."""
+
+
+BAD_FILES = 20
+"""Files that cannot be used that are named."""
+
+
+def directory_of(config: Config, root: Path) -> Path | Url:
+    """Where the survey's files lie."""
+    if config.simulated:
+        return root / SIMULATED
+    named = config.survey.directory or "."
+    if is_url(named):
+        return url_of(named, f"{config.path}: survey.directory")
+    if named.startswith(PUBLIC):
+        return public_data(named, config.path, config.survey.origin)
+    path = Path(named)
+    return path if path.is_absolute() else (config.path.parent / path).resolve()
+
+
+def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
+    """Find and check all files before anything is computed. `copied`: strips are delivered, so that all of their
+    records must be where the headers place them."""
+    directory = directory_of(config, runner.root)
+    digests = Digests(runner.store)
+    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    opened = open_all(places, config, copied)
+    require_distinct([s.path for s in opened])
+    full = [s for s in opened if s.n_records]
+    if not full:
+        raise InputError(
+            "the source files have no points and no pulses",
+            where=", ".join(str(s.path) for s in opened[:3]),
+            do="check the delivery; there is nothing to classify",
+        )
+    user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
+    numbered = assign_numbers(s.path.stem for s in opened)
+    bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
+    for source in full:
+        own, ends = user_crs or system_of(source), bounds[source.path]
+        refuse_unless_flat(own, ends[:3], ends[3:], source.path, max(source.scales[:2]))
+    box = joint_bounds(bounds.values())
+    check_areas(config, box)  # before all files are read for their digests
+    strips = tuple(
+        Strip(numbered[p.stem], p, digests.of(_files_of(_here(p, s)), p), s.point_format)
+        for p, s in zip(places, opened, strict=True)
+    )
+    _refuse_same_file(strips)
+    standard = all(s.standard_gps_time for s in opened)
+    flown = find_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
+    require_distinct([local(p) for p in flown])
+    trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
+    polygons = reference_polygons(config, directory, digests, crs)
+    clouds = reference_clouds(config, directory, digests, box)
+    by_echo = reference_echo_labels(config, directory, digests)
+    water = shape_file("water", config.water, config, directory, digests, crs, box)
+    breaklines = shape_file("breaklines", config.breaklines, config, directory, digests, crs, box)
+    check_points = check_point_file(config, directory, digests, crs, box)
+    area = shape_file("quality.area", config.quality.area, config, directory, digests, crs, box)
+    corrections = reference_corrections(config, directory, digests, runner.store.where)
+    digests.save()
+    quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
+    more_files = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
+    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more_files)
+
+
+def open_all(places: Sequence[Location], config: Config, copied: bool = False) -> list[Source]:
+    """Every source, opened and checked, also for what a copy of its points needs where they are `copied`; `InputError`
+    naming all that cannot be used."""
+    opened, faults = [], []
+    for place in places:
+        try:
+            source = with_settings(open_source(local(place)), config.read)
+            check_source(source, config.read)
+            if copied and isinstance(source, LasSource):
+                check_records(source.path)
+            opened.append(source)
+        except InputError as fault:
+            faults.append(fault)
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        lines = [f"{Path(f.where).name}: {f.what}{f', {f.got}' if f.got else ''}" for f in faults[:BAD_FILES]]
+        lines += [f"and {len(faults) - BAD_FILES} more"] if len(faults) > BAD_FILES else []
+        raise InputError(
+            f"{len(faults)} of {len(places)} source files cannot be used",
+            where=f"{config.path}: survey.sources",
+            got="\n    ".join(["", *lines]),
+            do="get them again, or take them out of the survey's directory (`fwclass info` tells all of each)",
+        )
+    return opened
+
+
+def _here(place: Location, source: Source) -> Source:
+    """An opened source, fetched once more if its copy on this host had to make room for others."""
+    local(place)
+    return source
+
+
+def _files_of(source: Any) -> list[Path]:
+    store = source.waves
+    return [source.path, *([store.path] if store.path is not None and store.path != source.path else [])]
+
+
+def require_distinct(paths: Sequence[Path]) -> None:
+    """`InputError` for names of sources that no output can have, or that two files share."""
+    for path in paths:
+        fault = name_fault(path.stem)
+        if fault:
+            raise InputError(
+                "a source file has a name that no output can have",
+                where=repr(str(path)),
+                expected="a name that can be seen, of at most 200 bytes",
+                got=fault,
+                do="rename it: strips are delivered under their source's name",
+            )
+    twice = sorted(stem for stem, count in Counter(p.stem for p in paths).items() if count > 1)
+    if twice:
+        raise InputError(
+            "two files of the survey have the same name",
+            where=", ".join(str(p) for p in paths if p.stem == twice[0]),
+            do="rename one: strips are delivered under their source's name, trajectories are told apart by theirs",
+        )
+
+
+def _refuse_same_file(strips: tuple[Strip, ...]) -> None:
+    """Refuse a file that is listed under two names: its echoes would count twice."""
+    by_digest: dict[str, Location] = {}
+    for strip in strips:
+        digest = strip.digests[0].digest
+        if digest in by_digest:
+            raise InputError(
+                "two source files are the same file",
+                where=f"{by_digest[digest]}, {strip.path}",
+                do="remove one of them",
+            )
+        by_digest[digest] = strip.path
+
+
+def check_areas(config: Config, box: Box) -> None:
+    """`ConfigError` where no training or test area touches `box`, or nothing would be left to test on."""
+    if config.survey.model is not None and config.survey.reference.kind == "none":
+        return  # nothing is trained and nothing assessed
+    for kind in ("train", "test"):
+        boxes = config.areas.boxes(kind)
+        if boxes and not any(b.touches(box.grown(1.0)) for b in boxes):
+            raise ConfigError(
+                f"no {kind}ing area lies on the survey" if kind == "test" else "no training area lies on the survey",
+                where=f"{config.path}: areas.{kind}",
+                expected=f"boxes that touch {box_text(box)}",
+                got=", ".join(box_text(b) for b in boxes),
+                do="give the boxes in the survey's coordinates; `fwclass info` shows the files' bounds",
+            )
+    gap, train, test = config.areas.gap, config.areas.boxes("train"), config.areas.boxes("test")
+    if test and all(any(_covers(b.grown(gap), t) for b in train) for t in test):
+        raise ConfigError(
+            "nothing is left to test on: every test area lies in a training area, or nearer to one than areas.gap",
+            where=f"{config.path}: areas.test",
+            expected=f"areas further than {gap:g} m from every training area",
+            got=", ".join(box_text(t) for t in test),
+            do="move the test areas, or leave them out (areas.test: []) to test on all that is far enough",
+        )
+
+
+def _covers(outer: Box, inner: Box) -> bool:
+    low = outer.xmin <= inner.xmin and outer.ymin <= inner.ymin
+    return low and inner.xmax <= outer.xmax and inner.ymax <= outer.ymax

@@ -1,0 +1,87 @@
+"""The coordinate system of a survey and of its files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, InputError
+from fwclass.formats.flat import refuse_source
+from fwclass.formats.grid_files import without_paths
+from fwclass.read.source import Source, refuse_other_system
+from fwclass.run.runner import Runner
+
+
+def system_of(source: Source) -> CRS | None:
+    """The system that a file is read in: the one that it is brought into, or its own."""
+    return source.crs if source.target is None else given_crs(source.target, "read.project_to")
+
+
+def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str | None:
+    """The survey's CRS as text (WKT), None where the configuration says `none`; what the user names wins."""
+    user_crs = given_crs(config.survey.crs, "survey.crs")
+    for source in opened:
+        if source.target is None:
+            refuse_source(source, user_crs or source.crs)
+            refuse_other_system(source, user_crs)
+        elif user_crs is not None and not user_crs.equals(system_of(source), ignore_axis_order=True):
+            raise ConfigError(
+                "the files are brought into another system than the survey's",
+                where=f"{config.path}: read.project_to, survey.crs",
+                expected=f"{source.target} twice, or no survey.crs",
+                got=f"{source.target} and {config.survey.crs}",
+                do="name one system",
+            )
+    if config.survey.crs is not None and user_crs is None:
+        return None
+    systems: list[tuple[CRS, Path]] = []
+    for path, crs in ((source.path, system_of(source)) for source in opened):
+        if user_crs is not None and crs is not None and not crs.equals(user_crs, ignore_axis_order=True):
+            runner.display.say(f"note: survey.crs ({user_crs.name}) is used for {path.name}, which names {crs.name}")
+        crs = user_crs or crs
+        if crs is None:
+            raise InputError(
+                "the coordinate system is unknown",
+                where=path,
+                expected="a CRS in the file, or survey.crs in the configuration",
+                got="neither",
+                do="--set survey.crs=EPSG:<code>, or --set survey.crs=none to go without",
+            )
+        units = sorted({a.unit_name for a in crs.axis_info if abs(a.unit_conversion_factor - 1.0) > 1e-9})
+        if units:
+            raise InputError(
+                "the coordinates are not in metres",
+                where=path,
+                expected="a projected CRS with x, y and z in metres: every distance here is one",
+                got=f"{crs.name}, in {', '.join(units)}",
+                do="convert the files (for example with PDAL's filters.reprojection) and run again",
+            )
+        if not any(crs.equals(known, ignore_axis_order=True) for known, _ in systems):  # whatever they call it
+            systems.append((crs, path))
+    if len(systems) > 1:
+        raise InputError(
+            "the files are in different coordinate systems",
+            where=", ".join(str(path) for _, path in systems),
+            got="; ".join(crs.name for crs, _ in systems),
+            do="bring them into one system first, or, if one names it wrongly, --set survey.crs=EPSG:<code>",
+        )
+    return systems[0][0].to_wkt()
+
+
+def given_crs(text: str | None, where: str) -> CRS | None:
+    """The CRS that a user names; None for no text or `none`."""
+    if text is None or text == "none":
+        return None
+    try:
+        crs, paths = without_paths(CRS.from_user_input(text))
+        if paths:
+            raise CRSError(f"it names the file {paths[0]} by its path")
+        return crs
+    except CRSError as fault:
+        raise ConfigError(
+            "this is not a coordinate system", where=where, expected="for example EPSG:25832, or none", got=text
+        ) from fault
