@@ -12,7 +12,6 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.cli.runner import open_runner
-from fwclass.graph.file_digests import Digests
 from fwclass.operate.history import record_run
 from fwclass.operate.request import Request
 from fwclass.run.inputs import TABLE, PartInputs
@@ -23,6 +22,7 @@ from fwclass.store.atomic import write_json
 from fwclass.store.run_location import RunLocation, address_of
 from fwclass.store.run_store import Store
 from fwclass.store.tables import write_table
+from fwclass.survey.file_digests import Digests
 
 LIMITS = conf.load("demo", ()).run
 REQUEST = Request("conf.yaml", "run")

@@ -13,8 +13,8 @@ import shapely
 from commandline import fwclass
 from smallsurvey import small_survey
 
-from fwclass.graph.area_files import boxes_of
-from fwclass.graph.area_of_interest import edges
+from fwclass.survey.area_files import boxes_of
+from fwclass.survey.area_of_interest import edges
 
 WEST = shapely.box(500_000, 5_400_000, 500_030, 5_400_040)
 

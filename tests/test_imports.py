@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FORBIDDEN = [  # file, what it shall not import
-    ("fwclass/graph/files.py", "dask"),
+    ("fwclass/survey/files.py", "dask"),
     ("fwclass/report/write.py", "distributed"),
     ("fwclass/operate/history.py", "dask"),
     ("fwclass/features/sums.py", "pydantic"),
@@ -22,6 +22,10 @@ FORBIDDEN = [  # file, what it shall not import
     ("fwclass/read/las.py", "fwclass.decompose.stage"),
     ("fwclass/run/tasks.py", "fwclass.run.runner"),
     ("fwclass/store/atomic.py", "fwclass.store.run_store"),
+    ("fwclass/survey/files.py", "fwclass.graph.stage"),
+    ("fwclass/graph/ground.py", "fwclass.report.ground"),
+    ("fwclass/report/drift.py", "fwclass.report.write"),
+    ("fwclass/walk/steps.py", "fwclass.walk.own_workflow"),
     ("fwclass/novelty/__init__.py", "dask"),
 ]
 
@@ -45,10 +49,19 @@ def test_every_planted_breach_is_caught(tmp_path: Path) -> None:
     assert re.search(r"not listed as layers:.{0,80}fwclass[.]novelty", said), "a room that no contract lists passes"
 
 
+def test_no_room_is_above_a_tenth_of_the_program() -> None:
+    lines: dict[str, int] = {}
+    for path in (ROOT / "fwclass").rglob("*.py"):
+        room = path.relative_to(ROOT / "fwclass").parts[0]
+        lines[room] = lines.get(room, 0) + len(path.read_text().splitlines())
+    large = {room: count for room, count in lines.items() if count > sum(lines.values()) / 10}
+    assert not large, f"split them by subject: {large} of {sum(lines.values())} lines"
+
+
 def test_parts_of_scipy_are_loaded_when_they_are_used() -> None:
     """A quarter of a second of every command, where one module of the graph loads them for all."""
     line = (
-        "import sys, fwclass.graph.gather, fwclass.graph.stages; print(*[n for n in sys.modules if n[:6] == 'scipy.'])"
+        "import sys, fwclass.survey.gather, fwclass.graph.stages; print(*[n for n in sys.modules if n[:6] == 'scipy.'])"
     )
     ended = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[1] for name in ended.stdout.split()}

@@ -34,7 +34,10 @@ STARTING = (
 ABOVE_ROOMS = (
     "click",
     "workflows",
-    *(f"fwclass.{n}" for n in ("cli", "delivery", "operate", "graph", "report", "run", "single_file", "study", "walk")),
+    *(
+        f"fwclass.{n}"
+        for n in ("cli", "delivery", "operate", "graph", "report", "run", "single_file", "study", "survey", "walk")
+    ),
 )
 """What runs commands and whole surveys: its tests are another tier, whether or not they start a process."""
 

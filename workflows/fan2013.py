@@ -7,7 +7,6 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
-from fwclass.graph.area_of_interest import Area
 from fwclass.graph.corrections import without_corrections
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
@@ -17,6 +16,7 @@ from fwclass.study.papers.begin import features_like, require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
 from fwclass.study.selection import selection
+from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import until_report, until_tiles
 from fwclass.walk.workflow import Workflow, after_tiles
 

@@ -7,9 +7,9 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
-from fwclass.graph.area_of_interest import Area
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers.li import deliver, drive_tasks, facts, table_tasks
+from fwclass.survey.area_of_interest import Area
 from fwclass.walk.workflow import Workflow
 
 NAME = "li2018"

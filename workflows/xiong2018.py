@@ -7,7 +7,6 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
-from fwclass.graph.area_of_interest import Area
 from fwclass.graph.corrections import without_corrections
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
@@ -18,6 +17,7 @@ from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
 from fwclass.study.select.thinning import measure_rates
 from fwclass.study.selection import with_selected
+from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import until_report, until_tiles
 from fwclass.walk.workflow import Workflow, after_tiles
 

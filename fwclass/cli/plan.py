@@ -47,7 +47,6 @@ def plan(
     directory. What cannot fit is refused, with the numbers (exit code 2).
     """
     from fwclass.errors import visible
-    from fwclass.graph.gather import check_areas
     from fwclass.graph.outputs import DELIVER_STRIP, check_class_codes
     from fwclass.graph.stages import STAGES
     from fwclass.operate.configured import configured
@@ -57,6 +56,7 @@ def plan(
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
     from fwclass.operate.estimate.whole import make_plan
+    from fwclass.survey.gather import check_areas
     from fwclass.walk.steps import with_model
     from fwclass.workflows import workflow_of
 

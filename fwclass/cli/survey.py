@@ -61,8 +61,8 @@ def run_survey(
 
 def _check_apart(root: str, config: Any) -> None:
     """`ConfigError` for a run directory that is the sources' own: what it delivers would be found among them."""
-    from fwclass.graph.gather import directory_of
     from fwclass.store.url import is_url, url_of
+    from fwclass.survey.gather import directory_of
 
     if config.simulated:
         return

@@ -10,13 +10,13 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.graph.shape_files import read_as, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.water import Points, near_echoes
 from fwclass.grid import Box, quantise
 from fwclass.read.polygons import open_polygons, read_lines, reproject
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
+from fwclass.survey.shape_files import read_as, source_of
 from fwclass.water.along import knots_along
 
 BREAKLINES = "breaklines"

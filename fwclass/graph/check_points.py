@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.graph.check_point_file import read_check_points
-from fwclass.graph.shape_files import source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, TileGrid
 from fwclass.quality.check_points import facts_of, ground_heights
 from fwclass.store.arrays import write_arrays
+from fwclass.survey.check_point_file import read_check_points
+from fwclass.survey.shape_files import source_of
 
 CHECK_POINTS = "check-points"
 FILE = "points"

@@ -16,7 +16,6 @@ from fwclass.errors import InputError
 from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, source_classes, written
-from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import thins
@@ -27,6 +26,7 @@ from fwclass.schema import Table
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.models import load_model, model_digest
 from fwclass.store.remote_file import Location
+from fwclass.survey.layout import FileDigests
 from fwclass.thin.follow import follow
 from fwclass.thin.sample import THIN
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from fwclass.conf.model import AreasSection
 from fwclass.formats.echo_labels import FIELD, EchoLabels, read_echo_labels
 from fwclass.graph.areas import rows_to_test
-from fwclass.graph.layout import FileDigests, Layout
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import TileGrid
 from fwclass.label.corrections import COLUMNS, last_of_each, match_labels, outside, reference_codes
@@ -23,6 +22,7 @@ from fwclass.schema import Table
 from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_groups
+from fwclass.survey.layout import FileDigests, Layout
 
 CORRECTIONS, ECHO_LABELS = "corrections", "echo-labels"
 ALL = "all"

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes
-from fwclass.graph.shape_files import read_shapes
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import NONE, Polygons, owners
 from fwclass.publish.cog import STRIPE
 from fwclass.quality.voids import LISTED, EmptyCells, Void
+from fwclass.survey.shape_files import read_shapes
 
 COLUMNS = 4096
 """Cells of a stripe that are asked at once where they lie, so that wide areas take no more memory."""

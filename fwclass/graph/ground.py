@@ -13,7 +13,6 @@ from fwclass.decompose.stacking import GROUND
 from fwclass.errors import StoreError
 from fwclass.graph.breaklines import BREAKLINES, beside_ground, breaklines_in, breaklines_needed
 from fwclass.graph.ground_auto import AUTO, halo_of, parameters_at, parts_for
-from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import write_rasters
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
@@ -28,6 +27,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table, column
 from fwclass.store.cells import CELLS, by_name
+from fwclass.survey.layout import Layout
 from fwclass.waveforms import IMPLAUSIBLE
 
 STORED = ("dtm", "dsm", "mask", "distance", "roughness")

@@ -18,7 +18,6 @@ from fwclass.graph.corrections import (
     labels_of,
     reach_here,
 )
-from fwclass.graph.layout import PolygonFile
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.label.polygons import Polygons, from_polygons
 from fwclass.label.stage import LABEL, LabelParams, from_cloud, from_source
@@ -30,6 +29,7 @@ from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.survey.layout import PolygonFile
 from fwclass.waveforms import IMPLAUSIBLE
 
 POLYGONS = "polygons"

@@ -16,7 +16,6 @@ from fwclass.conf import Config
 from fwclass.errors import StoreError, first_few
 from fwclass.graph.classify import classes_written
 from fwclass.graph.kept import check_written, deciding_column, kept_argument, other_names
-from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
@@ -30,6 +29,7 @@ from fwclass.publish.tile_facts import tile_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
+from fwclass.survey.layout import Strip
 
 DELIVERED = (
     "x",

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.layout import Layout
 from fwclass.graph.outputs import NO_BYTE, class_names, columns_of_tiles, crs_of
 from fwclass.graph.sites import WHOLE
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
@@ -19,6 +18,7 @@ from fwclass.publish.octree import echo_hashes
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_layers import OVERVIEW
 from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.survey.layout import Layout
 from fwclass.units import QUANTUM
 
 SQUARES = "laz/overviews"

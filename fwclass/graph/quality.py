@@ -17,7 +17,6 @@ from fwclass.graph.coverage import area_coverage, read_area
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
-from fwclass.graph.shape_files import source_of
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
@@ -37,6 +36,7 @@ from fwclass.quality.voids import LISTED, EmptyCells, Void, void_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import write_json
+from fwclass.survey.shape_files import source_of
 
 if TYPE_CHECKING:
     from fwclass.publish.quality_page import Picture

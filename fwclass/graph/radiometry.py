@@ -11,7 +11,6 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.graph.layout import FileDigests, Layout
 from fwclass.graph.stage import Flown, Plan, Result, Stage, StageInputs
 from fwclass.radiometry.soundness import strip_sums
 from fwclass.radiometry.stage import (
@@ -36,6 +35,7 @@ from fwclass.store.atomic import read_json, write_json
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
+from fwclass.survey.layout import FileDigests, Layout
 
 _POINTING = ("x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z")
 COUNTS, CALIBRATION = "counts", "calibration.json"

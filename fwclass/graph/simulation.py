@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.gather import SIMULATED
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.run.runner import Runner
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.url import Url
+from fwclass.survey.gather import SIMULATED
 
 TRAJECTORY, TRUTH = "trajectory", "truth"
 """The parts of the simulation that are no strips."""

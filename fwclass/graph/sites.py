@@ -9,8 +9,8 @@ import numpy as np
 
 from fwclass.errors import first_few
 from fwclass.graph.ground import terrain_blocks
-from fwclass.graph.layout import Layout, Strip
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
+from fwclass.survey.layout import Layout, Strip
 
 WHOLE = "all"
 """Name of the one site of a survey that hangs together."""

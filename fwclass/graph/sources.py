@@ -20,7 +20,6 @@ from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.signal_noise import with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.read.beams import sensor_height
 from fwclass.read.source import PulseSource, open_source
@@ -33,6 +32,7 @@ from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
+from fwclass.survey.layout import FileDigests, Strip
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 RETURNS = "returns.parquet"

@@ -14,7 +14,6 @@ from fwclass.columns import declare
 from fwclass.conf import Config
 from fwclass.conf.model import Section
 from fwclass.errors import FwclassError
-from fwclass.graph.layout import FileDigests, Layout, Survey
 from fwclass.grid import Box, Tile
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name, Task
@@ -25,6 +24,7 @@ from fwclass.store.cells import CELLS, Within, by_place
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
+from fwclass.survey.layout import FileDigests, Layout, Survey
 
 Names = tuple[str, ...]
 

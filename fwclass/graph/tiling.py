@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.stage import DECOMPOSE
-from fwclass.graph.bounds import CLOUD_ROWS
 from fwclass.graph.kept import kept_noise
-from fwclass.graph.layout import FileDigests
-from fwclass.graph.numbering import assign_numbers
 from fwclass.graph.sources import chunk_name, spans_of, strip_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import TileGrid, quantise
@@ -25,6 +22,9 @@ from fwclass.store.cells import CELLS, by_name
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_groups
+from fwclass.survey.bounds import CLOUD_ROWS
+from fwclass.survey.layout import FileDigests
+from fwclass.survey.numbering import assign_numbers
 from fwclass.tile.params import TileParams
 from fwclass.tile.repeated import repeats
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, split

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError, first_few
-from fwclass.graph.shape_files import read_as, read_shapes, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, joint_box, millimetres
 from fwclass.ground.stage import TERRAIN
 from fwclass.label.polygons import Polygons, owners
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
+from fwclass.survey.shape_files import read_as, read_shapes, source_of
 from fwclass.water.level import Body, level_of
 from fwclass.water.params import WaterParams
 from fwclass.water.shore import Shoreline, nearest_shore, shoreline

@@ -13,6 +13,6 @@ def configured(name: str | Path, settings: tuple[str, ...] = (), classifies: boo
     config = conf.load(name, settings, classifies)
     if not classifies or (config.areas.train_by is None and config.areas.test_by is None):
         return config
-    from fwclass.graph.area_files import with_areas  # opens files: slow to load
+    from fwclass.survey.area_files import with_areas  # opens files: slow to load
 
     return with_areas(config)

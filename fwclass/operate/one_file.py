@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import ConfigError
-from fwclass.graph.systems import given_crs
 from fwclass.read.projection import to_project
 from fwclass.read.source import open_source
 from fwclass.store.atomic import write_text
 from fwclass.store.url import Url
+from fwclass.survey.systems import given_crs
 
 
 def survey_of(source: Path, out: Any) -> tuple[Path, Any]:

@@ -16,7 +16,7 @@ from fwclass.store.url import Url
 _KEPT = "run.json"
 
 if TYPE_CHECKING:
-    from fwclass.graph.area_of_interest import Area
+    from fwclass.survey.area_of_interest import Area
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Request:
     def wanted(self) -> frozenset[str] | Area | None:
         """What the run is restricted to, None for nothing."""
         if self.aoi is not None:
-            from fwclass.graph.area_of_interest import Area
+            from fwclass.survey.area_of_interest import Area
 
             return Area(Path(self.aoi))
         return None if self.tiles is None else frozenset(self.tiles)

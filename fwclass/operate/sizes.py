@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import several
-from fwclass.graph.gather import SIMULATED
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import RunLocation
+from fwclass.survey.gather import SIMULATED
 
 NAMED = 3
 """Stages that are named of those that take most."""

@@ -8,7 +8,6 @@ from typing import Any
 
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
 from fwclass.graph.contours import DELIVER_CONTOURS
-from fwclass.graph.layout import Survey
 from fwclass.graph.learn import TRAIN_FOREST
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.overview import DELIVER_OVERVIEW
@@ -17,6 +16,7 @@ from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.vectors import DELIVER_VECTORS
 from fwclass.report.facts import receipts_of_run
 from fwclass.run.runner import Runner, Tally
+from fwclass.survey.layout import Survey
 
 DELIVERING = (
     DELIVER_TILE,

@@ -13,12 +13,12 @@ from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
 from fwclass.errors import QualityError
 from fwclass.formats.area_of_use import elsewhere, place_faults, time_faults
-from fwclass.graph.layout import Survey
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.publish.tile_facts import WORTH, least_sure_first
 from fwclass.quality.covered import CoveredArea
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
+from fwclass.survey.layout import Survey
 
 GPS_EPOCH, ADJUSTED, LEAP_SECONDS = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000, 18
 LEAST_SURE = 5

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.graph.assess import COUNTS
-from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.sources import pulse_of
 from fwclass.grid import TileGrid, Window
@@ -19,6 +18,7 @@ from fwclass.publish.class_raster import NO_CONFIDENCE
 from fwclass.report.facts import receipts_of_run
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
+from fwclass.survey.layout import Layout
 
 MAP_CELLS = 4_000_000
 """A map is drawn from all cells up to this many; of a larger survey's only those that it shows are taken."""

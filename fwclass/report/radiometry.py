@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.errors import refuse_unsound
-from fwclass.graph.layout import Strip
 from fwclass.radiometry.calibration import Calibration
 from fwclass.radiometry.params import RadiometryParams
 from fwclass.radiometry.soundness import altitude_faults, by_strip, faults
+from fwclass.survey.layout import Strip
 
 
 def radiometry_facts(

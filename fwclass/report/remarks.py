@@ -14,7 +14,6 @@ from fwclass.features.dense import Crowd
 from fwclass.formats.echo_labels import written_by_fwclass
 from fwclass.graph.breaklines import breakline_remarks
 from fwclass.graph.contours import DELIVER_CONTOURS
-from fwclass.graph.layout import Survey
 from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.graph.water import LEVELS
 from fwclass.ground.stage import TERRAIN
@@ -22,6 +21,7 @@ from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.report.facts import receipts_of_run
 from fwclass.report.summary import SHOWN
 from fwclass.run.runner import Runner
+from fwclass.survey.layout import Survey
 
 CORRECTED_FROM = 0.01
 """Corrections over tested echoes from which it is said that some of them are tested."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import QualityError, first_few
-from fwclass.graph.layout import Strip
+from fwclass.survey.layout import Strip
 
 SAID_FROM = 0.001
 """Share of the echoes: between files of centimetres, without times, chance alone reaches a tenth of it at 10/m2."""

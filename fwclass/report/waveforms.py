@@ -10,13 +10,13 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.decompose.plausible import add_counts
-from fwclass.graph.layout import Survey
 from fwclass.graph.sources import waveforms_of
 from fwclass.report.facts import receipts_of_run
 from fwclass.report.plausibility import UNREADABLE, plausibility_remarks, receiver_facts, strip_plausibility
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
+from fwclass.survey.layout import Survey
 
 WAVES = 6
 """So many pulses are drawn."""

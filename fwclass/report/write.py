@@ -10,7 +10,6 @@ from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
-from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
@@ -30,6 +29,7 @@ from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.directory import link
+from fwclass.survey.layout import Layout, Survey
 from fwclass.tile.stage import SPLIT, TILE
 
 REPORT, PAGE = "report.json", "report.html"

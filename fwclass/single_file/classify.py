@@ -22,7 +22,6 @@ from fwclass.features.params import Asked, is_feature
 from fwclass.graph.kept import check_left, check_written, class_remarks, kept_codes, known_codes, other_names, written
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
-from fwclass.graph.systems import given_crs
 from fwclass.model import Contextual, Layered, Model, TwoLayer
 from fwclass.model.ranges import RangeCounter
 from fwclass.publish.strips import LEGACY_MAX, check_records, write_strip_laz
@@ -49,6 +48,7 @@ from fwclass.single_file.refine import refine
 from fwclass.single_file.samples import samples
 from fwclass.store.installed_models import model_place
 from fwclass.store.models import load_model
+from fwclass.survey.systems import given_crs
 
 SECTIONS = (*OF_ECHOES, "classify", "publish", "tile")
 """Sections of the configuration that the command obeys."""

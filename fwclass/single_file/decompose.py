@@ -18,7 +18,6 @@ from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.formats.area_of_use import elsewhere, place_faults
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
-from fwclass.graph.systems import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.radiometry import soundness
@@ -33,6 +32,7 @@ from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
 from fwclass.stage import Chunk
+from fwclass.survey.systems import given_crs
 from fwclass.waveforms import IMPLAUSIBLE
 
 SECTIONS = ("read", "pulse", "decompose", "plausibility", "features", "radiometry", "publish")

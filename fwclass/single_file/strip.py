@@ -12,8 +12,6 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.plausible import UNKNOWN, add_counts
 from fwclass.decompose.pulse_estimate import PulseParams
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.graph.layout import Strip, Survey
-from fwclass.graph.numbering import assign_numbers
 from fwclass.graph.sources import (
     DECOMPOSE_RETURNS,
     DECOMPOSE_WAVES,
@@ -35,6 +33,8 @@ from fwclass.run.part import Task
 from fwclass.schema import Table
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
+from fwclass.survey.layout import Strip, Survey
+from fwclass.survey.numbering import assign_numbers
 from fwclass.temporary import temporary_directory
 from fwclass.tile.params import TileParams
 from fwclass.waveforms import Waveforms

@@ -17,7 +17,6 @@ from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.graph.corrections import corrections_in
 from fwclass.graph.corrections import untaught_rows as judged_rows
-from fwclass.graph.layout import Layout
 from fwclass.graph.learn import survey_sample
 from fwclass.graph.machine_search import folds_of_squares
 from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
@@ -25,6 +24,7 @@ from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import IDENTITY
 from fwclass.store.run_store import Store
+from fwclass.survey.layout import Layout
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.search import BY_PULSES, Places

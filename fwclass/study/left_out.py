@@ -8,9 +8,9 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.model import AreaFilesSection
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.area_files import with_areas
 from fwclass.run.runner import Runner
 from fwclass.study.training import training
+from fwclass.survey.area_files import with_areas
 
 FIGURES = ("overall_accuracy", "kappa", "mean_iou")
 

@@ -14,7 +14,6 @@ from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.layout import plain
 from fwclass.graph.learn import fit_layer, load_sample
 from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.refine import MERGED
@@ -30,6 +29,7 @@ from fwclass.select.work import scale_of
 from fwclass.store.atomic import digest_of
 from fwclass.study.select.cost import costs
 from fwclass.study.select.result import plain_result, sets_to_time
+from fwclass.survey.layout import plain
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.search import Folding, search

@@ -11,7 +11,6 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError, nearest
-from fwclass.graph.layout import Layout, plain
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
 from fwclass.run.inputs import PartInputs
@@ -22,6 +21,7 @@ from fwclass.study.select.cost import costs
 from fwclass.study.select.result import plain_result, sets_to_time
 from fwclass.study.select.sample import PLACED, TRAINING, require_own_labels, sample_tasks, training_of
 from fwclass.study.select.trials import Trials
+from fwclass.survey.layout import Layout, plain
 from fwclass.walk.steps import tasks_until_labels, until_tiles
 
 

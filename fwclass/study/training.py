@@ -12,7 +12,6 @@ from fwclass.classify.unsure import MEASURED_BELOW, share_below
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.context_training import MERGED
-from fwclass.graph.layout import Layout
 from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
@@ -25,6 +24,7 @@ from fwclass.store.run_store import Store
 from fwclass.study.compare import compare_methods
 from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import cross_validate
+from fwclass.survey.layout import Layout
 from fwclass.train.sample import Sample, thin
 from fwclass.walk.steps import plan_with_features, tasks_of, tasks_until_labels, until_tiles, with_model
 

@@ -11,19 +11,15 @@ from fwclass.conf import Config
 from fwclass.conf.model import ClassSection
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
-from fwclass.graph.area_of_interest import Area
 from fwclass.graph.base_model import base_remarks
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, label_parts
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.gather import gather
 from fwclass.graph.kept import check_left
 from fwclass.graph.label import READ_POLYGONS
-from fwclass.graph.layout import Layout, Strip
 from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE, check_class_codes
 from fwclass.graph.quantities import check_learned, joint_quantities, mixed_note
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
-from fwclass.graph.reference import check_polygons
 from fwclass.graph.sampling import COUNT_LABELS, check_labels
 from fwclass.graph.simulation import SIMULATE, simulate_survey
 from fwclass.graph.sites import describe_sites, sites
@@ -45,6 +41,10 @@ from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.run_store import Store
 from fwclass.store.url import is_url, url_of
+from fwclass.survey.area_of_interest import Area
+from fwclass.survey.gather import gather
+from fwclass.survey.layout import Layout, Strip
+from fwclass.survey.reference import check_polygons
 
 LABELLING = (COUNT_LABELS.name, LABEL.name)
 """Stages of the labels, which need nothing but echoes in tiles."""

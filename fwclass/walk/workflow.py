@@ -9,11 +9,11 @@ from typing import Any
 from fwclass.columns import declare
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
-from fwclass.graph.area_of_interest import Area
 from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import LEARNING, STAGES, TO_TILES, check_order, check_reads
 from fwclass.run.runner import Runner
+from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import plan_with_features, until_report, until_tiles
 
 Tiles = frozenset[str] | Area | None

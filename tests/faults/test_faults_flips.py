@@ -18,12 +18,12 @@ from objectstore import quick, serving, used
 from runmaker import delivered, walk
 
 from fwclass.errors import DamagedError, StoreError
-from fwclass.graph.file_digests import Digests
 from fwclass.operate.request import Request
 from fwclass.operate.status.verify import remove, verify
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
+from fwclass.survey.file_digests import Digests
 
 pytestmark = pytest.mark.faults
 

@@ -19,7 +19,6 @@ from runmaker import SETTINGS, delivered, walk
 from fwclass import conf
 from fwclass.cli.runner import open_runner
 from fwclass.errors import InputError, StoreError
-from fwclass.graph.file_digests import Digests
 from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
@@ -29,6 +28,7 @@ from fwclass.store.atomic import staged
 from fwclass.store.lock import writer
 from fwclass.store.run_location import locked
 from fwclass.store.run_store import Store
+from fwclass.survey.file_digests import Digests
 from fwclass.workflows import WORKFLOWS
 
 pytestmark = pytest.mark.faults

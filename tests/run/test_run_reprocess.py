@@ -12,9 +12,9 @@ from runmaker import delivered, looked, walk
 
 from fwclass import conf
 from fwclass.features.params import Asked, is_feature
-from fwclass.graph.numbering import NUMBERS, assign_numbers
 from fwclass.grid import Box, TileGrid
 from fwclass.store.cells import CELL
+from fwclass.survey.numbering import NUMBERS, assign_numbers
 
 pytestmark = pytest.mark.slow
 

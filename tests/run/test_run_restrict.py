@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from runmaker import delivered, walk
 
 from fwclass.errors import InputError
-from fwclass.graph.area_of_interest import Area, edges, shares_area
 from fwclass.grid import Box, TileGrid
+from fwclass.survey.area_of_interest import Area, edges, shares_area
 
 CRS = "EPSG:25832"
 

@@ -12,12 +12,12 @@ import pytest
 
 from fwclass import paths
 from fwclass.errors import InputError, StoreError
-from fwclass.graph.files import _matches
-from fwclass.graph.gather import require_distinct
 from fwclass.operate.request import Request
 from fwclass.paths import below, path_matches
 from fwclass.store.params import StoreParams
 from fwclass.store.run_store import Store
+from fwclass.survey.files import _matches
+from fwclass.survey.gather import require_distinct
 
 NAMES = [
     "..",

@@ -13,7 +13,6 @@ from schedulemaker import FAILS_AT_ONCE, strip
 from fwclass import conf
 from fwclass.conf.files import read
 from fwclass.errors import FwclassError, InputError
-from fwclass.graph.files import find_files
 from fwclass.paths import open_regular
 from fwclass.read.cloud import read_point_cloud
 from fwclass.read.polygons import open_polygons
@@ -21,6 +20,7 @@ from fwclass.read.source import open_source
 from fwclass.read.text import read_text
 from fwclass.read.trajectory import read_trajectory
 from fwclass.store.models import load_model
+from fwclass.survey.files import find_files
 
 
 @pytest.fixture

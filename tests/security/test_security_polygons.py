@@ -23,9 +23,9 @@ from commandline import fwclass
 
 from fwclass.errors import FwclassError, InputError
 from fwclass.formats.gdal import DRIVERS, vector_gdal
-from fwclass.graph.area_of_interest import Area
 from fwclass.read.polygons import open_polygons, read_polygons
 from fwclass.read.polygons_info import polygon_info
+from fwclass.survey.area_of_interest import Area
 
 SQUARE = [[[0, 0], [10, 0], [10, 10], [0, 0]]]
 

@@ -19,7 +19,6 @@ from fwclass import conf
 from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, several, visible
 from fwclass.features.params import Asked, is_feature
-from fwclass.graph.gather import require_distinct
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at
@@ -29,6 +28,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.polygons import is_polygon_file
 from fwclass.read.source import is_beam_file, open_source
+from fwclass.survey.gather import require_distinct
 
 LEAST = 500
 """Points of a class below which it is not proposed: too few to learn from and to judge by."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.graph.areas import training_tiles
-from fwclass.graph.bounds import CLOUD_ROWS
 from fwclass.graph.corrections import READ_CORRECTIONS
 from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.learn import TREES_PER_PART
@@ -28,6 +27,7 @@ from fwclass.operate.estimate.spread import Piece, Spread, spread_of
 from fwclass.publish.cog import STRIPE
 from fwclass.store.models import load_model
 from fwclass.store.remote_file import local
+from fwclass.survey.bounds import CLOUD_ROWS
 from fwclass.walk.steps import base_model, given_model, with_model
 
 MIB = 1 << 20

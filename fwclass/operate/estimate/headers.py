@@ -10,10 +10,6 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.bounds import CLOUD_ROWS
-from fwclass.graph.files import find_files
-from fwclass.graph.gather import directory_of, open_all
-from fwclass.graph.systems import common_crs
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
@@ -23,6 +19,10 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.remote_file import local
+from fwclass.survey.bounds import CLOUD_ROWS
+from fwclass.survey.files import find_files
+from fwclass.survey.gather import directory_of, open_all
+from fwclass.survey.systems import common_crs
 
 SPARSE = 0.01
 """Points/m2 over its header's bounds below which a file is read to see where its points lie: the sparsest surveys have

@@ -10,8 +10,6 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.files import find_files, joint_bounds
-from fwclass.graph.gather import directory_of
 from fwclass.graph.stages import STAGES
 from fwclass.grid import Box
 from fwclass.operate.estimate.amounts import plan_of
@@ -20,6 +18,8 @@ from fwclass.read.source import open_source
 from fwclass.run.runner import Runner
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
+from fwclass.survey.files import find_files, joint_bounds
+from fwclass.survey.gather import directory_of
 from fwclass.walk.steps import plan_with_features, until_report, until_tiles
 from fwclass.walk.workflow import after_tiles
 from fwclass.workflows import workflow_of

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from fwclass.errors import StoreError, first_few
-from fwclass.graph.layout import Layout
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.store.run_location import RunLocation, address_of, held_by, open_store
+from fwclass.survey.layout import Layout
 
 
 def check_idle(location: RunLocation) -> None:

@@ -7,7 +7,6 @@ from functools import partial
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, FwclassError, StoreError
-from fwclass.graph.area_of_interest import Area
 from fwclass.graph.ground_seams import CHECK_SEAMS, WITHIN
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import DELIVERY, JUDGING
@@ -30,6 +29,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.progress import Display
 from fwclass.store.run_location import RunLocation, address_of
 from fwclass.study.selection import with_selected
+from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import tasks_of, until_tiles
 from fwclass.walk.workflow import Workflow, after_tiles
 from fwclass.workflows import workflow_of

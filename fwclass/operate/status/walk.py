@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from fwclass.errors import ConfigError, FwclassError, InputError
-from fwclass.graph.bounds import header_box
 from fwclass.grid import Box, TileGrid
 from fwclass.operate.status.why import Reason, new_files, reasons, same, waiting
 from fwclass.run.local import Loop
@@ -20,6 +19,7 @@ from fwclass.store.failures import Failure
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_location import RunLocation, held_by, open_store
 from fwclass.store.run_store import Store
+from fwclass.survey.bounds import header_box
 
 Standing = Literal["done", "stale", "missing", "running", "failed"]
 STANDINGS: tuple[Standing, ...] = ("done", "stale", "missing", "running", "failed")

@@ -16,7 +16,6 @@ from fwclass.errors import ConfigError, first_few
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import MAX_REACH, Asked, FeaturesParams, is_feature
 from fwclass.features.stage import features
-from fwclass.graph.systems import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.geoparquet import bounds_of, short_coordinates, write_geoparquet_parts
@@ -37,6 +36,7 @@ from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
+from fwclass.survey.systems import given_crs
 from fwclass.temporary import temporary_directory
 from fwclass.tile.stage import morton
 

@@ -14,7 +14,6 @@ from fwclass import __version__, conf
 from fwclass.assess.confusion import figures
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.ground_trial import NAMES, matrix_of
-from fwclass.graph.systems import given_crs
 from fwclass.ground.filters import FILTERS, Flags
 from fwclass.ground.measure import measure
 from fwclass.ground.params import GroundParams
@@ -30,6 +29,7 @@ from fwclass.single_file.ground.rasters import check_extent
 from fwclass.single_file.ground.search import check_directory
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.store.atomic import write_json
+from fwclass.survey.systems import given_crs
 
 FILES = ("comparison.html", "comparison.json")
 MAJORITY = "majority"

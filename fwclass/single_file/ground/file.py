@@ -15,7 +15,6 @@ from fwclass import compiling, conf
 from fwclass.errors import InputError
 from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
-from fwclass.graph.systems import given_crs
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags
@@ -28,6 +27,7 @@ from fwclass.single_file.ground.params import ground_params, used_params, with_a
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.ground.stray import describe_stray, stray_points
+from fwclass.survey.systems import given_crs
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
 """Class codes of LAS 1.4."""

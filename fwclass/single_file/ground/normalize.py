@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.systems import given_crs
 from fwclass.ground.filters import Flags
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.publish.heights import NO_HEIGHT
@@ -23,6 +22,7 @@ from fwclass.single_file.ground.output import check_copy, check_output, write_po
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.rasters import check_extent
 from fwclass.single_file.ground.steps import Tell, quiet
+from fwclass.survey.systems import given_crs
 
 
 @dataclass(frozen=True)

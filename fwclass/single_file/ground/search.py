@@ -13,7 +13,6 @@ import yaml
 from fwclass import __version__, conf
 from fwclass.errors import ConfigError
 from fwclass.graph.ground_trial import Trial, halves, ranges_of, search_halves, start_of
-from fwclass.graph.systems import given_crs
 from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.search import Setting, most_runs
 from fwclass.ground.tuning_params import GroundSearchParams, Values
@@ -25,6 +24,7 @@ from fwclass.single_file.ground.labels import labels_of
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.store.atomic import write_json
+from fwclass.survey.systems import given_crs
 
 
 def optimize(

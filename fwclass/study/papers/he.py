@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.files import find_files
-from fwclass.graph.gather import directory_of
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -25,6 +23,8 @@ from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.he_claims import CLAIMS, COMBINED
 from fwclass.study.papers.he_work import describe_sample, judge_filter, terrain_of
+from fwclass.survey.files import find_files
+from fwclass.survey.gather import directory_of
 
 FILTER, SAMPLE = "filter-search", "filter-sample"
 VERSION = 1

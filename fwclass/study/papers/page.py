@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from fwclass.conf import Config
-from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic
 from fwclass.grid import TileGrid, Window
 from fwclass.publish.papers.page import render_paper
@@ -16,6 +15,7 @@ from fwclass.report.figures import drawable
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import write_json
+from fwclass.survey.layout import Layout
 
 
 def deliver(

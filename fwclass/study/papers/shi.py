@@ -17,7 +17,6 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import rows_to_test
 from fwclass.graph.assess import GROUND
-from fwclass.graph.layout import Layout, needs_of
 from fwclass.graph.learn import SAMPLE
 from fwclass.graph.refine import ANSWERED
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
@@ -30,6 +29,7 @@ from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_c
 from fwclass.study.papers.shi_claims import CLAIMS
 from fwclass.study.papers.variants import VERSION, learn_tasks, make_variant, time_tasks
 from fwclass.study.papers.work import Variant, spans
+from fwclass.survey.layout import Layout, needs_of
 from fwclass.train.sample import Sample
 
 HEIGHT = "height_above_ground"

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.graph.layout import Layout
 from fwclass.grid import Box
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import Table
 from fwclass.study.papers.facts import Receipts
+from fwclass.survey.layout import Layout
 
 Square = tuple[int, int]
 

@@ -10,13 +10,13 @@ from typing import Any
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.graph.areas import IDENTITY_AND_PLACE
-from fwclass.graph.layout import Layout, needs_of, plain
 from fwclass.graph.learn import DRAW_SAMPLE, TREES_PER_PART
 from fwclass.graph.stage import Plan, always
 from fwclass.model import ClassDef
 from fwclass.run.part import Task
 from fwclass.study.papers import work
 from fwclass.study.papers.work import Variant
+from fwclass.survey.layout import Layout, needs_of, plain
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
 from fwclass.train.params import TrainParams

@@ -12,7 +12,6 @@ import numpy as np
 
 from fwclass.features.params import Asked, FeaturesParams, is_feature
 from fwclass.features.stage import FEATURE_COMPUTATION, features
-from fwclass.graph.layout import Layout, needs_of, plain
 from fwclass.grid import Tile
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -21,6 +20,7 @@ from fwclass.select.score import Names
 from fwclass.select.work import scale_of
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
+from fwclass.survey.layout import Layout, needs_of, plain
 
 SINGLE = 30
 """Sets up to this size are timed without each of their features too; in a larger one a feature is lost in the noise."""

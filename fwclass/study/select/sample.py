@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.areas import within
-from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
 from fwclass.graph.thin import thins
 from fwclass.grid import Box, Tile, millimetres
 from fwclass.model import ClassDef
@@ -24,6 +23,7 @@ from fwclass.schema import Table, canonical_key
 from fwclass.select.folds import Folds, check_folds, spatial_folds
 from fwclass.select.params import SelectParams
 from fwclass.store.arrays import write_arrays
+from fwclass.survey.layout import Layout, needs_of, plain, plain_classes
 from fwclass.thin.sample import THIN
 from fwclass.train.sample import Sample
 from fwclass.train.stage import TRAIN_SAMPLE, TrainParams, candidates, merge

@@ -16,7 +16,6 @@ from fwclass.conf import Config
 from fwclass.features.params import Asked
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import within
-from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
 from fwclass.grid import Box, Tile
@@ -34,6 +33,7 @@ from fwclass.store.atomic import digest_of
 from fwclass.study.select.cost import computed_names, microseconds
 from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import predict
+from fwclass.survey.layout import Layout, needs_of, plain, plain_classes
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform

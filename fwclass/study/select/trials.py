@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.vote import walkable, winners
-from fwclass.graph.layout import Layout, plain, plain_classes
 from fwclass.model import FORMAT, ClassDef, assemble
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -19,6 +18,7 @@ from fwclass.run.tasks import Tasks
 from fwclass.select.score import Names, Trial, score
 from fwclass.store.atomic import digest_of
 from fwclass.study.select.sample import TRAINING, sample_tasks, training_of
+from fwclass.survey.layout import Layout, plain, plain_classes
 from fwclass.train.importance import importance
 from fwclass.train.sample import Sample
 from fwclass.train.stage import TRAIN_TREES, TrainParams, grow_trees

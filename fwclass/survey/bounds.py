@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from fwclass.formats.projected import project
-from fwclass.graph.files import joint_bounds
-from fwclass.graph.systems import system_of
 from fwclass.grid import Box
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.source import BeamSource, Source, open_source
 from fwclass.read.stage import read_cloud
+from fwclass.survey.files import joint_bounds
+from fwclass.survey.systems import system_of
 
 CLOUD_ROWS = 2_000_000
 """Points of a cloud read at a time."""

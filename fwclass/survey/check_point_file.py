@@ -10,14 +10,14 @@ from pyproj import CRS, Transformer
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.file_digests import Digests
-from fwclass.graph.files import box_text, find_files
-from fwclass.graph.layout import PolygonFile
-from fwclass.graph.systems import given_crs
 from fwclass.grid import Box
 from fwclass.read.text import read_text
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
+from fwclass.survey.file_digests import Digests
+from fwclass.survey.files import box_text, find_files
+from fwclass.survey.layout import PolygonFile
+from fwclass.survey.systems import given_crs
 
 SETTING = "quality.check_points"
 MOST = 100_000

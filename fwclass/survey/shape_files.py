@@ -8,9 +8,9 @@ from typing import Any
 from pyproj import CRS
 
 from fwclass.formats.wkb import Shapes
-from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.read.polygons import open_polygons, read_polygons, reproject
 from fwclass.store.remote_file import Location
+from fwclass.survey.layout import FileDigests, PolygonFile
 
 
 def read_shapes(path: Path, crs: str | None, layer: str, own_crs: str | None) -> Shapes:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.errors import InputError
-from fwclass.graph.files import box_text
-from fwclass.graph.layout import Layout
 from fwclass.grid import Box
+from fwclass.survey.files import box_text
+from fwclass.survey.layout import Layout
 
 if TYPE_CHECKING:
     from fwclass.formats.wkb import Shapes

@@ -12,11 +12,6 @@ from pyproj import CRS
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
-from fwclass.graph.area_of_interest import edges, shares_area
-from fwclass.graph.file_digests import Digests
-from fwclass.graph.files import box_text, find_files, joint_bounds
-from fwclass.graph.layout import FileDigests, PolygonFile
-from fwclass.graph.systems import given_crs
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
@@ -35,6 +30,11 @@ from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, find_remote, local
 from fwclass.store.url import Url
+from fwclass.survey.area_of_interest import edges, shares_area
+from fwclass.survey.file_digests import Digests
+from fwclass.survey.files import box_text, find_files, joint_bounds
+from fwclass.survey.layout import FileDigests, PolygonFile
+from fwclass.survey.systems import given_crs
 
 
 def reference_clouds(

@@ -15,15 +15,15 @@ from pyproj import CRS
 from fwclass.conf import Config
 from fwclass.conf.model import AreaFilesSection
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.area_of_interest import edges
-from fwclass.graph.bounds import flat_bounds
-from fwclass.graph.files import find_files
-from fwclass.graph.gather import directory_of, open_all
-from fwclass.graph.systems import given_crs, system_of
 from fwclass.grid import Box
 from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
+from fwclass.survey.area_of_interest import edges
+from fwclass.survey.bounds import flat_bounds
+from fwclass.survey.files import find_files
+from fwclass.survey.gather import directory_of, open_all
+from fwclass.survey.systems import given_crs, system_of
 
 CELL = 1.0
 """m, polygons are taken by squares of this edge whose middle lies in them, by larger ones where these are too many."""

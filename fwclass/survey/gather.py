@@ -11,20 +11,6 @@ from fwclass.conf import Config
 from fwclass.conf.files import PUBLIC, public_data
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_unless_flat
-from fwclass.graph.bounds import flat_bounds
-from fwclass.graph.check_point_file import check_point_file
-from fwclass.graph.file_digests import Digests
-from fwclass.graph.files import box_text, find_files, joint_bounds
-from fwclass.graph.layout import Strip, Survey
-from fwclass.graph.numbering import assign_numbers
-from fwclass.graph.reference import (
-    reference_clouds,
-    reference_corrections,
-    reference_echo_labels,
-    reference_polygons,
-    shape_file,
-)
-from fwclass.graph.systems import common_crs, given_crs, system_of
 from fwclass.grid import Box
 from fwclass.paths import name_fault
 from fwclass.publish.strips import check_records
@@ -34,6 +20,20 @@ from fwclass.read.stage import check_source, with_settings
 from fwclass.run.runner import Runner
 from fwclass.store.remote_file import Location, local
 from fwclass.store.url import Url, is_url, url_of
+from fwclass.survey.bounds import flat_bounds
+from fwclass.survey.check_point_file import check_point_file
+from fwclass.survey.file_digests import Digests
+from fwclass.survey.files import box_text, find_files, joint_bounds
+from fwclass.survey.layout import Strip, Survey
+from fwclass.survey.numbering import assign_numbers
+from fwclass.survey.reference import (
+    reference_clouds,
+    reference_corrections,
+    reference_echo_labels,
+    reference_polygons,
+    shape_file,
+)
+from fwclass.survey.systems import common_crs, given_crs, system_of
 
 SIMULATED = "survey"
 """Where a simulated survey lies below its run directory."""
