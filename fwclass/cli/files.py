@@ -114,7 +114,7 @@ def decompose(
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     from fwclass import conf
     from fwclass.report.facts import judge_place
-    from fwclass.report.plausibility import judge
+    from fwclass.report.plausibility import judge_plausibility
     from fwclass.report.radiometry import judge_radiometry
     from fwclass.single_file.decompose import decompose_file
 
@@ -123,7 +123,7 @@ def decompose(
     sentences, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
     click.echo(sentences, err=True)
     bounds = conf.section("plausibility", settings)
-    judge(judged, bounds)
+    judge_plausibility(judged, bounds)
     judge_place(judged[0]["place"], bounds.accept, source)
     judge_radiometry(judged[0]["radiometry"], bounds.accept, source)
 

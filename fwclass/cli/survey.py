@@ -94,18 +94,9 @@ def _verify(runner: Any) -> None:
 
 
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
-    from fwclass.assess.stage import judge
-    from fwclass.classify.unsure import judge_unsure
     from fwclass.operate.clean import clean
     from fwclass.operate.request import replaced
-    from fwclass.quality.judge import judge_quality
-    from fwclass.report import plausibility
-    from fwclass.report.drift import judge_drift
-    from fwclass.report.earlier import judge_sources
-    from fwclass.report.facts import judge_place
-    from fwclass.report.ground import judge_ground
-    from fwclass.report.radiometry import judge_radiometry
-    from fwclass.report.repeated import judge_repeated
+    from fwclass.report.judge import judge_report
     from fwclass.report.summary import summary
     from fwclass.report.write import REPORT
     from fwclass.workflows import workflow_of
@@ -144,29 +135,16 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         click.echo(
             f"generation  {generation.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
         )
-    if before is not None and shown is not None and before.number != shown.number:
-        for words in replaced(earlier, request.workflow, before, config.run.keep_generations):
+    superseded = before if before is not None and shown is not None and before.number != shown.number else None
+    if superseded is not None:
+        for words in replaced(earlier, request.workflow, superseded, config.run.keep_generations):
             click.echo(f"note        {root} {words}", err=True)
     if performance is not None:
         click.echo(f"dask report {performance}", err=True)
     if failures:
         tell_failures(failures, request)
         sys.exit(PARTIAL)
-    if report.get("plausibility"):
-        plausibility.judge(report["plausibility"]["strips"], config.plausibility)
-    if before is not None and shown is not None and before.number != shown.number:
-        judge_sources(report.get("earlier"), config.plausibility.accept, config.path)
-    judge_place(report.get("place"), config.plausibility.accept, config.path)
-    if report.get("ground"):
-        judge_ground(report["ground"], config.plausibility.accept, config.path)
-    judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), config.plausibility.accept, config.path)
-    judge_repeated(report.get("repeated"), config.plausibility)
-    judge_drift(report.get("drift"), config.classify, config.survey.model or config.path)
-    judge_unsure(report.get("unsure"), config.classify, config.survey.model or config.path)
-    if report.get("quality"):
-        judge_quality(report["quality"], config.quality)
-    if report["accuracy"]:
-        judge(report["accuracy"], config.assess)
+    judge_report(report, config, superseded is not None)
     if not config.run.keep_intermediate and generation.whole:
         gone = clean(entry.location, "deliveries", lambda text: click.echo(text, err=True))
         click.echo(f"store       {gone.parts:,} parts removed (run.keep_intermediate), {gone.freed}", err=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fwclass.errors import DamagedError, QualityError, first_few
+from fwclass.errors import DamagedError, first_few, refuse_unsound
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import read_json
 
@@ -54,13 +54,13 @@ def lost_words(lost: Sequence[Mapping[str, Any]]) -> str:
 
 def judge_sources(facts: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
     """`QualityError` where a source of the delivery before is gone; nothing where the user accepts it."""
-    if accepted or not facts or not facts["lost_sources"]:
-        return
-    raise QualityError(
+    lost = facts["lost_sources"] if facts else []
+    refuse_unsound(
+        [f"{lost_words(lost)} of it, and not found any more"] if lost else [],
+        accepted,
         "sources of the delivery before are gone",
         where=f"{where}: survey.sources",
         expected="every file that was delivered before",
-        got=f"{lost_words(facts['lost_sources'])} of it, and not found any more",
         do="put them back and run again; if they are to be left out, nothing is to be done: the next delivery is held "
         "against this one (--accept-implausible says so at once)",
     )

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
-from fwclass.errors import QualityError
+from fwclass.errors import refuse_unsound
 from fwclass.formats.area_of_use import elsewhere, place_faults, time_faults
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.publish.tile_facts import WORTH, least_sure_first
@@ -62,13 +62,12 @@ def place_of(
 
 def judge_place(place: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
     """`QualityError` where no echo can lie where the survey says; nothing where the user accepts it."""
-    if accepted or place is None or not place.get("elsewhere"):
-        return
-    raise QualityError(
+    refuse_unsound(
+        place["remarks"] if place and place.get("elsewhere") else [],
+        accepted,
         "the echoes do not lie where their coordinate system is",
-        where=where,
+        where,
         expected="places in the area that the system is used in, at heights where land is",
-        got="; ".join(place["remarks"]),
         do="name the right system (--crs, survey.crs), or mend the files' coordinates; --accept-implausible "
         "(plausibility.accept=true) takes them as they are",
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.errors import QualityError
+from fwclass.errors import refuse_unsound
 from fwclass.ground.params import GroundParams
 
 FEW = 0.01
@@ -87,13 +87,12 @@ def _against_sources(by_source: Iterable[Mapping[str, Sequence[int]]], params: G
 
 def judge_ground(facts: Mapping[str, Any], accepted: bool, where: object) -> None:
     """`QualityError` where a filter looked at echoes and found no ground; nothing where the user accepts it."""
-    if accepted or not facts["echoes"] or facts["ground"]:
-        return
-    raise QualityError(
+    refuse_unsound(
+        [f"0 of {facts['echoes']:,}"] if facts["echoes"] and not facts["ground"] else [],
+        accepted,
         "no echo is ground",
-        where=where,
+        where,
         expected="some, or there is no terrain and no height",
-        got=f"0 of {facts['echoes']:,}",
         do="look at return numbers and units (`fwclass info`), or try another ground.method; --accept-implausible "
         "(plausibility.accept=true) takes it as it is",
     )

@@ -9,7 +9,7 @@ from typing import Any
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
-from fwclass.errors import QualityError, first_few
+from fwclass.errors import first_few, refuse_unsound
 from fwclass.read import beam_source, pls_waves
 from fwclass.units import LAND, METRES_PER_NS
 
@@ -252,7 +252,7 @@ def _once(strips: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return list({s["name"]: s for s in strips}.values())
 
 
-def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> None:
+def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> None:
     """`QualityError` naming the strip that is furthest beyond a bound; nothing where the user accepts it."""
     bounds = (
         ("unreadable", "unreadable_packets", "waveforms cannot be read", WHOLE),
@@ -267,14 +267,15 @@ def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> No
     for kind, count, words, hint in bounds:
         share, most = f"{kind}_share", getattr(params, f"max_{kind}")
         beyond = [s for s in listed if s[share] is not None and s[share] > most and s[count] >= params.least]
-        if beyond and not params.accept:
+        if beyond:
             worst = max(beyond, key=lambda s: s[share])
             others = f" (and {len(beyond) - 1} more strips)" if len(beyond) > 1 else ""
-            raise QualityError(
+            refuse_unsound(
+                [f"{worst[count]:,}, {_percent(worst[share])}"],
+                params.accept,
                 f"more {words} than a sound survey has",
                 where=f"{worst['name']}{others}",
                 expected=f"at most {_percent(most)} (plausibility.max_{kind})",
-                got=f"{worst[count]:,}, {_percent(worst[share])}",
                 do=f"{hint}; --accept-implausible (plausibility.accept=true) takes them as they are",
             )
 

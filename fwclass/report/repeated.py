@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from fwclass.decompose.params import PlausibilityParams
-from fwclass.errors import QualityError, first_few
+from fwclass.errors import first_few, refuse_unsound
 from fwclass.survey.layout import Strip
 
 SAID_FROM = 0.001
@@ -44,13 +44,14 @@ def repeated_facts(tiles: Iterable[Mapping[str, Any]], strips: Iterable[Strip]) 
 
 def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) -> None:
     """`QualityError` where too many echoes are there twice; nothing where the user accepts it."""
-    if facts is None or params.accept or facts["share"] <= params.max_repeated:
+    if facts is None or facts["share"] <= params.max_repeated:
         return
-    raise QualityError(
+    refuse_unsound(
+        [f"{facts['echoes']:,}, {100 * facts['share']:.1f} %"],
+        params.accept,
         "the sources have too many echoes twice",
         where=_pairs(facts["files"]),
         expected=f"at most {100 * params.max_repeated:g} % with place and time of another (plausibility.max_repeated)",
-        got=f"{facts['echoes']:,}, {100 * facts['share']:.1f} %",
         do="take every file once, and cut rims that files have in common off; --accept-implausible "
         "(plausibility.accept=true) takes them as they are",
     )

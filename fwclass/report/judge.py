@@ -1,0 +1,41 @@
+"""What no sound survey shows, and what was not to be missed: a run that is delivered ends by it, or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fwclass.assess.stage import judge
+from fwclass.classify.unsure import judge_unsure
+from fwclass.conf import Config
+from fwclass.quality.judge import judge_quality
+from fwclass.report.drift import judge_drift
+from fwclass.report.earlier import judge_sources
+from fwclass.report.facts import judge_place
+from fwclass.report.ground import judge_ground
+from fwclass.report.plausibility import judge_plausibility
+from fwclass.report.radiometry import judge_radiometry
+from fwclass.report.repeated import judge_repeated
+
+
+def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> None:
+    """`QualityError` of the first thing in a run's `report` that is unsound, or misses its threshold.
+
+    `replaces`: the delivery is shown in the place of an earlier one.
+    """
+    accepted, where, model = config.plausibility.accept, config.path, config.survey.model or config.path
+    if report.get("plausibility"):
+        judge_plausibility(report["plausibility"]["strips"], config.plausibility)
+    if replaces:
+        judge_sources(report.get("earlier"), accepted, where)
+    judge_place(report.get("place"), accepted, where)
+    if report.get("ground"):
+        judge_ground(report["ground"], accepted, where)
+    judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), accepted, where)
+    judge_repeated(report.get("repeated"), config.plausibility)
+    judge_drift(report.get("drift"), config.classify, model)
+    judge_unsure(report.get("unsure"), config.classify, model)
+    if report.get("quality"):
+        judge_quality(report["quality"], config.quality)
+    if report["accuracy"]:
+        judge(report["accuracy"], config.assess)
