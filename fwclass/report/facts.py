@@ -30,6 +30,11 @@ def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
     return [r for r in (runner.store.receipt(stage, part) for part in parts) if r is not None]
 
 
+def metas_of_run(runner: Runner, stage: str, name: str) -> list[Any]:
+    """What the receipts of a stage's parts that are done in this run say of `name`."""
+    return [r.meta[name] for r in receipts_of_run(runner, stage)]
+
+
 def place_of(
     tiles: Sequence[Receipt], crs: str | None, standard_time: bool, covered: CoveredArea, spacings: float
 ) -> dict[str, Any] | None:

@@ -11,8 +11,9 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.decompose.plausible import add_counts
 from fwclass.graph.sources import waveforms_of
-from fwclass.report.facts import receipts_of_run
+from fwclass.report.facts import metas_of_run, receipts_of_run
 from fwclass.report.plausibility import UNREADABLE, plausibility_remarks, receiver_facts, strip_plausibility
+from fwclass.report.radiometry import radiometry_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
@@ -28,9 +29,7 @@ SHOWN_SAMPLES = 400
 def waveform_facts(runner: Runner, survey: Survey) -> dict[str, Any] | None:
     """The system's pulse of every strip with waveforms, and how radiometry was calibrated."""
     pulses = {r.part: r.meta for r in receipts_of_run(runner, "pulse") if r.meta["sampled"]}
-    calibration: dict[str, Any] | None = next(
-        (r.meta["calibration"] for r in receipts_of_run(runner, "calibrate")), None
-    )
+    calibration: dict[str, Any] | None = next(iter(metas_of_run(runner, "calibrate", "calibration")), None)
     balanced = {s["strip"]: s["gain"] for s in (calibration or {}).get("strips", ()) if s["error"] is not None}
     strips = [
         {"name": s.path.stem, **pulses[f"{s.number:05d}"], "gain": balanced.get(s.number)}
@@ -83,6 +82,25 @@ def plausibility_of_run(runner: Runner, survey: Survey, config: Config) -> dict[
         "remarks": plausibility_remarks(strips, config.decompose),
         "accepted": config.plausibility.accept,
     }
+
+
+def radiometry_of_run(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:
+    """What no sound radiometry shows (`radiometry_facts`); None without radiometry."""
+    trajectory = bool(config.survey.trajectory.files)
+    return radiometry_facts(
+        (r.meta for r in receipts_of_run(runner, "radiometry")),
+        next(iter(metas_of_run(runner, "calibrate", "calibration")), None),
+        survey.strips,
+        config.radiometry,
+        trajectory or config.radiometry.platform_altitude is not None,
+        {} if trajectory else _sensors(runner, survey),
+    )
+
+
+def _sensors(runner: Runner, survey: Survey) -> dict[str, tuple[float, float]]:
+    """Heights of the sensor and of what it saw [m], by strip that tells them."""
+    indexed = {r.part: sensor for r in receipts_of_run(runner, "index") if (sensor := r.meta.get("sensor"))}
+    return {s.path.name: (indexed[s.key][0], indexed[s.key][1]) for s in survey.strips if s.key in indexed}
 
 
 def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:

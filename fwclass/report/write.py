@@ -17,18 +17,18 @@ from fwclass.quality.covered import CoveredArea
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
 from fwclass.report.counts import delivered_files, echo_counts, source_files, stage_figures, withheld_returns
 from fwclass.report.earlier import since_earlier
-from fwclass.report.facts import legacy_codes, place_of, receipts_of_run, sureness, unsure_of_run
+from fwclass.report.facts import legacy_codes, metas_of_run, place_of, receipts_of_run, sureness, unsure_of_run
 from fwclass.report.figures import report_figures
-from fwclass.report.radiometry import radiometry_facts
 from fwclass.report.remarks import remarks_of_parts, remarks_on_accuracy, remarks_on_crowds, remarks_on_empty_files
 from fwclass.report.repeated import repeated_facts
 from fwclass.report.sampling import sampling
-from fwclass.report.waveforms import plausibility_of_run, some_waves, waveform_facts
+from fwclass.report.waveforms import plausibility_of_run, radiometry_of_run, some_waves, waveform_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.directory import link
+from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Layout, Survey
 from fwclass.tile.stage import SPLIT, TILE
 
@@ -58,96 +58,37 @@ def write_report(
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
 
     source = source_codes({(SPLIT.name, r.part): r for r in receipts_of_run(runner, SPLIT.name)})
-    keeps, classified = Kept.of(config.classify), "classify" in runner.tallies
-    classes = _classes(config, source) if classified else []
-    files, tiles = source_files(runner, survey), receipts_of_run(runner, "publish-tile")
-    counted = sampling(
-        config,
-        *(receipts_of_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
-        whole_run=runner.whole,
-    )
-    accuracy, counts = class_accuracy(runner, config), echo_counts(runner)
-    on_accuracy = remarks_on_accuracy(accuracy, counted, counts["echoes_in_tiles"], config, names, survey)
-    if accuracy is not None:
-        accuracy["remarks"] = on_accuracy
-    ground = ground_facts(runner, config, withheld_returns(runner))
-    drifted, plausible = drift_of_run(runner), plausibility_of_run(runner, survey, config)
-    repeated = repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips)
-    unsure = unsure_of_run(tiles, config, card) if classified else None
-    place = place_of(
-        tiles,
-        survey.crs,
-        survey.standard_time,
-        CoveredArea.joined(
-            config.publish.class_cell, [r.meta["covered"] for r in receipts_of_run(runner, "publish-rasters")]
-        ),
-        config.quality.void_spacings,
-    )
-    radiometric = radiometry_facts(
-        (r.meta for r in receipts_of_run(runner, "radiometry")),
-        next((r.meta["calibration"] for r in receipts_of_run(runner, "calibrate")), None),
-        survey.strips,
-        config.radiometry,
-        bool(config.survey.trajectory.files) or config.radiometry.platform_altitude is not None,
-        {} if config.survey.trajectory.files else _sensors(runner, survey),
-    )
-    earlier = since_earlier(runner, REPORT, config.survey.name, files["files"])
+    tiles = receipts_of_run(runner, "publish-tile")
     report = {
+        **_of_the_run(config, runner, graph, names),
+        **_of_the_survey(config, runner, survey, layout, tiles),
+        **_of_the_classes(config, runner, survey, names, tiles, source, card),
+    }
+    if (accuracy := report["accuracy"]) is not None:
+        echoes = report["counts"]["echoes_in_tiles"]
+        accuracy["remarks"] = remarks_on_accuracy(accuracy, report["sampling"], echoes, config, names, survey)
+    report["remarks"] = _remarks(report, config, runner, source)
+    write_json(runner.pending / REPORT, report)
+    render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
+    return report
+
+
+def _of_the_run(
+    config: Config, runner: Runner, graph: Sequence[Mapping[str, Any]], names: tuple[str, ...]
+) -> dict[str, Any]:
+    """What ran, by which settings, and how it ended."""
+    return {
         "survey": config.survey.name,
         "fwclass": __version__,
-        "input": files,
-        "counts": counts,
         "stages": [stage_figures(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
-        "classes": classes,
-        "accuracy": accuracy,
         "model": {
             "path": config.survey.model,
             "base": config.survey.base_model,
             "features": list(names),
             "classes": [{"name": c.name, "code": c.code, "codes": list(c.codes)} for c in config.classes],
         },
-        "training": training_facts(runner, names),
         "selection": selected.model_dump() if (selected := config.selection) else None,
-        "place": place,
-        "radiometry": radiometric,
-        "earlier": earlier,
-        "sureness": sureness(tiles, classes),
-        "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),
-        "reliability": next((r.meta["reliability"] for r in receipts_of_run(runner, "assess")), None),
-        "waves": some_waves(
-            receipts_of_run(runner, "read"),
-            {r.part for r in receipts_of_run(runner, "decompose")},
-            PartInputs(runner.store),
-        ),
-        "sampling": counted,
-        "distribution": feature_distribution(runner),
-        "waveforms": waveform_facts(runner, survey),
-        "drift": drifted,
-        "unsure": unsure,
-        "plausibility": plausible,
-        "repeated": repeated,
-        "remarks": [
-            *on_accuracy,
-            *(earlier or {}).get("remarks", ()),
-            *(place or {}).get("remarks", ()),
-            *(radiometric or {}).get("implausible", ()),
-            *(repeated or {}).get("remarks", ()),
-            *ground["remarks"],
-            *(plausible or {}).get("remarks", ()),
-            *(drifted or {}).get("remarks", ()),
-            *(unsure or {}).get("remarks", ()),
-            *remarks_on_crowds(runner, config),
-            *remarks_on_empty_files(files),
-            *remarks_of_parts(runner),
-            *(class_remarks(source, known_codes(config.classes), keeps) if classified else ()),
-        ],
-        "kept": {str(c): n for c, n in kept_codes(source, keeps).items()},
-        "legacy_codes": legacy_codes(runner, survey, config),
-        "ground": ground,
-        "water": [body for r in receipts_of_run(runner, LEVELS) for body in r.meta["bodies"]],
-        "quality": next((r.meta["quality"] for r in receipts_of_run(runner, "publish-quality")), None),
-        "areas": config.areas.shown(layout.box),
         "outputs": delivered_files(runner),
         "lost_workers": [
             {"stage": o.stage, "part": o.part, "status": o.status, "causes": list(o.lost)}
@@ -160,9 +101,81 @@ def write_report(
         "whole": runner.whole,
         "seconds": round(max((t.ended for t in runner.tallies.values()), default=0.0) - runner.began, 3),
     }
-    write_json(runner.pending / REPORT, report)
-    render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
-    return report
+
+
+def _of_the_survey(
+    config: Config, runner: Runner, survey: Survey, layout: Layout, tiles: Sequence[Receipt]
+) -> dict[str, Any]:
+    """The files, their waveforms, echoes and ground."""
+    files, spacings = source_files(runner, survey), config.quality.void_spacings
+    covered = CoveredArea.joined(config.publish.class_cell, metas_of_run(runner, "publish-rasters", "covered"))
+    decomposed = {r.part for r in receipts_of_run(runner, "decompose")}
+    return {
+        "input": files,
+        "counts": echo_counts(runner),
+        "earlier": since_earlier(runner, REPORT, config.survey.name, files["files"]),
+        "place": place_of(tiles, survey.crs, survey.standard_time, covered, spacings),
+        "areas": config.areas.shown(layout.box),
+        "waves": some_waves(receipts_of_run(runner, "read"), decomposed, PartInputs(runner.store)),
+        "waveforms": waveform_facts(runner, survey),
+        "plausibility": plausibility_of_run(runner, survey, config),
+        "radiometry": radiometry_of_run(runner, survey, config),
+        "repeated": repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips),
+        "ground": ground_facts(runner, config, withheld_returns(runner)),
+        "water": [body for bodies in metas_of_run(runner, LEVELS, "bodies") for body in bodies],
+        "quality": next(iter(metas_of_run(runner, "publish-quality", "quality")), None),
+    }
+
+
+def _of_the_classes(
+    config: Config,
+    runner: Runner,
+    survey: Survey,
+    names: tuple[str, ...],
+    tiles: Sequence[Receipt],
+    source: Mapping[int, int],
+    card: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """The labels, what was learned of them, and how good and how sure the classes are."""
+    classified = "classify" in runner.tallies
+    classes = _classes(config, source) if classified else []
+    counted = sampling(
+        config,
+        *(receipts_of_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
+        whole_run=runner.whole,
+    )
+    return {
+        "classes": classes,
+        "kept": {str(c): n for c, n in kept_codes(source, Kept.of(config.classify)).items()},
+        "legacy_codes": legacy_codes(runner, survey, config),
+        "sampling": counted,
+        "training": training_facts(runner, names),
+        "accuracy": class_accuracy(runner, config),
+        "automation": next(iter(metas_of_run(runner, "assess", "automation")), []),
+        "reliability": next(iter(metas_of_run(runner, "assess", "reliability")), None),
+        "distribution": feature_distribution(runner),
+        "sureness": sureness(tiles, classes),
+        "drift": drift_of_run(runner),
+        "unsure": unsure_of_run(tiles, config, card) if classified else None,
+    }
+
+
+def _remarks(report: Mapping[str, Any], config: Config, runner: Runner, source: Mapping[int, int]) -> list[str]:
+    """All that is remarked on, in the order in which the report has it."""
+
+    def of(*subjects: str) -> list[str]:
+        return [line for subject in subjects for line in (report[subject] or {}).get("remarks", ())]
+
+    classified, known, keeps = "classify" in runner.tallies, known_codes(config.classes), Kept.of(config.classify)
+    return [
+        *of("accuracy", "earlier", "place"),
+        *(report["radiometry"] or {}).get("implausible", ()),
+        *of("repeated", "ground", "plausibility", "drift", "unsure"),
+        *remarks_on_crowds(runner, config),
+        *remarks_on_empty_files(report["input"]),
+        *remarks_of_parts(runner),
+        *(class_remarks(source, known, keeps) if classified else ()),
+    ]
 
 
 def _classes(config: Config, source: Mapping[int, int]) -> list[dict[str, Any]]:
@@ -170,12 +183,6 @@ def _classes(config: Config, source: Mapping[int, int]) -> list[dict[str, Any]]:
     own = [{"name": c.name, "code": c.code} for c in config.survey.classes]
     others = other_names(source, config.classify, [c.code for c in config.survey.classes])
     return [*own, *({"name": name, "code": code} for code, name in others.items())]
-
-
-def _sensors(runner: Runner, survey: Survey) -> dict[str, tuple[float, float]]:
-    """Heights of the sensor and of what it saw [m], by strip that tells them."""
-    indexed = {r.part: sensor for r in receipts_of_run(runner, "index") if (sensor := r.meta.get("sensor"))}
-    return {s.path.name: (indexed[s.key][0], indexed[s.key][1]) for s in survey.strips if s.key in indexed}
 
 
 def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] | None:
