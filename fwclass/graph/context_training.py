@@ -33,6 +33,7 @@ from fwclass.graph.learn import (
     learning_arguments,
     load_sample,
     parameters_of,
+    rows_of,
     survey_sample,
     trains,
     with_base_rows,
@@ -146,18 +147,16 @@ def _folds_at(x: NDArray, y: NDArray, squares: NDArray, fold_of: NDArray) -> NDA
     return np.where(inside & (known[place] == asked), fold_of[place], -1).astype(np.int64)
 
 
-def draw_context_tile(here: StageInputs, names: tuple[str, ...], layer: ContextLayer) -> Result:
-    """The rows of a tile that train, with their context."""
-    drawn = load_sample(here.inputs, TRAIN_SAMPLE.name, here.part, names)
+def draw_context_tile(here: StageInputs, layer: ContextLayer) -> Result:
+    """The context of the rows of a tile that train."""
+    drawn = load_sample(here.inputs, TRAIN_SAMPLE.name, here.part, ())
     more = np.empty((drawn.rows, len(layer.names)), np.uint8)
-    wanted = canonical_key(here.own_rows())
-    order = np.argsort(wanted)
-    chosen = order[np.searchsorted(wanted[order], drawn.key)] if drawn.rows else order[:0]
+    chosen = rows_of(drawn.key, canonical_key(here.own_rows()))
     for these, chunk in here.chunks():
         mine = np.flatnonzero(np.isin(chosen, these))
         core = chunk.core[np.searchsorted(these, chosen[mine])]
         more[mine] = context_of(chunk.table, core, layer.columns(FOLD_SHARE), layer.cells)
-    sample = replace(drawn, features=(*names, *layer.names), X=with_context(drawn.X, more))
+    sample = replace(drawn, features=layer.names, X=with_context(drawn.X, more))
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows}
 
@@ -167,7 +166,9 @@ def merge_context_samples(
 ) -> Result:
     """The rows of the survey's sample, with their context."""
     tiles = here.parts(DRAWN)
-    sample = merge((load_sample(here.inputs, DRAWN, t, (*names, *layer.names)) for t in tiles), params)
+    context = merge((load_sample(here.inputs, DRAWN, t, layer.names) for t in tiles), params)
+    own = survey_sample(here.inputs, names)
+    sample = replace(own, features=(*names, *layer.names), X=np.concatenate([own.X, context.X], axis=1))
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows, "counts": sample.counts.tolist()}
 
@@ -303,7 +304,7 @@ DRAW_CONTEXT = Stage(
     draw_context_tile,
     when=_learns,
     parts=training_tiles,
-    arguments=lambda plan: {"names": plan.names, "layer": layer_of(plan)},
+    arguments=lambda plan: {"layer": layer_of(plan)},
     reads=lambda plan: (*_PLACE, *layer_of(plan).columns(FOLD_SHARE)),
     own=IDENTITY,
     halo=lambda plan: layer_of(plan).halo,
@@ -319,8 +320,8 @@ MERGE_CONTEXT = Stage(
     when=_learns,
     arguments=lambda plan: {"names": plan.names, "params": plan.config.train, "layer": layer_of(plan)},
     silent=NOT_OF_THE_SAMPLE,
-    after=(DRAWN,),
-    needs=lambda plan, part: [(DRAWN, t.key) for t in training_tiles(plan)],
+    after=("training", DRAWN),
+    needs=lambda plan, part: [("training", "all"), *((DRAWN, t.key) for t in training_tiles(plan))],
 )
 TRY_CONTEXT = Stage(
     TRIED,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,10 +20,10 @@ from fwclass.graph.model_fit import feature_parameters
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
-from fwclass.model import ClassDef, Model, Tree
+from fwclass.model import ClassDef, Model, Tree, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
-from fwclass.schema import Table, canonical_key
+from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import save_model
 from fwclass.train.baselines.params import CompareParams, RbfSvmParams
@@ -60,15 +60,15 @@ def draw_tile(
     judging: AreasSection | None = None,
     reach: float = 0.0,
 ) -> Result:
-    """The rows of a tile that may train: those in training areas, and those that are corrected, wherever they lie."""
+    """Which rows of a tile may train: those in training areas, and those that are corrected, wherever they lie."""
     table = here.rows()
     inside, corrected = within(table, areas), taught_rows(here, table, judging, reach)
     inside |= corrected
     if "sampled" in table:  # a thinned run
         inside &= table["sampled"]
-    key, place = canonical_key(table), places(table)
-    sample = candidates(table.select(names), table["reference"], key, inside, params, classes, place, corrected)
-    write_arrays(here.directory / SAMPLE, sample.arrays())
+    key = canonical_key(table)
+    sample = candidates(table.select(names), table["reference"], key, inside, params, classes, first=corrected)
+    write_arrays(here.directory / SAMPLE, sample.without_values().arrays())
     return {"rows": sample.rows, **({"corrected": int(corrected.sum())} if judging is not None else {})}
 
 
@@ -98,11 +98,34 @@ def merge_samples(
         raise InputError(
             "no echo lies in any training area", where="areas.train", do="give boxes on the survey, in its coordinates"
         )
-    sample = merge((load_sample(here.inputs, TRAIN_SAMPLE.name, t, names) for t in tiles), params)
+    sample = merged_sample(here.inputs, TRAIN_SAMPLE.name, tiles, {n: here.columns[n] for n in names}, params)
     if not based:  # the base model's rows may be all that there are of a class
         review(sample, classes)
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+def merged_sample(
+    inputs: PartInputs, stage: str, tiles: Iterable[str], columns: Mapping[str, str], params: TrainParams
+) -> Sample:
+    """The sample of the rows that parts of `stage` drew from `tiles`; features (stage by column) and places are read of
+    those rows alone that remain."""
+    sample, names = merge((load_sample(inputs, stage, t, ()) for t in tiles), params), tuple(columns)
+    X, place = np.empty((sample.rows, len(names)), np.float32), np.empty((sample.rows, 2), np.int64)
+    for tile in tiles:
+        keys = np.intersect1d(inputs.arrays(stage, tile, SAMPLE, ("key",))[0]["key"], sample.key, assume_unique=True)
+        rows = rows_of(keys, canonical_key(inputs.rows(tile, dict.fromkeys(IDENTITY, "tile"))))
+        order = np.argsort(rows)
+        table = inputs.rows_at(tile, {**dict.fromkeys(("x", "y"), "tile"), **columns}, rows[order])
+        at = np.searchsorted(sample.key, keys[order])
+        X[at], place[at] = sample_matrix(table, names, "training rows"), places(table)
+    return replace(sample, features=names, X=X, place=place)
+
+
+def rows_of(keys: NDArray[np.uint64], there: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """int64 (keys,): in which rows of `there` the keys stand; each stands in one."""
+    order = np.argsort(there)
+    return order[np.searchsorted(there[order], keys)] if len(keys) else order[:0]
 
 
 def load_sample(inputs: PartInputs, stage: str, part: str, names: tuple[str, ...]) -> Sample:
@@ -326,6 +349,8 @@ MERGE_SAMPLE = Stage(
     when=trains,
     arguments=lambda plan: {**learning_arguments(plan), **({"based": True} if plan.base is not None else {})},
     silent=NOT_OF_THE_SAMPLE,
+    reads=lambda plan: ("x", "y", *plan.config.features_asked),
+    tiles=training_tiles,
     after=("sample",),
     needs=lambda plan, part: [(TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)],
 )

@@ -254,7 +254,7 @@ class Stage:
     each : likewise, of one part.
     silent : settings among the arguments' own that change no byte, and stay out of the key.
     reads : columns of echoes that are read of the part's tile and of its neighbours within `halo`; a stage over the
-        survey reads those of all tiles.
+        survey reads those of all tiles, or of `tiles`.
     own : columns that are read of the own tile alone.
     writes : columns of the table that it writes. Those of a stage over tiles can be read by others.
     halo : distance around the part's place that is read [m]; None where no neighbour is.
@@ -285,6 +285,7 @@ class Stage:
     each: Callable[[Plan, Any], Mapping[str, Any]] = lambda plan, part: {}
     silent: frozenset[str] = frozenset()
     reads: Columns = ()
+    tiles: Callable[[Plan], Sequence[Tile]] = lambda plan: plan.layout.tiles
     own: Columns = ()
     writes: Columns = ()
     halo: float | Callable[[Plan], float] | None = None
@@ -401,7 +402,7 @@ class _Maker:
         if self.stage.named:
             return (), key
         if place is None:
-            return (tuple(t.key for t in self.plan.layout.tiles) if self.reads else ()), None
+            return (tuple(t.key for t in self.stage.tiles(self.plan)) if self.reads else ()), None
         if self.stage.halo is None:
             return (key,), None
         box = self.stage.area(self.plan, place).grown(self.halo)

@@ -16,7 +16,7 @@ from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
 from fwclass.store.cells import Within, cells_of
-from fwclass.store.kept import groups_touching, read_kept
+from fwclass.store.kept import groups_touching, read_kept, rows_of_groups
 from fwclass.store.remote_file import Location, local
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, row_groups
@@ -158,6 +158,27 @@ class PartInputs:
         if box is None:
             return Table({n: v.copy() for n, v in arrays.items()})  # stages may write to it, the next reader sees it
         return Table(arrays).take(box.contains(arrays["x"], arrays["y"]))
+
+    def rows_at(self, part: str, columns: Mapping[str, str], rows: NDArray[np.int64]) -> Table:
+        """As `rows`, of the tile's rows number `rows` (rising) alone; no more than a row group is held beside them."""
+        stages = sorted({"tile", *columns.values()})
+        for stage in stages:
+            self._check(stage, part, [n for n, s in columns.items() if s == stage])
+        self._check_rows(part, "tile", None)
+        paths = {stage: self._store.path(stage, part, TABLE) for stage in stages}
+        pieces, first = [], 0
+        for group, count in enumerate(rows_of_groups(paths["tile"])):
+            mine = rows[slice(*np.searchsorted(rows, (first, first + count)))] - first
+            first += count
+            if len(mine) == 0:
+                continue
+            arrays: dict[str, NDArray] = {}
+            for stage, path in paths.items():
+                names = [n for n, s in columns.items() if s == stage]
+                arrays |= dict(read_table(path, names, [group])) if names else {}
+                _check_lengths(arrays, f"{stage}/{part}")
+            pieces.append(Table({n: arrays[n] for n in columns}).take(mine))
+        return Table.concat(pieces) if pieces else Table.empty(columns)
 
     def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
         """The overlapping chunk of `tile`: its rows and its neighbours' within `halo` [m], in canonical order."""

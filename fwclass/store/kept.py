@@ -38,6 +38,11 @@ def groups_touching(path: Path, box: Box | None) -> list[int]:
     return [k for k, group in enumerate(_groups_in((str(path), looks(path)))) if group.touches(box)]
 
 
+def rows_of_groups(path: Path) -> list[int]:
+    """Rows of every row group of the table at `path`."""
+    return [group.rows for group in _groups_in((str(path), looks(path)))]
+
+
 @counted("reading")
 def read_kept(path: Path, columns: Iterable[str], groups: list[int]) -> Table:
     """As `tables.read_table`; the columns are not to be written to."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,10 @@ class Sample:
     def from_arrays(cls, features: Sequence[str], arrays: Mapping[str, NDArray]) -> Sample:
         """The sample whose `arrays` (rows, …) these are."""
         return cls(tuple(features), *(arrays[n] for n in _ARRAYS))
+
+    def without_values(self) -> Sample:
+        """The same rows by their keys alone: values and places are where they were drawn from."""
+        return replace(self, features=(), X=self.X[:, :0], place=self.place[:0])
 
     def take(self, rows: NDArray) -> Sample:
         """The same sample with only `rows` (index or mask)."""

@@ -169,7 +169,7 @@ def train(
     return assemble(trees, facts)
 
 
-TRAIN_SAMPLE = Computation(name="sample", version=3)
+TRAIN_SAMPLE = Computation(name="sample", version=4)
 TRAIN_TREES = Computation(name="trees", version=1)
 TRAIN_IMPORTANCE = Computation(name="importance", version=1)
 TRAIN = Computation(name="train", version=4)

@@ -10,7 +10,7 @@ from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.run_location import open_store
-from fwclass.store.tables import write_groups, write_table
+from fwclass.store.tables import read_table, write_groups, write_table
 
 SIZE = 10.0
 OWN = Tile(0, 0, SIZE)
@@ -74,6 +74,7 @@ BOTH = (("tile", OWN.key), ("tile", NEXT.key))
         lambda i: i.groups("other", OWN.key, [0]),
         lambda i: i.rows(OWN.key, {"z": "other"}),
         lambda i: i.rows("0_1", {"z": "tile"}),
+        lambda i: i.rows_at(OWN.key, {"z": "other"}, np.arange(3)),
         lambda i: i.chunk(OWN, 0.0, {"z": "other"}, (OWN.key,)),
         lambda i: next(i.runs_of_rows(OWN.key, {"z": "other"})),
         lambda i: next(i.chunks(OWN, 2.0, {"z": "other"}, (OWN.key, NEXT.key))),
@@ -114,6 +115,22 @@ def test_what_is_declared_is_read(location):
     object.__setattr__(inputs, "split", 2)
     pieces = list(inputs.chunks(OWN, 2.0, {"z": "tile"}, (OWN.key, NEXT.key)))
     assert sum(len(rows) for rows, _ in pieces) == 50
+
+
+@pytest.mark.parametrize("rows", [[], [0], [19, 20, 21, 49], list(range(50))])
+def test_chosen_rows_of_a_tile_are_those_of_all(tmp_path, rows):
+    def in_groups(inputs, directory):
+        meta = echoes(OWN, inputs, directory)
+        write_table(directory / TABLE, read_table(directory / TABLE), row_group=20)
+        return meta
+
+    for stage in ("tile", "other"):
+        assert execute(tmp_path, Task(stage, OWN.key, 1, {}, in_groups)).ok
+    inputs, columns = inputs_of(tmp_path, [("tile", OWN.key), ("other", OWN.key)]), {"x": "tile", "z": "other"}
+    chosen, whole = inputs.rows_at(OWN.key, columns, np.array(rows, np.int64)), inputs.rows(OWN.key, columns)
+    assert list(chosen) == ["x", "z"]
+    for name in columns:
+        np.testing.assert_array_equal(chosen[name], whole[name][rows])
 
 
 def test_a_fragment_of_another_tile_is_refused(location):

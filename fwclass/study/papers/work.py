@@ -15,7 +15,7 @@ from fwclass.assess.intervals import FIGURES, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import rows_to_test
-from fwclass.graph.learn import SAMPLE
+from fwclass.graph.learn import SAMPLE, merged_sample
 from fwclass.graph.machine_search import folds_of_squares
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.hashing import hash_keys
@@ -31,7 +31,7 @@ from fwclass.train.baselines.stage import train_other
 from fwclass.train.importance import drops, summary
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import grow_trees, merge, train
+from fwclass.train.stage import grow_trees, train
 
 TEST, MODEL, DROPS, ANSWERS = "test", "model", "drops", "answers"
 _TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
@@ -109,12 +109,12 @@ def gather_test_echoes(tiles: tuple[str, ...], inputs: PartInputs, directory: Pa
 
 
 def merge_sample(
-    tiles: tuple[str, ...], names: tuple[str, ...], params: TrainParams, inputs: PartInputs, directory: Path
+    tiles: tuple[str, ...], columns: Mapping[str, str], params: TrainParams, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """The sample of all tiles."""
     if not tiles:
         raise InputError("no echo lies in any training area", where="areas.train", do="give boxes on the survey")
-    sample = merge((Sample.from_arrays(names, inputs.arrays("paper-sample", t, SAMPLE)[0]) for t in tiles), params)
+    sample = merged_sample(inputs, "paper-sample", tiles, columns, params)
     write_arrays(directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows, "counts": sample.counts.tolist(), "eligible": sample.eligible.tolist()}
 
