@@ -116,6 +116,17 @@ def test_heights_of_another_filter_than_the_models_are_told(tmp_path):
         assert ("--method csf" in made.stderr) == (learned == "csf")
 
 
+def test_heights_by_another_way_than_the_models_are_told(tmp_path):
+    told = card(("height_above_ground",), (2, 64), computed={"ground": "smrf", "height": "nearest"})
+    save_model(tmp_path / "m", LinearMachine(np.ones((1, 1)), np.zeros(1), told))
+    source = cloud(tmp_path / "in.las")
+    words = ("--model", tmp_path / "m", "--method", "smrf", "--accept-drift")
+    made = call("classify", source, tmp_path / "tin.laz", *words)
+    assert made.exit_code == 0 and "--set terrain.height=nearest" in made.stderr
+    made = call("classify", source, tmp_path / "nearest.laz", *words, "--set", "terrain.height=nearest")
+    assert made.exit_code == 0 and "terrain.height" not in made.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -19,6 +19,7 @@ DRAWS = 2000
 
 SEED = 1
 LEVEL = 0.95
+TAILS = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
 
 LEAST = 5
 """Blocks; resamples of fewer are too much alike to tell anything."""
@@ -80,6 +81,27 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
     return {"level": LEVEL, "blocks": len(both), "caution": caution(len(both)), **intervals}
 
 
+def class_gains(first: ArrayLike, second: ArrayLike) -> list[dict[str, Any] | None]:
+    """95 % intervals of how much higher the IoU of each class is in `second` than in `first`, as `difference` takes
+    them: ``{"value", "low", "high"}`` each, fractions; None of a class without a reference, ends None with fewer than
+    `LEAST` blocks."""
+    a, b = np.asarray(first, np.int64), np.asarray(second, np.int64)
+    split = a.shape[2]
+    both = _sort_blocks(_counts(np.concatenate([a, b], axis=2)))
+    whole = both.sum(axis=0)[None]
+    value = (_ious(whole[:, :, split:]) - _ious(whole[:, :, :split]))[0]
+    drawn = None
+    if len(both) >= LEAST:
+        sums = _resample(both)
+        drawn = _ious(sums[:, :, split:]) - _ious(sums[:, :, :split])
+    gains: list[dict[str, Any] | None] = []
+    for k, gain in enumerate(value.tolist()):
+        known = np.empty(0) if drawn is None else drawn[~np.isnan(drawn[:, k]), k]
+        ends = np.quantile(known, TAILS).tolist() if len(known) else (None, None)
+        gains.append(None if np.isnan(gain) else {"value": gain, "low": ends[0], "high": ends[1]})
+    return gains
+
+
 def caution(blocks: int) -> str | None:
     """What is to be said beside intervals from so few blocks; None from `FEW` on."""
     if blocks >= FEW:
@@ -106,9 +128,16 @@ def scores(matrices: ArrayLike) -> NDArray[np.float64]:
         overall = right.sum(axis=1) / total
         chance = (rows * columns).sum(axis=1) / total**2
         kappa = np.where(chance < 1.0, (overall - chance) / (1.0 - chance), np.nan)
-        union = rows + columns - right
-        iou = np.where(rows > 0, right / union, 0.0).sum(axis=1) / (rows > 0).sum(axis=1)
+        iou = np.nansum(_ious(m), axis=1) / (rows > 0).sum(axis=1)
     return np.stack([overall, kappa, iou], axis=1)
+
+
+def _ious(matrices: ArrayLike) -> NDArray[np.float64]:
+    """(matrices, classes) intersection over union; NaN of a class without a reference."""
+    m = np.asarray(matrices, float)
+    rows, right = m.sum(axis=2), np.diagonal(m, axis1=1, axis2=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(rows > 0, right / (rows + m[:, :, : m.shape[1]].sum(axis=1) - right), np.nan)
 
 
 def _counts(blocks: ArrayLike) -> NDArray[np.int64]:
@@ -138,11 +167,10 @@ def _resample(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 
 def _ends(drawn: NDArray[np.float64]) -> dict[str, list[float] | None]:
     """Percentile interval of every figure."""
-    tails = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
     ends: dict[str, list[float] | None] = {}
     for name, values in zip(FIGURES, drawn.T, strict=True):
         known = values[~np.isnan(values)]
-        ends[name] = [float(v) for v in np.quantile(known, tails)] if len(known) else None
+        ends[name] = [float(v) for v in np.quantile(known, TAILS)] if len(known) else None
     return ends
 
 

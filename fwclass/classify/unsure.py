@@ -60,6 +60,10 @@ def by_percent(confidence: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.bincount(percent_of(confidence[known]), minlength=PERCENT).astype(np.int64)
 
 
+UNCALIBRATED = ("rbf-svm",)
+"""Classifiers whose confidences are no probabilities; the bounds were measured with forests."""
+
+
 def share_below(automation: Sequence[Sequence[float]], bound: float) -> float:
     """Share of the test echoes with a confidence below `bound`, by the curve that ``assess`` keeps: (confidence, share
     that is as sure or surer, …), by ascending confidence."""
@@ -88,17 +92,20 @@ def unsure_facts(
             f"{100 * left:.1f} % of the classified echoes got no class but code {params.leave}: their confidence is "
             f"below {params.leave_below:g} (classify.leave_below)"
         )
+    judged = given is not None and given.get("method") not in UNCALIBRATED
     before = _as_a_stranger(given) if given is not None and params.unsure == MEASURED_BELOW else ""
     if given is not None and (before or share > SAID_FROM):
         many = (
-            f". Where models that left home were unsure of more than {100 * SAID_FROM:g} %, 4 to 27 % of the classes "
-            "were wrong: look at the least sure places (`fwclass view`), and label some (`fwclass suggest`)"
+            ": those of a kernel machine are no probabilities, and nothing follows from how many are low"
+            if not judged
+            else f". Where models that left home were unsure of more than {100 * SAID_FROM:g} %, 4 to 27 % of the "
+            "classes were wrong: look at the least sure places (`fwclass view`), and label some (`fwclass suggest`)"
         )
         remarks.append(
             f"the model is unsure of {100 * share:.1f} % of the classified echoes (confidence below "
             f"{params.unsure:g}){before}{many if share > SAID_FROM else ''}"
         )
-    return {"share": share, "below": params.unsure, "left": left, "given": given is not None, "remarks": remarks}
+    return {"share": share, "below": params.unsure, "left": left, "given": judged, "remarks": remarks}
 
 
 def _as_a_stranger(card: Mapping[str, Any]) -> str:

@@ -309,7 +309,9 @@ def _card_arguments(plan: Plan) -> Mapping[str, Any]:
 def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
     """What the values of the features `names` depend on (`feature_parameters`)."""
     config = plan.config
-    return feature_parameters(names, config.features, config.ground.method, plan.layout.quantities)
+    return feature_parameters(
+        names, config.features, config.ground.method, config.terrain.height, plan.layout.quantities
+    )
 
 
 def _feature_settings(plan: Plan) -> Mapping[str, Any]:

@@ -15,11 +15,16 @@ from fwclass.read.quantities import Quantities
 
 
 def feature_parameters(
-    names: Iterable[str], params: FeaturesParams, ground: str | None = None, quantities: Quantities | None = None
+    names: Iterable[str],
+    params: FeaturesParams,
+    ground: str | None = None,
+    height: str | None = None,
+    quantities: Quantities | None = None,
 ) -> dict[str, Any]:
     """Of the section `features` what the values of `names` depend on, besides their own scales; plain data.
 
-    With height above ground among them also the `ground` filter that made it, and with features of amplitudes or echo
+    With height above ground among them also the `ground` filter that made it and what it is the `height` above
+    (`terrain.height`), and with features of amplitudes or echo
     widths which `quantities` these are, where it is known.
     """
     names = tuple(names)
@@ -35,7 +40,8 @@ def feature_parameters(
     }
     plain = params.model_dump(mode="json")
     parameters = {name: plain[name] for name, yes in needed.items() if yes}
-    parameters |= {"ground": ground} if ground and "height_above_ground" in names else {}
+    above = {"ground": ground, "height": height} if "height_above_ground" in names else {}
+    parameters |= {name: value for name, value in above.items() if value}
     by_feature = quantities_by_feature(names, quantities) if quantities else {}
     return {**parameters, "quantities": by_feature} if by_feature else parameters
 
@@ -56,14 +62,23 @@ def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
             )
 
 
-def ground_note(model: Model, method: str | None) -> str:
-    """What to tell where heights of another ground filter (None: the file's own ground) than the model's decide."""
-    learned = model.card.get("computed", {}).get("ground")
-    if learned is None or learned == method:
-        return ""
-    here = "the file's own ground" if method is None else method
-    how = "`fwclass ground --auto` first, then --own-ground" if learned == "auto" else f"--method {learned}"
-    return f"the model learned from heights above the ground of {learned}, here it is that of {here}: {how}"
+def ground_notes(card: Mapping[str, Any], method: str | None, height: str, option: str = "--method ") -> list[str]:
+    """What to tell where heights decide that are of another ground filter (None: the file's own ground) than the
+    model's (`card`), or above it in another way (`height`, of `terrain.height`). `option` names a filter."""
+    computed, notes = card.get("computed", {}), list[str]()
+    learned = computed.get("ground")
+    if learned not in (None, method):
+        here = "the file's own ground" if method is None else method
+        file = learned == "auto" and option.startswith("--method")
+        how = "`fwclass ground --auto` first, then --own-ground" if file else f"{option}{learned}"
+        notes.append(f"the model learned from heights above the ground of {learned}, here it is that of {here}: {how}")
+    above = computed.get("height")
+    if above not in (None, height):
+        notes.append(
+            f"the model learned from heights above ground by {above}, here they are by {height}: "
+            f"--set terrain.height={above}"
+        )
+    return notes
 
 
 def check_classes(model: Model, classes: Sequence[ClassDef], where: object) -> None:

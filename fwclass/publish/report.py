@@ -206,6 +206,11 @@ def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], co
     if training and (named := classifier(training)):
         samples = sum(int(n) for n in (training.get("samples") or {}).values())
         second = f" The {named} learned from {number(samples)} samples"
+        if layer := training.get("second_layer"):
+            second += (
+                f", a second layer, which tells {' from '.join(layer['between'])} where they meet, from "
+                f"{number(layer['samples'])},"
+            )
         second += " and was assessed outside of its training areas." if report.get("accuracy") else "."
     return f"{first}.{second}"
 

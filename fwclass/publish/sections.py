@@ -219,7 +219,10 @@ def training(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
         "samples": dict(facts.get("samples") or {}),
         "features": features,
         "out_of_bag": percent(facts.get("out_of_bag")),
-        "notes": [str(n) for n in facts.get("notes") or ()],
+        "notes": [
+            *map(str, facts.get("notes") or ()),
+            *(f"second layer: {note}" for note in (facts.get("second_layer") or {}).get("notes", ())),
+        ],
     }
 
 

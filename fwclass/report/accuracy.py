@@ -58,9 +58,17 @@ def training_facts(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | N
         return None
     card = receipt.meta["card"]
     samples = {c["name"]: n for c, n in zip(card["classes"], card["samples"], strict=True)}
+    second = receipt.meta.get("fine")
     return {
         "method": card.get("method", "forest"),
         "samples": samples,
+        "second_layer": second
+        and {
+            "method": second.get("method", "forest"),
+            "between": [c["name"] for c in second["classes"]],
+            "samples": sum(second["samples"]),
+            "notes": second.get("notes", []),
+        },
         "trees": receipt.meta["trees"],
         "in_context": (card.get("context") or {}).get("cells"),
         "features": list(names),

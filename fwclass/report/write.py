@@ -10,6 +10,7 @@ from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
+from fwclass.graph.model_fit import ground_notes
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
@@ -67,7 +68,7 @@ def write_report(
     if (accuracy := report["accuracy"]) is not None:
         echoes = report["counts"]["echoes_in_tiles"]
         accuracy["remarks"] = remarks_on_accuracy(accuracy, report["sampling"], echoes, config, names, survey)
-    report["remarks"] = _remarks(report, config, runner, source)
+    report["remarks"] = _remarks(report, config, runner, source, card)
     write_json(runner.pending / REPORT, report)
     render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
     return report
@@ -160,7 +161,9 @@ def _of_the_classes(
     }
 
 
-def _remarks(report: Mapping[str, Any], config: Config, runner: Runner, source: Mapping[int, int]) -> list[str]:
+def _remarks(
+    report: Mapping[str, Any], config: Config, runner: Runner, source: Mapping[int, int], card: Mapping[str, Any] | None
+) -> list[str]:
     """All that is remarked on, in the order in which the report has it."""
 
     def of(*subjects: str) -> list[str]:
@@ -171,6 +174,7 @@ def _remarks(report: Mapping[str, Any], config: Config, runner: Runner, source: 
         *of("accuracy", "earlier", "place"),
         *(report["radiometry"] or {}).get("implausible", ()),
         *of("repeated", "ground", "plausibility", "drift", "unsure"),
+        *ground_notes(card or {}, config.ground.method, config.terrain.height, "--set ground.method="),
         *remarks_on_crowds(runner, config),
         *remarks_on_empty_files(report["input"]),
         *remarks_of_parts(runner),

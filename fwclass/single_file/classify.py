@@ -20,7 +20,7 @@ from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.graph.kept import check_left, check_written, class_remarks, kept_codes, known_codes, other_names, written
-from fwclass.graph.model_fit import check_computed, check_names, ground_note
+from fwclass.graph.model_fit import check_computed, check_names, ground_notes
 from fwclass.graph.quantities import check_learned
 from fwclass.model import Contextual, Layered, Model, TwoLayer
 from fwclass.model.ranges import RangeCounter
@@ -251,8 +251,8 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
             method = conf.section("ground", job.settings).method
         by = GroundChoice(method, job.preset, job.assignments, job.own_ground, job.auto)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
-        if "height_above_ground" in model.features and (note := ground_note(model, method)):
-            notes = (note,)
+        if "height_above_ground" in model.features:
+            notes = tuple(ground_notes(model.card, method, conf.section("terrain", job.settings).height))
     if any(n in RADIOMETRY.writes for n in needed):
         echoes = with_radiometry(echoes, job.flight, job.settings)
     check_names(model, echoes.table, job.source)

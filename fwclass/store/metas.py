@@ -319,7 +319,7 @@ META: dict[str, Shape] = {
     "features": {"dense?": {"cubes": _FULLEST, "columns": _FULLEST}},
     "training": _TRIAL,
     "base-rows": {**_TRIAL, "remarks": _REMARKS},
-    "train": {"card": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},
+    "train": {"card": _CARD, "fine?": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},
     "train-coarse": {"card": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},
     "fold-models": {"rows": COUNT, "model": FLAG},
     "context-folds": {"rows": COUNT, "first": COUNT, "both": COUNT},

@@ -115,7 +115,8 @@ def _remarks(
     """What stands beside the accuracy of a run, and so beside every one of the table."""
     counts = BlockCounts.merged(blocks, len(config.classes)).counts
     tested = {"confusion": matrix, "blocks": len(counts), "pure_share": pure_share(counts)}
-    return accuracy_remarks(tested, config, names, layout.echoes)
+    alone = ["the classifiers are compared without the second layer that the settings name (classify.refine)"]
+    return [*alone[: bool(config.classify.refine.between)], *accuracy_remarks(tested, config, names, layout.echoes)]
 
 
 def _summary(

@@ -197,6 +197,9 @@ def _sort(sample: Sample) -> Sample:
 UNEVEN = 20
 """Remarked: a class with so many times the training rows of another."""
 
+ONE_PLACE = 1000
+"""Millimetres: a class whose rows lie closer together has been seen once."""
+
 
 TELLING = 0.5
 """Difference of the shares of rows without a value, of two classes, from which it is said."""
@@ -273,7 +276,7 @@ def _check_values(sample: Sample, lacking: Sequence[str], classes: Sequence[Clas
 
 
 def _balance(sample: Sample, counts: Mapping[str, int]) -> list[str]:
-    """Remarks on classes of which only some rows train, and on uneven ones."""
+    """Remarks on classes of which only some rows train, on uneven ones, and on those of one place."""
     notes = [
         f"class {name!r}: {n} of {int(eligible)} labelled rows train (train.samples_per_class)"
         for (name, n), eligible in zip(counts.items(), sample.eligible, strict=True)
@@ -282,7 +285,14 @@ def _balance(sample: Sample, counts: Mapping[str, int]) -> list[str]:
     most, least = max(counts, key=lambda c: counts[c]), min(counts, key=lambda c: counts[c])
     if counts[most] > UNEVEN * counts[least]:
         notes.append(
-            f"class {most!r} has {counts[most]} training rows and {least!r} {counts[least]}: the forest will rarely "
-            f"say {least!r}; train.class_weights: balanced gives both the same say, more labels are better"
+            f"class {most!r} has {counts[most]} training rows and {least!r} {counts[least]}: the classifier will "
+            f"rarely say {least!r}; train.class_weights: balanced gives both the same say, more labels are better"
         )
+    for k, name in enumerate(counts):
+        place = sample.place[sample.y == k] if len(sample.place) else sample.place
+        if len(place) > 1 and (np.ptp(place, axis=0) < ONE_PLACE).all():
+            notes.append(
+                f"class {name!r}: all {counts[name]} training rows lie within {ONE_PLACE / 1000:g} m of each other: it "
+                "is learned from one thing alone; label it in other places too"
+            )
     return notes

@@ -7,7 +7,7 @@ import pytest
 from tolerances import FLOAT64_UNIT
 
 from fwclass.assess.confusion import figures
-from fwclass.assess.intervals import FEW, FIGURES, LEAST, caution, difference, intervals, scores
+from fwclass.assess.intervals import FEW, FIGURES, LEAST, caution, class_gains, difference, intervals, scores
 
 
 def blocks(r, n, accuracy, rows=1000):
@@ -115,3 +115,20 @@ def test_few_blocks_are_told_with_a_caution():
     assert "too few blocks to lean on" in difference(few, few)["caution"]
     assert str(FEW - 1) in caution(FEW - 1)
     assert difference(enough, enough)["caution"] is None
+
+
+def test_gains_of_every_class_are_differences_of_its_iou():
+    r = np.random.default_rng(8)
+    reference = r.integers(1, 60, (30, 3, 1))
+    reference[:, 2] = 0  # does not occur
+    first, second = (np.stack([r.multinomial(k, [0.6, 0.3, 0.1]) for k in reference.ravel()]) for _ in range(2))
+    first, second = first.reshape(30, 3, 3), second.reshape(30, 3, 3)
+    gains = class_gains(first, second)
+    ious = [figures(m.sum(axis=0), list("abc"))["iou"] for m in (first, second)]
+    assert gains[2] is None
+    for k in range(2):
+        assert gains[k]["value"] == pytest.approx(ious[1][k] - ious[0][k])
+        assert gains[k]["low"] < gains[k]["value"] < gains[k]["high"]
+    same = class_gains(first, first)
+    assert [same[k] for k in range(2)] == [{"value": 0.0, "low": 0.0, "high": 0.0}] * 2
+    assert class_gains(first[: LEAST - 1], second[: LEAST - 1])[0]["low"] is None

@@ -20,7 +20,7 @@ from fwclass import conf
 from fwclass.classify.machines import double_decisions, votes_and_shares
 from fwclass.classify.shares import answer
 from fwclass.classify.support_blocks import support_blocks
-from fwclass.graph.machine_search import spatial
+from fwclass.graph.machine_search import folds_of_squares
 from fwclass.model import FORMAT, ClassDef, KernelMachine
 from fwclass.train.baselines.fit import rbf_svm
 from fwclass.train.baselines.stage import train_other
@@ -130,7 +130,7 @@ def of_search(rows: int = 16_000, features: int = 6, folds: int = 5) -> str:
         svm = config.compare.rbf_svm.model_copy(update={"folds": folds, "trim": trim})
         compare = config.compare.model_copy(update={"rbf_svm": svm})
         began = time.process_time()
-        model = train_other(sample, params, compare, classes, "rbf-svm", spatial(50.0, 5.0))
+        model = train_other(sample, params, compare, classes, "rbf-svm", folds_of_squares(50.0, 5.0))
         told.append(f"{time.process_time() - began:.1f} s ({trim}, {len(model.vectors)} support vectors)")
     tried = len(svm.c) * len(svm.gamma)
     return f"search of {tried} pairs in {folds} folds of {svm.search_rows} rows, and {svm.max_rows} rows: " + ", ".join(

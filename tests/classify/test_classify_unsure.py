@@ -177,3 +177,9 @@ def test_a_file_of_old_points_is_refused_alike(tmp_path):
 def test_a_code_that_is_a_class_is_refused(tmp_path):
     ended = fwclass("run", small_survey(tmp_path), "--out", tmp_path / "r", "--set", "classify.leave=5")
     assert ended.returncode == 2 and "code of a class" in ended.stderr and not (tmp_path / "r").exists()
+
+
+def test_confidences_of_a_kernel_machine_are_told_and_not_judged():
+    told = facts(300, given={"method": "rbf-svm"})
+    assert "no probabilities" in told["remarks"][0]
+    judge_unsure(told, PARAMS, "m")

@@ -1,5 +1,6 @@
 """The sample must not know how the survey was cut; what cannot train must say so."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -301,3 +302,15 @@ def test_tiles_are_merged_one_after_the_other():
 
     merged = merge(tiles(), params)
     same(merged, merge([candidates(features, reference, key, inside, params, CLASSES)], params))
+
+
+def test_a_class_of_one_place_is_told():
+    features, reference, key, inside = survey()
+    drawn = candidates(features, reference, key, inside, BASE, CLASSES)
+    r = np.random.default_rng(3)
+    place = r.integers(0, 90_000, (drawn.rows, 2))
+    place[drawn.y == 2] = r.integers([5_000, 7_000], [5_900, 7_900], ((drawn.y == 2).sum(), 2))
+    apart = replace(drawn, place=place)
+    notes = [n for n in review(apart, CLASSES) if "of each other" in n]
+    assert len(notes) == 1 and "'building'" in notes[0]
+    assert not [n for n in review(drawn, CLASSES) if "of each other" in n]

@@ -133,3 +133,17 @@ def test_rows_of_one_place_and_rows_all_alike_train_and_are_noted():
     assert sum("is 3 in every training row" in n for n in model.card["notes"]) == 3
     assert model.card["trimmed"] == {"a": 0, "b": 0, "c": 0}, "a twin of the same class is as near as any"
     assert len(set(answer(alike.X[:50], model)[0].tolist())) == 1
+
+
+def test_a_choice_at_the_edge_of_the_grid_is_told():
+    pairs = [(c, g) for c in (1.0, 10.0, 100.0) for g in (0.1, 1.0, 10.0)]
+    folding = by_pulses(sample(), 2)
+
+    def note(best):
+        counts = [[{"right": 90 + 9 * (pair == best), "judged": 100}] * 2 for pair in pairs]
+        return search_summary(900, folding, pairs, counts)["note"]
+
+    assert "C = 100 is the largest" in note((100.0, 1.0)) and "gamma" not in note((100.0, 1.0))
+    assert "gamma = 0.1 is the smallest" in note((10.0, 0.1)) and note((10.0, 1.0)) == folding.note
+    alone = search_summary(900, folding, [(5.0, 0.3)], [[{"right": 1, "judged": 2}] * 2])
+    assert alone["note"] == folding.note

@@ -31,6 +31,9 @@ def shi_view(facts: Mapping[str, Any]) -> dict[str, Any]:
         "facts": _facts(facts),
         "names": names,
         "rows": rows_table(facts["rows"]),
+        "remarks": (facts["whole"] or {}).get("remarks", ()),
+        "learned": _notes(facts),
+        "second": _second(facts),
         "refine": facts["refine"],
         "ground": facts["ground"],
         "heights": facts["heights"],
@@ -94,6 +97,7 @@ def _step(key: str, result: Mapping[str, Any], names: Sequence[str], facts: Mapp
         **ours(result),
         "features": len(result["features"]),
         "vectors": number(result["vectors"]),
+        "machine": "C {c:g}, γ {gamma:g}".format(**result["params"]),
         "classes": _classes(result, names),
         "gain": gain["overall_accuracy"] if gain else "",
         "gain_span": gain["overall_accuracy_span"] if gain else "",
@@ -110,12 +114,42 @@ def _layer(key: str, names: Sequence[str], facts: Mapping[str, Any]) -> dict[str
         **ours(result),
         "features": "–",
         "vectors": "–",
+        "machine": "",
         "classes": _classes(result, names),
         "gain": gain_texts["overall_accuracy"] if gain_texts else "",
         "gain_span": gain_texts["overall_accuracy_span"] if gain_texts else "",
         "train": "–",
         "test": "–",
     }
+
+
+def _points(gain: Mapping[str, float]) -> str:
+    """A difference of fractions in points, with its interval."""
+    value, low, high = (f"{100 * gain[k]:+.1f}".replace("-", "−") for k in ("value", "low", "high"))
+    return f"{value} [{low}, {high}]"
+
+
+def _notes(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What training remarked on, and in which steps."""
+    steps: dict[str, list[str]] = {}
+    for key, result in facts["steps"].items():
+        for note in result["notes"]:
+            if not note.startswith("class "):  # rows of a class: the table has them
+                steps.setdefault(note, []).append(TITLES[key])
+    notes = [(note, "; ".join(of)) for note, of in steps.items()]
+    layer = facts["second_layer"] or {}
+    return [*notes, *((note, "second layer") for note in layer.get("notes", ()) if not note.startswith("class "))]
+
+
+def _second(facts: Mapping[str, Any]) -> str:
+    """What the second layer learned from, and what it costs in the run."""
+    layer, seconds = facts["second_layer"], facts["seconds"]
+    learned = f"The second layer learned from {number(layer['samples'])} rows. " if layer else ""
+    first, second = seconds.get("coarse", 0.0), seconds.get("refine", 0.0) + seconds.get("classify", 0.0)
+    return (
+        f"{learned}In the run the answers of the first layer took {first:.1f} s of one worker, finding the boundary, "
+        f"its wide features and the answers there {second:.1f} s."
+    )
 
 
 def _boundary(facts: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -129,7 +163,9 @@ def _boundary(facts: Mapping[str, Any]) -> dict[str, Any] | None:
         k = first["classes"].index(name)
         printed = [facts["printed"]["boundary"][layer].get(name, "–") for layer in ("coarse", "fine")]
         values = [[share(one[key][k]) for one in (first, second)] for key in ("iou", "producers_accuracy")]
-        rows.append({"name": name, "iou": values[0], "producers": values[1], "paper": printed})
+        gain = (facts["layers"]["class_gains"] or {}).get(name)
+        span = "" if not gain or gain["low"] is None else _points(gain)
+        rows.append({"name": name, "iou": values[0], "producers": values[1], "paper": printed, "span": span})
     return {"echoes": number(total), "share": share(total / max(1, every)), "rows": rows}
 
 

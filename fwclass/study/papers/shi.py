@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.intervals import caution, difference, intervals
+from fwclass.assess.intervals import caution, class_gains, difference, intervals
 from fwclass.assess.stage import figures
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
@@ -35,6 +35,7 @@ from fwclass.train.sample import Sample
 HEIGHT = "height_above_ground"
 WITHOUT, FILTERED, HEIGHTS = "without_heights", "iptd", "iptd_heights"
 ALL, SVM, TRIMMED = "svm_all", "svm", "nn_svm"
+LAYER_STAGES = ("coarse", "refine", "classify")
 LAYERS = ("coarse", "fine", "coarse_boundary", "fine_boundary")
 
 _COLUMNS = {
@@ -188,7 +189,11 @@ def layers_of(receipts: Receipts, names: Sequence[str], tiles: Sequence[str]) ->
     gains = {}
     for name, first, second in (("all", "coarse", "fine"), ("boundary", "coarse_boundary", "fine_boundary")):
         gains[name] = _gain(blocks[first], blocks[second]) if blocks[first].any() else None
-    return {**layers, "gains": gains, "blocks": len(squares)}
+    of_class = None
+    if blocks["coarse_boundary"].any():
+        gained = class_gains(blocks["coarse_boundary"], blocks["fine_boundary"])
+        of_class = dict(zip(names, gained, strict=True))
+    return {**layers, "gains": gains, "class_gains": of_class, "blocks": len(squares)}
 
 
 def _gain(first: NDArray[np.int64], second: NDArray[np.int64]) -> dict[str, Any] | None:
@@ -224,6 +229,8 @@ def facts(
         "layers": layers_of(receipts, classes, [t.key for t in layout.tiles]),
         "fscores": sorted(scores.items(), key=lambda one: -one[1]),
         "times": times(receipts, variants),
+        "second_layer": (report["training"] or {}).get("second_layer"),
+        "seconds": {s["name"]: s["seconds"] for s in report["stages"] if s["name"] in LAYER_STAGES},
     }
     return {**gathered, "claims": judge_claims(printed["claims"], CLAIMS, gathered)}
 

@@ -40,7 +40,11 @@ def _ground_filter(facts: Facts) -> Verdict:
         return "–", OPEN, "no test echo is ground"
     of_class = [percent(v) for v in of_class]
     text = f"IoU {percent(iou[0])} to {percent(iou[1])}, producer's accuracy {of_class[0]} to {of_class[1]}"
-    return text, verdict(iou[1] > iou[0]), f"overall {spanned(difference)}; both without heights"
+    gain = difference["iou"][k]
+    why = f"{spanned({'iou': gain}, 'iou')}, overall {spanned(difference)}; both without heights"
+    if gain["low"] is None:
+        return text, OPEN, f"too few blocks for an interval: {why}"
+    return text, of_gain(gain, 0.0), why
 
 
 def _heights(facts: Facts) -> Verdict:
@@ -71,6 +75,12 @@ def _trimming_time(facts: Facts) -> Verdict:
     return text, verdict(after["train"] + after["test"] < before["train"] + before["test"]), why
 
 
+def printed_gain(facts: Facts, name: str) -> float:
+    """What the paper's second layer brought a class, of its own figures."""
+    first, second = (facts["printed"]["boundary"][layer].get(name, 0.0) for layer in ("coarse", "fine"))
+    return (second - first) / 100.0
+
+
 def _boundary(name: str) -> Callable[[Facts], Verdict]:
     def claim(facts: Facts) -> Verdict:
         first, second = facts["layers"]["coarse_boundary"], facts["layers"]["fine_boundary"]
@@ -81,8 +91,12 @@ def _boundary(name: str) -> Callable[[Facts], Verdict]:
         of_class = [one["producers_accuracy"][k] for one in (first, second)]
         if any(v is None for v in (*iou, *of_class)):
             return "–", OPEN, f"no test echo at a boundary is {name}"
+        gain = (facts["layers"]["class_gains"] or {})[name]
         text = f"IoU {percent(iou[0])} to {percent(iou[1])}"
-        return text, verdict(iou[1] > iou[0]), f"producer's accuracy {percent(of_class[0])} to {percent(of_class[1])}"
+        why = f"{spanned({'iou': gain}, 'iou')}; producer's accuracy {percent(of_class[0])} to {percent(of_class[1])}"
+        if gain["low"] is None:
+            return text, OPEN, f"too few blocks for an interval: {why}"
+        return text, of_gain(gain, printed_gain(facts, name)), why
 
     return claim
 
@@ -92,11 +106,7 @@ def _overall(facts: Facts) -> Verdict:
     if one is None:
         return "–", OPEN, "nothing was tested"
     text = f"{percent(one['overall_accuracy'])}, {one['kappa']:.3f}"
-    return (
-        text,
-        verdict(one["overall_accuracy"] >= paper / 100),
-        "on test areas apart from the training areas; other data",
-    )
+    return (text, verdict(one["overall_accuracy"] >= paper / 100), "on the test areas; other data")
 
 
 def _pv(facts: Facts) -> Verdict:

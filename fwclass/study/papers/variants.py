@@ -22,7 +22,7 @@ from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
 from fwclass.train.params import TrainParams
 from fwclass.train.stage import TRAIN_IMPORTANCE, TRAIN_TREES
 
-VERSION = 1
+VERSION = 2
 
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.intervals import FIGURES, difference, intervals, scores
+from fwclass.assess.intervals import FIGURES, class_gains, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import rows_to_test
@@ -217,8 +217,8 @@ def spans(change: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
 
 
 def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
-    """How much better `name` is than `other`: ``{"blocks", figure: {"value", "low", "high"}}``, fractions; low and high
-    are None where there are too few blocks for an interval."""
+    """How much better `name` is than `other`: ``{"blocks", figure: {"value", "low", "high"}}``, fractions; ``iou``, a
+    list of the same by class; low and high are None where there are too few blocks for an interval."""
     test = _test_echoes(inputs)
     both = [
         by_block(test, inputs.arrays("paper-judged", one, ANSWERS)[0]["found"].astype(np.int64), known, edge)
@@ -228,8 +228,8 @@ def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, 
     if change is None:
         gain = np.diff([scores(b.sum(axis=0)[None])[0] for b in both], axis=0)[0]
         change_alone = {f: {"value": float(v), "low": None, "high": None} for f, v in zip(FIGURES, gain, strict=True)}
-        return {"blocks": len(both[0]), **change_alone}
-    return {"blocks": change["blocks"], **spans(change)}
+        return {"blocks": len(both[0]), **change_alone, "iou": class_gains(*both)}
+    return {"blocks": change["blocks"], **spans(change), "iou": class_gains(*both)}
 
 
 def time_variant(

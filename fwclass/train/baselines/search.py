@@ -91,8 +91,24 @@ def search_summary(
         "tried": tried,
         "c": c,
         "gamma": gamma,
-        "note": folding.note,
+        "note": "; ".join(filter(None, (folding.note, _at_the_edge(pairs, c, gamma)))),
     }
+
+
+def _at_the_edge(pairs: Sequence[tuple[float, float]], c: float, gamma: float) -> str:
+    """What to tell of a choice beyond which nothing was tried; "" of one inside."""
+    told = []
+    for name, setting, value, tried in (
+        ("C", "c", c, sorted({a for a, _ in pairs})),
+        ("gamma", "gamma", gamma, sorted({b for _, b in pairs})),
+    ):
+        if len(tried) > 1 and value in (tried[0], tried[-1]):
+            end, further = ("smallest", "smaller") if value == tried[0] else ("largest", "larger")
+            told.append(
+                f"{name} = {value:g} is the {end} that was tried, a {further} one may do better "
+                f"(compare.rbf_svm.{setting})"
+            )
+    return "; ".join(told)
 
 
 def search(sample: Sample, folding: Folding, svm: RbfSvmParams, scaling: str, weights: Any) -> dict[str, Any]:
