@@ -51,13 +51,10 @@ def run(words: list[str], directory: Path, root: Path) -> None:
 def digests(directory: Path) -> dict[str, str]:
     """Digest of every delivered file below `directory`, and the key of every receipt."""
     out: dict[str, str] = {}
-    for path in sorted(directory.rglob("*")):
+    walk = os.walk(directory, followlinks=True)  # `laz`, `parquet`, `rasters` and `model` are links
+    for path in sorted(Path(below) / name for below, _, names in walk for name in names):
         name = path.relative_to(directory).as_posix()
-        if (
-            not path.is_file()
-            or path.name in CHANGING
-            or name.startswith(("generations/", "survey/", "logs/", "history"))
-        ):
+        if path.name in CHANGING or name.startswith(("current/", "generations/", "survey/", "logs/", "history")):
             continue
         if name.startswith("store/"):
             if path.name == "receipt.json":
