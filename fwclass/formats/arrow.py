@@ -16,6 +16,21 @@ else:
     pa = LazyModule("pyarrow")
 
 
+JUDGED, NEAR = 4096, 65_536
+"""Of so many values, spread over the first so many, it is told whether a column repeats itself."""
+
+REPEATING = 0.5
+"""Different values among those judged, as a share, up to which a dictionary is shorter than byte planes: of 64 features
+of `p1` it is within 1.2 % of the shorter one for each."""
+
+
+def repeats(values: NDArray) -> bool:
+    """Whether the values (n,) are so few different ones that Parquet keeps them best in a dictionary; of fewer than
+    `JUDGED` its page costs what it saves."""
+    judged = values[: NEAR : max(min(len(values), NEAR) // JUDGED, 1)]
+    return len(judged) >= JUDGED and len(arrow_array(judged).unique()) <= REPEATING * len(judged)
+
+
 def arrow_array(values: NDArray) -> pa.Array:
     """An Arrow array (n,) of numbers or truth values (n,), without missing values; numbers are not copied."""
     kind = pa.from_numpy_dtype(values.dtype)

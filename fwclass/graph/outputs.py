@@ -219,7 +219,7 @@ def class_names(plan: Plan) -> dict[str, str]:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    9,
+    10,
     "tile",
     "echo",
     deliver_tile,

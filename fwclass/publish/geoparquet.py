@@ -14,7 +14,7 @@ import pyproj
 from numpy.typing import NDArray
 
 from fwclass.cost import counted
-from fwclass.formats.arrow import arrow_array
+from fwclass.formats.arrow import arrow_array, repeats
 from fwclass.lazy_module import LazyModule
 from fwclass.publish.files import whole
 from fwclass.publish.palette import colours, css
@@ -245,16 +245,19 @@ def _geo(
 
 
 def _options(table: Table, params: PublishParams) -> dict[str, Any]:
-    """Zstandard; measurements by byte planes, which compress twice as well, whole numbers by their differences, codes
-    and heights by dictionary; places as they are: of decimals the bytes repeat, and planes of them do not."""
-    planes = {name: "BYTE_STREAM_SPLIT" for name in table if table[name].dtype.kind == "f" and name not in _PLACES}
+    """Zstandard; measurements by byte planes, which compress twice as well, whole numbers by their differences, codes,
+    heights and measurements that repeat by dictionary; places as they are: of decimals the bytes repeat, and planes of
+    them do not."""
+    measured = [name for name in table if table[name].dtype.kind == "f" and name not in _PLACES]
+    repeating = [name for name in measured if repeats(table[name])]
+    planes = {name: "BYTE_STREAM_SPLIT" for name in measured if name not in repeating}
     planes |= {f"bbox.{side}": "BYTE_STREAM_SPLIT" for side in SIDES}
     whole = [name for name in table if table[name].dtype.kind in "iu"]
     codes = [name for name in whole if table[name].dtype.itemsize <= 2]
     return {
         "compression": "zstd",
         "compression_level": params.zstd_level,
-        "use_dictionary": [*codes, "z"],
+        "use_dictionary": [*codes, *repeating, "z"],
         "column_encoding": planes | {name: "DELTA_BINARY_PACKED" for name in whole if name not in codes},
         "write_statistics": [*table, *(f"bbox.{side}" for side in SIDES)],
     }

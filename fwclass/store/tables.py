@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fwclass.cost import counted
 from fwclass.errors import StoreError
-from fwclass.formats.arrow import arrow_array, numpy_values
+from fwclass.formats.arrow import arrow_array, numpy_values, repeats
 from fwclass.grid import Box
 from fwclass.lazy_module import LazyModule
 from fwclass.schema import Table, column
@@ -66,10 +66,12 @@ def _whole_millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64] | None:
     return whole if np.array_equal(back.view(np.int64), metres.view(np.int64)) else None
 
 
-def _encoding(arrow: pa.Table) -> Mapping[str, Any]:
-    """How columns are written: fractions by byte planes, whole numbers by their differences, codes by dictionary."""
+def _encoding(arrow: pa.Table, repeating: Iterable[str] = ()) -> Mapping[str, Any]:
+    """How columns are written: fractions by byte planes, whole numbers by their differences, codes by dictionary,
+    as fractions that are `repeating`."""
     kinds = {f.name: f.type for f in arrow.schema}
-    encoding = {n: "BYTE_STREAM_SPLIT" for n, kind in kinds.items() if pa.types.is_floating(kind)}
+    fractions = {n for n, kind in kinds.items() if pa.types.is_floating(kind)}
+    encoding = {n: "BYTE_STREAM_SPLIT" for n in kinds if n in fractions.difference(repeating)}
     wide = (n for n, kind in kinds.items() if pa.types.is_integer(kind) and kind.bit_width >= 32)
     encoding |= dict.fromkeys(wide, "DELTA_BINARY_PACKED")
     return {
@@ -85,7 +87,8 @@ def _encoding(arrow: pa.Table) -> Mapping[str, Any]:
 def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
     """Write `table` to `path` (which the caller stages)."""
     arrow = to_arrow(table)
-    pq.write_table(arrow, path, row_group_size=row_group, **_encoding(arrow))
+    repeating = [name for name, values in table.items() if values.dtype.kind == "f" and repeats(values)]
+    pq.write_table(arrow, path, row_group_size=row_group, **_encoding(arrow, repeating))
 
 
 @dataclass(frozen=True)

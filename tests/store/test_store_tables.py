@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from fwclass.errors import InputError, StoreError
@@ -243,3 +244,22 @@ def test_footers_that_are_kept_are_bounded(tmp_path, monkeypatch):
         write_groups(tmp_path / name, table(1000), range(0, 1001, 5))
         read_table(tmp_path / name, None, [0])
     assert list(tables._footers) == [str(tmp_path / "c")]
+
+
+def test_fractions_that_repeat_are_kept_by_dictionary_bit_by_bit(tmp_path):
+    n, r = 20_000, np.random.default_rng(5)
+    few = r.integers(0, 300, n).astype(np.float32) / np.float32(7.0)
+    few[r.integers(0, n, 90)] = -0.0
+    few.view(np.uint32)[r.integers(0, n, 40)] = 0x7FC0_1234  # no number, as another program writes it
+    few[r.integers(0, n, 40)] = np.nan
+    rest = {"zc": r.random(n).astype(np.float32), "echo_ratio_r100": np.full(n, 0.5, np.float32)}
+    columns = {"amplitude": few, **rest}
+    write_table(tmp_path / "t", Table(columns), row_group=8192)
+    write_table(tmp_path / "small", Table({"amplitude": few[:1000]}))
+    back, about = read_table(tmp_path / "t"), pq.ParquetFile(tmp_path / "t").metadata
+    for name, values in columns.items():
+        np.testing.assert_array_equal(back[name].view(np.uint32), values.view(np.uint32))
+    assert about.row_group(1).column(0).has_dictionary_page and about.row_group(1).column(2).has_dictionary_page
+    assert not about.row_group(1).column(1).has_dictionary_page
+    assert not pq.ParquetFile(tmp_path / "small").metadata.row_group(0).column(0).has_dictionary_page
+    assert about.row_group(0).column(0).total_compressed_size < 0.6 * about.row_group(0).column(1).total_compressed_size
