@@ -28,12 +28,12 @@ OF_FIELDS = ("intensity", "gps_time")
 
 def draw_overview(here: StageInputs, most: int) -> Result:
     """Of the echoes of one square the `most` whose hash is lowest, in canonical order."""
-    return _lowest(_tiles_within(here, most), most, here.columns)
+    return _lowest(_tiles_within(here, here.tile.box, most), most, here.columns)
 
 
-def _tiles_within(here: StageInputs, most: int) -> Iterator[Table]:
-    """Tile by tile the echoes in the square that may still be among the `most` lowest."""
-    box, bound = here.tile.box, np.iinfo(np.uint64).max
+def _tiles_within(here: StageInputs, box: Box | None, most: int) -> Iterator[Table]:
+    """Tile by tile the echoes in `box` (None: all) that may still be among the `most` lowest."""
+    bound = np.iinfo(np.uint64).max
     who = dict.fromkeys(IDENTITY, "tile")
     seen = np.zeros(0, np.uint64)
     for tile in here.present:
@@ -75,13 +75,11 @@ def deliver_overview(
     standard_time: bool,
     calibrated: bool,
     names: Mapping[str, str],
-    columns: Names,
 ) -> Result:
     """A fair sample of all echoes, or of those of one square, as COPC; drawn by the hash that the tiles' levels are
-    drawn by."""
-    squares = here.parts(DRAW_OVERVIEW.name)
-    tables = (here.inputs.table(DRAW_OVERVIEW.name, key, columns) for key in squares)
-    table = _lowest(tables, most, columns)
+    drawn by. Drawn square by square, or of the tiles of the only square."""
+    drawn = (here.inputs.table(DRAW_OVERVIEW.name, key, here.columns) for key in here.parts(DRAW_OVERVIEW.name))
+    table = _lowest(_tiles_within(here, None, most) if here.present else drawn, most, here.columns)
     if not table.rows:
         return {"rows": 0}
     path = here.directory / (OVERVIEW if here.part == WHOLE else square_path(here.part))
@@ -114,6 +112,12 @@ def squares(layout: Layout) -> tuple[Tile, ...]:
     return tuple(sorted({s for t in layout.tiles for s in grid.touching(t.box)}))
 
 
+def _drawn_squares(plan: Plan) -> tuple[Tile, ...]:
+    """Squares that are drawn by themselves: none where there is one."""
+    every = squares(plan.layout)
+    return every if len(every) > 1 else ()
+
+
 def overview_parts(plan: Plan) -> Names:
     """The whole survey; its squares too, where they are several and it has more echoes than one overview."""
     layout = plan.layout
@@ -140,7 +144,7 @@ DRAW_OVERVIEW = Stage(
     "block",
     "echo",
     draw_overview,
-    parts=lambda plan: squares(plan.layout),
+    parts=_drawn_squares,
     edge=lambda plan: plan.config.publish.overview_square,
     arguments=lambda plan: {"most": plan.config.publish.overview_echoes},
     reads=cloud_columns,
@@ -149,7 +153,7 @@ DRAW_OVERVIEW = Stage(
 )
 DELIVER_OVERVIEW = Stage(
     "publish-overview",
-    2,
+    3,
     "survey",
     "echo",
     deliver_overview,
@@ -159,10 +163,11 @@ DELIVER_OVERVIEW = Stage(
         "params": plan.config.publish,
         "most": plan.config.publish.overview_echoes,
         "calibrated": plan.config.radiometry.calibrates,
-        "columns": cloud_columns(plan),
     },
     silent=NO_BYTE,
+    reads=cloud_columns,
+    tiles=lambda plan: () if _drawn_squares(plan) else plan.layout.tiles,
     after=(DRAW_OVERVIEW.name,),
-    needs=lambda plan, part: [(DRAW_OVERVIEW.name, s.key) for s in squares(plan.layout) if part in (WHOLE, s.key)],
+    needs=lambda plan, part: [(DRAW_OVERVIEW.name, s.key) for s in _drawn_squares(plan) if part in (WHOLE, s.key)],
     where="deliver",
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import laspy
@@ -86,6 +87,16 @@ def test_a_survey_that_one_overview_holds_has_one(finished: tuple[Path, object])
     assert not (root / "laz" / "overviews").exists()
     echoes = echoes_of(root)
     assert identities(root / "laz" / "overview.copc.laz") == who(*(echoes[n] for n in IDENTITY))
+
+
+def test_the_only_square_is_drawn_of_its_tiles(finished: tuple[Path, object], survey: Path, tmp_path: Path) -> None:
+    root = tmp_path / "run"
+    shutil.copytree(finished[0], root, symlinks=True)
+    road, _ = walk(survey, root, "publish.overview_echoes=3000")
+    assert not road.failures and not (root / "store" / "overview").exists()
+    echoes = echoes_of(root)
+    lowest = np.argsort(echo_hashes(Table({n: echoes[n] for n in IDENTITY})))[:3000]
+    assert identities(root / "laz" / "overview.copc.laz") == who(*(echoes[n][lowest] for n in IDENTITY))
 
 
 def test_other_overviews_leave_the_tiles_alone(several: Path, survey: Path) -> None:

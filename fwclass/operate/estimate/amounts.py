@@ -15,6 +15,7 @@ from fwclass.graph.areas import training_tiles
 from fwclass.graph.corrections import READ_CORRECTIONS
 from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.learn import TREES_PER_PART
+from fwclass.graph.overview import DRAW_OVERVIEW
 from fwclass.graph.radiometry import READ_TRAJECTORY
 from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.sites import in_sites
@@ -217,6 +218,8 @@ class _Quantities:
             blocks = sum(math.ceil(b.area / edge**2) for b in boxes)
             return Amount(blocks, cells, min(cells, (edge / cell) ** 2), 0.0)
         spread = spread_of(self.counts.pieces(self.facts), edge)
+        if stage is DRAW_OVERVIEW and spread.within(stage.margin) == 1:
+            return None
         longest = float(spread.counts.max()) * self.crowd
         held = float(spread.grown(stage.reach(plan)).max()) * self.crowd
         return Amount(spread.within(stage.margin), float(spread.counts.sum()), longest, held)
