@@ -122,6 +122,10 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     )
     told = fwclass("run", tmp_path / "one.yaml", "--out", tmp_path / "r")
     assert told.returncode == 2 and "given twice" in told.stderr and "no training area" in told.stderr
+    wrong = ("areas.test=[[5, 5, 1, 1]]", "quality.cell=3")
+    told = fwclass("run", tmp_path / "one.yaml", *(w for one in wrong for w in ("--set", one)), "--out", tmp_path / "r")
+    for words in ("given twice", "no training area", "do not divide a block", "xmin"):
+        assert words in told.stderr, told.stderr
 
 
 def copying(config, source, directory):

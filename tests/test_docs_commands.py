@@ -13,7 +13,7 @@ import yaml
 from pydantic import BaseModel
 
 from fwclass.cli import cli
-from fwclass.conf.model import AreaFilesSection, AreasSection, ClassSection, ReferenceSection, SurveySection
+from fwclass.conf.sections import AreaFilesSection, AreasSection, ClassSection, ReferenceSection, SurveySection
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

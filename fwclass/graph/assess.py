@@ -24,7 +24,7 @@ from fwclass.assess.stage import (
 from fwclass.classes import counts_of
 from fwclass.classify.kept import Kept
 from fwclass.classify.unsure import PERCENT, percent_of
-from fwclass.conf.model import AreasSection
+from fwclass.conf.sections import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
 from fwclass.graph.kept import deciding_column, kept_argument

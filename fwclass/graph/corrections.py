@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.conf.model import AreasSection
+from fwclass.conf.sections import AreasSection
 from fwclass.formats.echo_labels import FIELD, EchoLabels, read_echo_labels
 from fwclass.graph.areas import rows_to_test
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs

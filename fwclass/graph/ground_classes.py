@@ -10,7 +10,7 @@ from fwclass.classes import STANDARD
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
-from fwclass.conf.model import ClassSection, ReferenceSection
+from fwclass.conf.sections import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
 from fwclass.graph.kept import kept_argument
 from fwclass.graph.stage import Result, Stage, StageInputs

@@ -13,7 +13,7 @@ from fwclass.classify.params import RefineParams
 from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refine_boundary
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.classify.unsure import Left
-from fwclass.conf.model import AreasSection
+from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.conf.model import AreasSection
+from fwclass.conf.sections import AreasSection
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test, training_tiles
 from fwclass.graph.base_model import base_has_context, classes_of_base

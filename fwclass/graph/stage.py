@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.columns import declare
 from fwclass.conf import Config
-from fwclass.conf.model import Section
+from fwclass.conf.sections import Section
 from fwclass.errors import FwclassError
 from fwclass.grid import Box, Tile
 from fwclass.run.inputs import TABLE, PartInputs

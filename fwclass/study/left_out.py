@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.conf.model import AreaFilesSection
+from fwclass.conf.sections import AreaFilesSection
 from fwclass.errors import ConfigError, InputError
 from fwclass.run.runner import Runner
 from fwclass.study.training import training

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.conf import Config
-from fwclass.conf.model import AreaFilesSection
+from fwclass.conf.sections import AreaFilesSection
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
 from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs

@@ -8,7 +8,7 @@ from typing import Any
 
 from fwclass.classes import counterparts, one_to_one
 from fwclass.conf import Config
-from fwclass.conf.model import ClassSection
+from fwclass.conf.sections import ClassSection
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
 from fwclass.graph.base_model import base_remarks
