@@ -11,7 +11,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.decompose.params import StackParams
-from fwclass.decompose.stacking import Surface
+from fwclass.decompose.stack_candidates import Surface
 from fwclass.grid import Window
 
 Floats = NDArray[np.float64]

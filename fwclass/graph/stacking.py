@@ -10,18 +10,8 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.params import DecomposeParams, StackParams
 from fwclass.decompose.plane_surface import planar, plane_surface
-from fwclass.decompose.stacking import (
-    GROUND,
-    ROOF,
-    STACK,
-    STACK_COLUMNS,
-    WATER,
-    Candidates,
-    Surface,
-    candidates,
-    roughness_of,
-    stack,
-)
+from fwclass.decompose.stack_candidates import Candidates, Surface, candidates
+from fwclass.decompose.stacking import GROUND, ROOF, STACK, STACK_COLUMNS, WATER, roughness_of, stack
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.rasters import Mosaic, write_rasters

@@ -38,7 +38,8 @@ from fwclass.decompose.plane_surface import planar, plane_surface  # noqa: E402
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse, join_samples  # noqa: E402
 from fwclass.decompose.quiet import with_correlated_noise  # noqa: E402
 from fwclass.decompose.signal_noise import with_signal_noise  # noqa: E402
-from fwclass.decompose.stacking import ROOF, WATER, Surface, candidates, stack  # noqa: E402
+from fwclass.decompose.stack_candidates import Surface, candidates  # noqa: E402
+from fwclass.decompose.stacking import ROOF, WATER, stack  # noqa: E402
 from fwclass.decompose.stage import decompose  # noqa: E402
 from fwclass.decompose.system_pulse import SystemPulse  # noqa: E402
 from fwclass.errors import FwclassError  # noqa: E402

@@ -8,7 +8,8 @@ from woodmaker import OPEN, pond, under_tree
 from fwclass import conf
 from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.plane_surface import planar, plane_surface
-from fwclass.decompose.stacking import ROOF, WATER, Surface, candidates, stack
+from fwclass.decompose.stack_candidates import Surface, candidates
+from fwclass.decompose.stacking import ROOF, WATER, stack
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import Box, Window
 

@@ -7,7 +7,8 @@ from woodmaker import SIDE, flown
 
 from fwclass import conf
 from fwclass.decompose.placement import AS_STORED
-from fwclass.decompose.stacking import STACKED, Candidates, Surface, candidates, roughness_of, stack, threshold_of
+from fwclass.decompose.stack_candidates import Candidates, Surface, candidates
+from fwclass.decompose.stacking import STACKED, roughness_of, stack, threshold_of
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import Box, Window
 from fwclass.waveforms import Waveforms

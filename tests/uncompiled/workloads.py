@@ -37,7 +37,8 @@ from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.shapes import lookup
-from fwclass.decompose.stacking import Surface, candidates, stack
+from fwclass.decompose.stack_candidates import Surface, candidates
+from fwclass.decompose.stacking import stack
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.features.stage import features
