@@ -132,6 +132,11 @@ class TileGrid:
     def __post_init__(self) -> None:
         whole_millimetres(self.size, "tile size")
 
+    def halfway(self) -> TileGrid:
+        """The same squares, each in the middle of four of these, to the millimetre [m]."""
+        half = (whole_millimetres(self.size, "tile size") // 2) / 1000.0
+        return TileGrid(self.size, (self.origin[0] + half, self.origin[1] + half))
+
     def indices(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Column and row, int64 (points,) each, of the tile that owns every point (x, y) [m]."""
         mm = whole_millimetres(self.size, "tile size")

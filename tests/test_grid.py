@@ -108,3 +108,13 @@ def test_boxes_move_and_meet():
     assert box.moved(2.0, -1.0) == Box(2.0, -1.0, 12.0, 4.0)
     assert box.common(Box(5.0, 4.0, 20.0, 20.0)) == Box(5.0, 4.0, 10.0, 5.0)
     assert box.common(Box(10.0, 0.0, 11.0, 5.0)) is None
+
+
+@pytest.mark.parametrize("size", [0.003, 1.0, 12.345, 250.0])
+def test_corners_of_tiles_lie_in_the_middle_of_those_halfway(size):
+    grid = TileGrid(size, (0.2, -7.0))
+    x, y = 0.2 + 3 * size, -7.0 - 5 * size
+    columns, rows = grid.halfway().indices(np.array([x]), np.array([y]))
+    box = grid.halfway().tile(f"{columns[0]}_{rows[0]}").box
+    for edge, point in zip(box.bounds, (x, y, x, y), strict=True):
+        assert abs(abs(edge - point) - size / 2) < 0.00101

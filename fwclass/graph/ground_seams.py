@@ -44,8 +44,7 @@ def windows(tiles: Iterable[Tile], block: float, seed: int) -> list[Tile]:
     Their order hangs on them and the seed alone. Every border of blocks lies inside one, and none needs more memory
     than the blocks did.
     """
-    half = round(500.0 * block) / 1000.0
-    grid = TileGrid(block, (half, half))
+    grid = TileGrid(block).halfway()
     some = sorted({window for tile in tiles for window in grid.touching(tile.box)})
     return [some[k] for k in draw_order(some, seed)]
 

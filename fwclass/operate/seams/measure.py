@@ -14,7 +14,7 @@ from fwclass.errors import StoreError
 from fwclass.graph.ground import surroundings
 from fwclass.graph.rasters import RASTERS
 from fwclass.graph.stage import Plan, Stage
-from fwclass.grid import Tile
+from fwclass.grid import Tile, TileGrid
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
 from fwclass.operate.seams.places import ShiftedSquare, places
@@ -154,8 +154,7 @@ def shifted_blocks(stage: Stage, plan: Plan) -> list[ShiftedSquare]:
     """Blocks moved by half their size that hold a border between two of the stage's blocks."""
     blocks = stage.all_parts(plan)
     size, width = blocks[0].size, plan.config.seams.width
-    half = round(500.0 * size) / 1000.0
-    return places((b.key for b in plan.layout.blocks(size)), size, (half, half), width)
+    return places((b.key for b in plan.layout.blocks(size)), size, TileGrid(size).halfway().origin, width)
 
 
 def compare_moved_blocks(

@@ -34,8 +34,7 @@ class ShiftedSquare:
 def shift_of(text: str | None, size: float) -> tuple[float, float]:
     """``dx,dy`` [m] as typed; None: half a tile either way. `ConfigError` for what leaves the grid where it is."""
     if text is None:
-        half = (whole_millimetres(size, "tile.size") // 2) / 1000.0
-        return half, half
+        return TileGrid(size).halfway().origin
     try:
         dx, dy = (round(float(word), 3) for word in text.split(","))
         moved = [round(1000 * v) % whole_millimetres(size, "tile.size") for v in (dx, dy)]
