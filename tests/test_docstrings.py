@@ -16,8 +16,9 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "fwclass"
 
 ROOMS = (
-    *("assess", "classify", "decompose", "features", "grid", "ground", "label", "model", "neighbours"),
-    *("radiometry", "select", "simulate", "thin", "tile", "train", "waveforms"),
+    *("assess", "classify", "contours", "decompose", "features", "grid", "ground", "label", "model", "neighbours"),
+    *("quality", "radiometry", "select", "simulate", "thin", "tile", "train", "vectors", "voxels", "water"),
+    "waveforms",
 )
 QUANTITY = re.compile(r"NDArray|ArrayLike|\bfloat\b")
 STATES = re.compile(

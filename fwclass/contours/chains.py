@@ -24,7 +24,8 @@ class Chains(NamedTuple):
 
 
 def chains(after: NDArray[np.int64]) -> Chains:
-    """Chains of things of which each has at most one `after` it (-1 for none) and is after at most one."""
+    """Chains of things of which each has at most one `after` it, int64 (things,), -1 for none, and is after at most
+    one."""
     n, here = len(after), np.arange(len(after))
     rounds = max(1, n).bit_length()
     lowest, jump = here.copy(), np.where(after < 0, here, after)

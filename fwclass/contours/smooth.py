@@ -15,13 +15,13 @@ NO_HEIGHT = np.iinfo(np.int64).min
 
 
 def half_width(params: ContourParams, cell: float) -> int:
-    """Cells on each side that one pass takes: so many that all passes together have the standard deviation
-    `params.smooth`, as near as whole cells come."""
+    """Number of cells, of edge `cell` [m], on each side that one pass takes: so many that all passes together have the
+    standard deviation `params.smooth` [m], as near as whole cells come."""
     return round((np.sqrt(12.0 * (params.smooth / cell) ** 2 / PASSES + 1.0) - 1.0) / 2.0)
 
 
 def margin(params: ContourParams, cell: float) -> int:
-    """Cells around a window that its smoothed heights depend on."""
+    """Number of cells, of edge `cell` [m], around a window that its smoothed heights depend on."""
     return PASSES * half_width(params, cell)
 
 

@@ -68,7 +68,7 @@ def adjust(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Adju
     What all strips have in common (a lift, a tilt of the whole survey) no overlap sees, and it is taken as none: a free
     network adjustment, and of its solutions that of least tilts (by squares), then of least lifts, so that these have
     mean zero. Lines side by side of which one is lifted would else be tilted together. A tilt whose standard error is
-    above `max_tilt_error`, or that lies in what is not seen, is left out, and the rest is adjusted again.
+    above `max_tilt_error` [m], or that lies in what is not seen, is left out, and the rest is adjusted again.
     """
     n = len(strips)
     counts = np.bincount(np.concatenate([pairs.first, pairs.second]), minlength=n)

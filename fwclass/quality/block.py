@@ -37,7 +37,7 @@ class BlockQuality:
     pairs: PlanePairs
 
     def arrays(self) -> dict[str, NDArray]:
-        """Pieces and pairs by name, as a store keeps them."""
+        """Pieces, (pieces,) each, and pairs, (pairs,) each, by name as a store keeps them."""
         return {**vars(self.pieces), **{f"pair_{name}": values for name, values in vars(self.pairs).items()}}
 
     def between(self) -> tuple[int, int]:
@@ -49,12 +49,12 @@ class BlockQuality:
 
 
 def pieces_from(arrays: Mapping[str, NDArray]) -> Pieces:
-    """The pieces of `BlockQuality.arrays`."""
+    """The pieces of `BlockQuality.arrays`, (pieces,) each."""
     return Pieces(**{name: arrays[name] for name in Pieces.__dataclass_fields__})
 
 
 def pairs_from(arrays: Mapping[str, NDArray]) -> PlanePairs:
-    """The pairs of `BlockQuality.arrays`."""
+    """The pairs of `BlockQuality.arrays`, (pairs,) each."""
     return PlanePairs(**{name: arrays[f"pair_{name}"] for name in PlanePairs.__dataclass_fields__})
 
 

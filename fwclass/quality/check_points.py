@@ -147,7 +147,7 @@ def _figures(dz: Floats) -> dict[str, Any]:
 
 
 def check_remarks(facts: Mapping[str, Any], reach: float) -> list[str]:
-    """What a reader has to know of ``check_points``, as `deliver` writes them."""
+    """What a reader has to know of ``check_points``, as `deliver` writes them; ground counts within `reach` [m]."""
     lines, figures, given = list[str](), facts["all"], facts["given"]
     compared = 0 if figures is None else figures["count"]
     if compared < given:

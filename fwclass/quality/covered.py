@@ -43,7 +43,7 @@ class CoveredArea:
 
     @classmethod
     def joined(cls, cell: float, rasters: Sequence[Sequence[Mapping[str, Any]]]) -> CoveredArea:
-        """The area of several rasters, by what `plain` gave of each."""
+        """The area of several rasters of cells of edge `cell` [m], by what `plain` gave of each."""
         area = cls(cell)
         for raster in rasters:
             for squares, counts in zip(area._squares, raster, strict=True):

@@ -35,7 +35,7 @@ class Density:
         self._by_pulses = np.zeros(1, np.int64)
 
     def add(self, stripe: Window, echoes: NDArray[np.uint32], pulses: NDArray[np.uint32]) -> None:
-        """Take in the next `stripe` of the raster: echoes and pulses of its cells."""
+        """Take in the next `stripe` of the raster: number of echoes and of pulses, (rows, columns), in its cells."""
         there = echoes > 0
         self._covered.add(stripe, there)
         self.echoes += int(echoes.sum(dtype=np.int64))

@@ -88,7 +88,7 @@ class Strip:
 
     @property
     def across(self) -> tuple[float, float]:
-        """Unit vector to the right of the flight."""
+        """Unit vector (east, north) to the right of the flight."""
         return self.along[1], -self.along[0]
 
     @property
@@ -118,7 +118,9 @@ def lines(file: NDArray[np.int64], span: NDArray[np.int64]) -> NDArray[np.int64]
 def strips_of(
     blocks: Sequence[Pieces], corners: Sequence[tuple[float, float]], number: Sequence[NDArray[np.int64]], gap: float
 ) -> list[Strip]:
-    """The strips, in order of the `number` that each block's pieces have."""
+    """The strips, in order of the `number`, int64 (pieces,), that each block's pieces have.
+
+    `corners`: (x, y) of every block [m]. `gap`: what a span of time lasts [s]."""
     strips = 1 + max((int(n.max()) for n in number if len(n)), default=-1)
     middle = np.mean(corners, axis=0) if len(corners) else np.zeros(2)
     first = np.full(strips, np.iinfo(np.int64).max)

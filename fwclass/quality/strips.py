@@ -68,7 +68,8 @@ class Comparison:
         self._sample: list[Pairs] = []
 
     def add(self, pairs: PlanePairs, number: NDArray[np.int64], corner: tuple[int, int]) -> None:
-        """Take in a block: `number` the strip of each of its pieces, `corner` column and row of its first cell."""
+        """Take in a block: `number` the strip of each of its pieces, int64 (pieces,), `corner` column and row of its
+        first cell."""
         first, second, good, apart = of_strips(pairs, number, self.params.max_step)
         self.apart += int(apart.sum())
         first, second, dz, weight = first[good], second[good], pairs.dz[good], pairs.weight[good]

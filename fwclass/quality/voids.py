@@ -34,7 +34,8 @@ class EmptyCells:
         self._facts: list[NDArray[np.int64]] = []
 
     def add(self, stripe: Window, empty: NDArray[np.bool_]) -> None:
-        """Take in the next `stripe` to the south, as wide as the window; row 0 of `empty` is its south."""
+        """Take in the next `stripe` to the south, as wide as the window; row 0 of `empty`, (rows, columns), is its
+        south."""
         labels, n = scipy.ndimage.label(empty)
         ids = np.where(labels > 0, labels.astype(np.int64) + (self._groups - 1), -1)
         if self._north is not None:

@@ -78,7 +78,7 @@ def count_cells(table: Table, window: Window, codes: Sequence[int], low: float) 
 
 
 def roofs(counts: Counts) -> NDArray[np.bool_]:
-    """Cells that buildings cover, each building apart from the next by a cell at least.
+    """Cells that buildings cover, bool (rows, columns), each building apart from the next by a cell at least.
 
     Gaps of a cell are closed where nothing lies on the ground, and what is narrower than three cells is taken away.
     What hangs together away from cells on the ground is one building; it grows back over what was taken away, `REGROWN`
@@ -109,8 +109,8 @@ def _touching(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
 
 
 def pieces(mask: NDArray[np.bool_], counts: Counts, window: Window) -> tuple[Table, Table]:
-    """The cells of `mask` as two tables, piece by piece: of those that lie inside `window`, and of those that reach its
-    edge and may go on beyond it.
+    """The cells of `mask`, bool (rows, columns), as two tables, piece by piece: of those that lie inside `window`, and
+    of those that reach its edge and may go on beyond it.
 
     Columns are `CELL_COLUMNS`; `component` numbers the pieces of both.
     """

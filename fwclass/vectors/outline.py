@@ -17,7 +17,8 @@ MOST_EDGES = 3000
 
 
 def mask_of(rows: NDArray[np.integer], cols: NDArray[np.integer]) -> tuple[Cells, int, int]:
-    """Cells by global row and column as a mask; row and column of its first cell, which is in the margin."""
+    """Cells by global row and column, (cells,) each, as a mask, bool (rows, columns); row and column of its first cell,
+    which is in the margin."""
     low_r, low_c = int(rows.min()) - 1, int(cols.min()) - 1
     mask = np.zeros((int(rows.max()) - low_r + 2, int(cols.max()) - low_c + 2), bool)
     mask[rows - low_r, cols - low_c] = True
@@ -69,20 +70,21 @@ def rings(mask: Cells) -> list[NDArray[np.int64]]:
 
 
 def corners(ring: NDArray) -> NDArray:
-    """The corners of a ring where it turns."""
+    """The corners, (corners, 2), of a `ring`, (points, 2), where it turns; cells' sides alone, which are exact."""
     ahead, behind = np.roll(ring, -1, axis=0) - ring, ring - np.roll(ring, 1, axis=0)
     return ring[ahead[:, 0] * behind[:, 1] != ahead[:, 1] * behind[:, 0]]
 
 
 def area(ring: NDArray) -> float:
-    """Signed area of a ring, positive where it runs counterclockwise, in its unit squared."""
+    """Signed area of a ring, (corners, 2), positive where it runs counterclockwise, in its unit squared."""
     x, y = (ring - ring[0]).T
     return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
 def simplify(ring: Ring, tolerance: float) -> NDArray[np.int64]:
-    """Rows of the corners that stay (Douglas and Peucker 1973): no corner lies further than `tolerance` from the ring
-    through them. It begins at the two corners that are furthest apart from the middle and from each other."""
+    """Indices of the corners of `ring`, (corners, 2), that stay (Douglas and Peucker 1973): none lies further than
+    `tolerance`, in the ring's unit, from the ring through them. It begins at the two corners that are furthest apart
+    from the middle and from each other."""
     begin = int(np.argmax(((ring - ring.mean(axis=0)) ** 2).sum(axis=1)))
     turned = np.roll(ring, -begin, axis=0)
     far = int(np.argmax(((turned - turned[0]) ** 2).sum(axis=1)))

@@ -17,7 +17,8 @@ _NEAR = 20.0
 
 
 def middles(ring: NDArray[np.int64]) -> Ring:
-    """The middles of the sides of cells along a ring: a slanting wall's steps lie half a cell about it at most."""
+    """The middles, (corners, 2) [cells], of the sides of cells along a `ring`, (corners, 2) [cells]: a slanting wall's
+    steps lie half a cell about it at most."""
     return np.asarray(0.5 * (ring + np.roll(ring, -1, axis=0)), np.float64)
 
 

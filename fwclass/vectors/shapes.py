@@ -61,6 +61,6 @@ class Shapes:
         return out
 
     def ordered(self, order: NDArray[np.integer]) -> Shapes:
-        """The objects in another order, or some of them."""
+        """The objects by their indices `order`, int (objects,): in another order, or some of them."""
         polygons = self.polygons()
         return Shapes.of(self.rows.take(order), [polygons[k] for k in order])

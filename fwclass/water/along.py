@@ -24,7 +24,9 @@ LONGEST = 4.0e7
 
 
 def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
-    """The points from which an edge leads to the next point of the same line; `ring_start`: points of every line."""
+    """Indices of the points from which an edge leads to the next point of the same line.
+
+    `ring_start`: int64 (lines + 1,), the first point of every line, and the number of all `points`."""
     last = np.zeros(points, bool)
     last[ring_start[1:] - 1] = True
     return np.flatnonzero(~last)
