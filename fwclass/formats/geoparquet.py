@@ -93,17 +93,17 @@ def column(path: Path, name: str) -> list[Any]:
     """Values of one column, in the file's order."""
     try:
         with _opened(path, name) as file:
-            found = file.read([name]).column(name)
-            _check_size(found, SPARE + EACH * path.stat().st_size)
-            return [value for chunk in found.chunks for value in _plain(chunk).to_pylist()]
+            values = file.read([name]).column(name)
+            _check_size(values, SPARE + EACH * path.stat().st_size)
+            return [value for chunk in values.chunks for value in _plain(chunk).to_pylist()]
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError) as fault:
         raise _foreign(path, f"column {name}: {fault}") from fault
 
 
-def _check_size(found: Any, most: int) -> None:
+def _check_size(values: Any, most: int) -> None:
     """`ValueError` for values that take more than `most` bytes, written out."""
-    total = ROW * len(found)
-    for chunk in found.chunks:
+    total = ROW * len(values)
+    for chunk in values.chunks:
         if pa.types.is_dictionary(chunk.type):
             total += pc.sum(pc.binary_length(chunk.dictionary).cast(pa.int64()).take(chunk.indices)).as_py() or 0
     if total > most:

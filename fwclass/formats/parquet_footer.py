@@ -107,14 +107,14 @@ class _Thrift:
 
     def numbers(self, depth: int) -> dict[int, int]:
         """The numbers of a struct that begins here, by field."""
-        number, found = 0, {}
+        number, numbers = 0, {}
         while head := self._byte():
             number = number + (head >> 4) if head >> 4 else self._signed()
             if head & 15 in (_I16, _I32, _I64):
-                found[number] = self._signed()
+                numbers[number] = self._signed()
             else:
                 list(self._value(head & 15, (), False, depth))
-        return found
+        return numbers
 
     def struct(self, wanted: tuple[int, ...], depth: int) -> Iterator[dict[int, int]]:
         """Those of the structs at `wanted`, field by field, from a struct that begins here."""

@@ -122,8 +122,10 @@ def _json_fault(head: bytes) -> str:
 def _check_system(path: Path) -> None:
     """`InputError` where the coordinate system is an address, which GDAL would fetch; without it, it takes degrees."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-        for found in _SYSTEM.finditer(text):
-            for key, value in _members(path, text[found.end() : found.end() + HEAD].decode("utf-8", "replace")):
+        for key_of_system in _SYSTEM.finditer(text):
+            for key, value in _members(
+                path, text[key_of_system.end() : key_of_system.end() + HEAD].decode("utf-8", "replace")
+            ):
                 if key in ("href", "url") or (key == "type" and value in ("link", "url")):
                     raise _other(
                         path,
@@ -226,12 +228,12 @@ def _miscounted(opened: sqlite3.Connection) -> str:
     if not opened.execute("SELECT 1 FROM sqlite_master WHERE lower(name) = 'gpkg_ogr_contents'").fetchone():
         return ""
     tables = {str(name) for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    for name, told in opened.execute("SELECT table_name, feature_count FROM gpkg_ogr_contents").fetchall():
-        if told is not None and name in tables:
+    for name, count in opened.execute("SELECT table_name, feature_count FROM gpkg_ogr_contents").fetchall():
+        if count is not None and name in tables:
             quoted = '"' + str(name).replace('"', '""') + '"'
             rows = opened.execute(f"SELECT count(*) FROM {quoted}").fetchone()[0]  # noqa: S608 (quoted)
-            if rows != told:
-                return f"a layer {visible(str(name))} that says it has {told} rows, and has {rows}"
+            if rows != count:
+                return f"a layer {visible(str(name))} that says it has {count} rows, and has {rows}"
     return ""
 
 

@@ -186,7 +186,7 @@ def assess_survey(
         "distribution": summary(histograms, called, quantiles),
         "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
         "automation": automation(sure),
-        "reliability": told | {"without_class": int(lost.sum())} if (told := reliability(sure)) else None,
+        "reliability": steps | {"without_class": int(lost.sum())} if (steps := reliability(sure)) else None,
     }
 
 

@@ -181,15 +181,17 @@ SEEN = 0.001
 """Share of the test echoes that a step of the confidence needs to be told."""
 
 
-def reliability_rows(told: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def reliability_rows(reliability: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """A sentence, and a row for each step of the confidence: its mean, shares of test echoes and of right ones."""
-    if not told:
+    if not reliability:
         return None
     rows = [
-        {"confidence": percent(c), "share": percent(s), "right": percent(r)} for c, s, r in told["steps"] if s >= SEEN
+        {"confidence": percent(c), "share": percent(s), "right": percent(r)}
+        for c, s, r in reliability["steps"]
+        if s >= SEEN
     ]
-    mean, right, error = (percent(told[n]) for n in ("confidence", "right", "error"))
-    with_class = " that have a class" if told["without_class"] else ""
+    mean, right, error = (percent(reliability[n]) for n in ("confidence", "right", "error"))
+    with_class = " that have a class" if reliability["without_class"] else ""
     text = (
         f"The confidence of the test echoes{with_class} is {mean} % on average, and {right} % of them are right; over "
         f"steps of a tenth both differ by {error} % (expected calibration error)."

@@ -94,11 +94,11 @@ def measure(value: Any) -> str:
 
 
 def accuracy(
-    assessment: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]], told: Sequence[str] = ()
+    assessment: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]], before: Sequence[str] = ()
 ) -> dict[str, Any] | None:
     """The confusion matrix with a colour per cell, and the figures per class; None without an assessment.
 
-    Its remarks are those that the page has not `told` before.
+    Its remarks are those that the page has not already.
     """
     if not assessment or not assessment.get("confusion"):
         return None
@@ -131,7 +131,7 @@ def accuracy(
         "intervals": _intervals(assessment.get("intervals")),
         "area": assessment.get("area") or "",
         "any_lost": any(lost),
-        "remarks": [text for text in assessment.get("remarks") or () if text not in told],
+        "remarks": [text for text in assessment.get("remarks") or () if text not in before],
         "count": number(sum(map(sum, assessment["confusion"])) + sum(lost)),
     }
 

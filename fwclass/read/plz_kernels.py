@@ -279,9 +279,25 @@ def unpack_pulses(data, state, counts, below, models, bits, at, end, items, out)
 
 @kernel
 def unpack_waves(  # type: ignore[no-untyped-def]
-    data, state, counts, below, models, bits, offset, descriptor, described, samplings, returning, header, most, limit,
-    ends, start, stop, out,
-):  # fmt: skip
+    data,
+    state,
+    counts,
+    below,
+    models,
+    bits,
+    offset,
+    descriptor,
+    described,
+    samplings,
+    returning,
+    header,
+    most,
+    limit,
+    ends,
+    start,
+    stop,
+    out,
+):
     """Unpack the waves of every pulse into `out`, laid out as in a Waves file from byte `header` on.
 
     ``start[i]`` becomes the byte where those of pulse i begin, ``ends[i]`` what reading them ended in, ``stop[i]`` the

@@ -65,14 +65,18 @@ class Settings:
             )
         if saturation is not None and not saturation > 0.0:
             raise InputError(
-                "this is no highest sample", where=f"{path}: metadata saturation", got=f"{saturation:g}",
+                "this is no highest sample",
+                where=f"{path}: metadata saturation",
+                got=f"{saturation:g}",
                 expected="a number above 0, in the unit of the samples",
-            )  # fmt: skip
+            )
         if step is not None and not step > 0.0:
             raise InputError(
-                "this is no step", where=f"{path}: metadata step", got=f"{step:g}",
+                "this is no step",
+                where=f"{path}: metadata step",
+                got=f"{step:g}",
                 expected="a number above 0, in the unit of the samples",
-            )  # fmt: skip
+            )
         standard = metadata.get("standard_gps_time", "").lower() in ("true", "1")
         return cls(spacing, saturation, step, standard, metadata.get("crs", ""))
 

@@ -19,10 +19,14 @@ SHOWN = 4
 """Names that are told of a longer list."""
 
 
-def describe_reliability(told: Mapping[str, Any]) -> str:
+def describe_reliability(reliability: Mapping[str, Any]) -> str:
     """What `assess.reliability` says, in a sentence."""
-    mean, right, error = (100 * told[n] for n in ("confidence", "right", "error"))
-    left = f"; without the {told['without_class']:,} test echoes that got no class" if told["without_class"] else ""
+    mean, right, error = (100 * reliability[n] for n in ("confidence", "right", "error"))
+    left = (
+        f"; without the {reliability['without_class']:,} test echoes that got no class"
+        if reliability["without_class"]
+        else ""
+    )
     return f"{mean:.1f} % on average where {right:.1f} % are right; expected calibration error {error:.1f} %{left}"
 
 
@@ -62,8 +66,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
-    if told := report.get("reliability"):
-        rows.append(f"confidence  {describe_reliability(told)}")
+    if reliability := report.get("reliability"):
+        rows.append(f"confidence  {describe_reliability(reliability)}")
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
     if report["water"]:
         flat = sum(body["level_enough"] for body in report["water"])

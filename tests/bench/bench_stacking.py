@@ -89,8 +89,11 @@ def line(name: str, of: dict[str, np.ndarray], which: np.ndarray | slice = slice
     off = of["off"][which]
     some = off[np.isfinite(off)]
     rmse, bias = np.sqrt(np.mean(some**2)), np.mean(some)
-    print(f"  {name:34}{rmse:8.3f} m RMSE{bias:+8.3f} m bias{np.mean(of['measured'][which]):8.3f} measured"
-          f"{len(some):8} cells", flush=True)  # fmt: skip
+    print(
+        f"  {name:34}{rmse:8.3f} m RMSE{bias:+8.3f} m bias{np.mean(of['measured'][which]):8.3f} measured"
+        f"{len(some):8} cells",
+        flush=True,
+    )
 
 
 def stacked(directory: Path) -> np.ndarray:
@@ -131,8 +134,15 @@ def main() -> None:
         print(kind)
         line("before", before)
         for name, gap in GAPS.items():
-            run(directory, *words, "--set", "stack.enabled=true", "--set", "stack.surfaces=[ground,roof]",
-                *(word for value in gap for word in ("--set", value)))  # fmt: skip
+            run(
+                directory,
+                *words,
+                "--set",
+                "stack.enabled=true",
+                "--set",
+                "stack.surfaces=[ground,roof]",
+                *(word for value in gap for word in ("--set", value)),
+            )
             after = cells(directory, truth)
             line(f"after{name}", after)
             moved = np.abs(after["off"] - before["off"]) > 1e-3

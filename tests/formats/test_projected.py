@@ -94,9 +94,12 @@ def test_what_is_not_finite_stays_so():
 
 @pytest.mark.parametrize(
     ("target", "place", "words"),
-    [(4326, [9.0, 47.0, 0.0], "metres on a plane"), (2263, [-74.0, 40.7, 0.0], "metres on a plane"),
-     (32632, [9.0, 400.0, 0.0], "does not reach")],
-)  # fmt: skip
+    [
+        (4326, [9.0, 47.0, 0.0], "metres on a plane"),
+        (2263, [-74.0, 40.7, 0.0], "metres on a plane"),
+        (32632, [9.0, 400.0, 0.0], "does not reach"),
+    ],
+)
 def test_refused(target, place, words):
     with pytest.raises(InputError, match=words):
         project(CRS.from_epsg(4326), CRS.from_epsg(target), np.array([place]), "a.file")

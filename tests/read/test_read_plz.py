@@ -284,15 +284,24 @@ def test_real_pulses(shared_data, params, tmp_path):
         i: Descriptor(
             [
                 Sampling(
-                    s.kind, s.channel, s.bits, s.spacing_ns, s.duration_bits, s.scale, s.offset, s.segment_bits,
-                    s.length_bits, s.segments, s.samples,
+                    s.kind,
+                    s.channel,
+                    s.bits,
+                    s.spacing_ns,
+                    s.duration_bits,
+                    s.scale,
+                    s.offset,
+                    s.segment_bits,
+                    s.length_bits,
+                    s.segments,
+                    s.samples,
                 )
                 for s in d.samplings
             ],
             extra=d.extra_bytes,
         )
         for i, d in source.descriptors.items()
-    }  # fmt: skip
+    }
     for suffix in (".pls", ".wvs"):
         (tmp_path / f"a{suffix}").write_bytes(path.with_suffix(suffix).read_bytes())
     packed = compress(tmp_path / "a.pls", kinds, chunk=1000)

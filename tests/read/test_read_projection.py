@@ -41,9 +41,16 @@ def in_degrees(path, ground, sensor):
     at = rng.uniform(24.0, 26.0, n)
     waves = [digitise(gaussian(60, [(120.0, t, 3.5)], 10.0) + rng.normal(0, 1.0, 60)) for t in at]
     return write_las(
-        path, here, waveforms=waves, pulse=np.arange(n), location=at, step=step, scale=1e-8,
-        gps_time=1e-4 * np.arange(n), keys={1024: 2, 2048: 4326},
-    )  # fmt: skip
+        path,
+        here,
+        waveforms=waves,
+        pulse=np.arange(n),
+        location=at,
+        step=step,
+        scale=1e-8,
+        gps_time=1e-4 * np.arange(n),
+        keys={1024: 2, 2048: 4326},
+    )
 
 
 def geocentric(path, ground, sensor):

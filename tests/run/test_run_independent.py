@@ -76,10 +76,36 @@ def write(directory, seed):
     low, high = places.min(axis=0), places.max(axis=0)
     counts = np.bincount(number, minlength=6)[1:6]
     header = struct.pack(
-        "<4sHHIHH8sBB32s32sHHHIIBHI5I3d3d6dQ", b"LASF", 0, 4, 0, 0, 0, b"", 1, 3, b"by hand", b"numpy", 1, 2020,
-        235, 235 + len(vlr), 1, 4, 57, len(row), *counts.tolist(), 0.001, 0.001, 0.001, 600_000.0, 5_400_000.0, 0.0,
-        *(v for pair in zip(high, low, strict=True) for v in pair), 0,
-    )  # fmt: skip
+        "<4sHHIHH8sBB32s32sHHHIIBHI5I3d3d6dQ",
+        b"LASF",
+        0,
+        4,
+        0,
+        0,
+        0,
+        b"",
+        1,
+        3,
+        b"by hand",
+        b"numpy",
+        1,
+        2020,
+        235,
+        235 + len(vlr),
+        1,
+        4,
+        57,
+        len(row),
+        *counts.tolist(),
+        0.001,
+        0.001,
+        0.001,
+        600_000.0,
+        5_400_000.0,
+        0.0,
+        *(v for pair in zip(high, low, strict=True) for v in pair),
+        0,
+    )
     (directory / "a.las").write_bytes(header + vlr + points)
     extended = struct.pack("<H16sHQ32s", 0, b"LASF_Spec", 65535, recorded.nbytes, b"")
     (directory / "a.wdp").write_bytes(extended + recorded.tobytes())

@@ -76,8 +76,9 @@ def test_enter_at_the_crosshair_is_a_click_there(
         page = opened(browser_page, server, width, height)
         before = page.run("fwclass.cam.target")
         keys(page, "c", "ArrowRight*3", "+ArrowUp*4")
-        shown = page.run("(() => { const b = document.getElementById('cross').getBoundingClientRect(); "
-                         "return [b.x, b.y]; })()")  # fmt: skip
+        shown = page.run(
+            "(() => { const b = document.getElementById('cross').getBoundingClientRect(); return [b.x, b.y]; })()"
+        )
         x, y = page.run(HERE)
         assert shown == [x, y] == [page.run("document.getElementById('view').clientWidth >> 1") + 30, y]
         assert page.run("fwclass.cam.target") == before  # the cloud stays
@@ -194,8 +195,9 @@ def test_two_runs_have_the_same_strip_in_their_section_and_echoes_of_both_are_pi
         assert np.abs(moved[0, 2:]).max() > 40
         for k, name in enumerate(("survey/run", "again/run")):
             x, y = by_run[k][9, 2:]
-            box = page.run("(() => { const b = document.getElementById('cut').getBoundingClientRect(); "
-                           "return [b.x, b.y]; })()")  # fmt: skip
+            box = page.run(
+                "(() => { const b = document.getElementById('cut').getBoundingClientRect(); return [b.x, b.y]; })()"
+            )
             page.click(box[0] + x, box[1] + y)
             page.until(f"document.getElementById('says').textContent.startsWith('{name}: ')")
         lines = page.run("document.querySelectorAll('#marks .over').length")

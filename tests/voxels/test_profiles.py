@@ -18,9 +18,13 @@ def samples(pulses, heights, shares, x=5.0):
     pulse = np.repeat(np.arange(n), k)
     share = np.tile(shares, n)
     columns = {
-        "x": np.full(n * k, x), "y": np.full(n * k, 5.0), "strip": np.ones(n * k), "pulse": pulse,
-        "share": share, "returned_energy": 7.0 * share,
-    }  # fmt: skip
+        "x": np.full(n * k, x),
+        "y": np.full(n * k, 5.0),
+        "strip": np.ones(n * k),
+        "pulse": pulse,
+        "share": share,
+        "returned_energy": 7.0 * share,
+    }
     return Table(columns), np.tile(np.array(heights, float), n)
 
 

@@ -99,11 +99,11 @@ def optimize(
 
 def _search(trial: Trial, start: Setting, limits: GroundSearchParams) -> dict[str, Any]:
     """What `search_halves` finds, and the words for whichever parameters are recommended."""
-    found = search_halves(trial, start, limits)
-    better = (found["held_out"]["kappa"] or -1.0) > (found["start"]["kappa"] or -1.0)
-    values = found["best" if better else "start"]["parameters"]
+    searches = search_halves(trial, start, limits)
+    better = (searches["held_out"]["kappa"] or -1.0) > (searches["start"]["kappa"] or -1.0)
+    values = searches["best" if better else "start"]["parameters"]
     return {
-        **found,
+        **searches,
         "recommended": "best" if better else "start",
         "param": " ".join(f"--param {name}={value:g}" for name, value in values.items()),
         "yaml": fragment(trial.params, values),

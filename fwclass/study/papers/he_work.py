@@ -47,14 +47,14 @@ def judge_filter(
     ranges = ranges_of(params, limits)
     start = start_of(params, ranges)
     trial = Trial(places, cloud.last, seen, halves(cloud.x, cloud.y, cloud.usable), truth, params, ranges)
-    found = search_halves(trial, start, limits)
+    searches = search_halves(trial, start, limits)
     began = time.thread_time()
     ground_by_blocks(*_some(places, rows), cloud.last[rows], params)
     seconds = time.thread_time() - began
-    best = with_values(params, found["best"]["parameters"])
+    best = with_values(params, searches["best"]["parameters"])
     flags = ground_by_blocks(*_some(places, rows), cloud.last[rows], best)
     _write_terrain(places, rows, flags.ground, flags.noise, terrain, directory)
-    return {**found, "seconds": seconds, "points": len(rows), "runs": len(trial.known)}
+    return {**searches, "seconds": seconds, "points": len(rows), "runs": len(trial.known)}
 
 
 def describe_sample(
@@ -106,10 +106,10 @@ def _write_terrain(
     directory: Path,
 ) -> NDArray[np.float32]:
     """Write the terrain of some flags; its heights."""
-    made, window = terrain_by_blocks(*_some(places, rows), ground, noise, params)
+    surface, window = terrain_by_blocks(*_some(places, rows), ground, noise, params)
     place = {"cell": window.cell, "col": window.col, "row": window.row, "ncols": window.ncols, "nrows": window.nrows}
-    write_arrays(directory / TERRAIN, {"dtm": made.dtm}, place)
-    return made.dtm
+    write_arrays(directory / TERRAIN, {"dtm": surface.dtm}, place)
+    return surface.dtm
 
 
 def terrain_of(inputs: PartInputs, stage: str, part: str) -> tuple[NDArray[np.float32], Window]:
