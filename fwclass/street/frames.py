@@ -286,13 +286,13 @@ class Track:
         below = -0.5 * self.params.mounting.height
         near = self.params.road_half_width
         count = place_frame(frame.ranges, geometry.direction, *limits, near, below, x, y, z, r, self.missing, under)
-        self.sound.see(frame.ranges, limits[0], geometry.direction, (y, z, r), self._moved)
+        place = round(self._along / UNIT)
+        self.sound.see(frame.ranges, limits[0], geometry.direction, place, (x, y, z, r), self._moved)
         here = beams - int(np.isnan(r).sum())
         self.returns += here
         self.blind += here == 0
         if count >= FEWEST_ROAD and self.params.features == "road":
             self._road = float(np.median(under[:count]))
-        place = round(self._along / UNIT)
         return Placed(frame.number, frame.time, place, self._road, x, y, z, r, frame.labels)
 
     def counts(self) -> dict[str, Any]:

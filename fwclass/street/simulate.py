@@ -44,7 +44,8 @@ def simulate_frames(params: StreetSceneParams, scanner: ScannerParams, mounting:
         ranges, labels = np.empty(scan.beams, np.float32), np.empty(scan.beams, np.uint8)
         trace(
             *(street.solids, _near(street, place, scan.range_max * math.radians(3 * params.roll)), place),
-            *(mounting.height, angles, side, math.radians(params.roll) * roll(), math.radians(params.roll) * pitch()),
+            *(mounting.height, angles, side, math.radians(params.roll) * roll()),
+            math.radians(params.roll) * pitch() + math.radians(mounting.pitch),
             *(lean, KERB, KERB_HEIGHT, scanner.spot, scanner.noise, params.missing, scan.range_max),
             *(random.integers(1, 2**63, scan.beams, dtype=np.uint64), ranges, labels),
         )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fwclass.errors import refuse_unsound
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.way import Way
 
 HELD = 2000
 """Values of a measure that are kept; beyond, every other one goes, and half as many come."""
@@ -75,9 +76,13 @@ class Soundness:
     changed: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 2, 2)))
     same: Counter[float] = field(default_factory=Counter)
     sampled_returns: int = 0
+    way: Way = field(init=False)
     _down: NDArray[np.bool_] | None = None
     _before: deque[tuple[NDArray[np.float32], bool]] = field(default_factory=lambda: deque(maxlen=LAG))
     _seen: int = 0
+
+    def __post_init__(self) -> None:
+        self.way = Way(self.params)
 
     def move(self, moved: float, step: float, speed: float, placed: bool, leaps: bool) -> None:
         """How far the vehicle went [m] in a `step` [s]; the `speed` that the frame gives [m/s] or NaN, whether its way
@@ -96,12 +101,15 @@ class Soundness:
         ranges: NDArray[np.float32],
         low: float,
         direction: NDArray[np.float64],
-        placed: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]],
+        place: int,
+        placed: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]],
         moved: bool,
     ) -> None:
-        """A frame that is used: its `ranges` as they came, the nearest valid one `low` [m], the `direction` of its
-        beams (`Geometry`), and y, z and r that `place_frame` made of them."""
-        r = placed[2]
+        """A frame that is used, at `place` along the road [units]: its `ranges` as they came, the nearest valid one
+        `low` [m], the `direction` of its beams (`Geometry`), and x, y, z and r that `place_frame` made of them."""
+        r = placed[3]
+        if moved:
+            self.way.see(place, *placed)
         if self._before:
             last = self._before[-1][0]
             if moved:
@@ -116,7 +124,7 @@ class Soundness:
         self._before.append((r, moved))
         if self._seen % self.params.sound.every == 0:
             self._measure_ranges(r[~np.isnan(r)])
-            self._measure_road(ranges < low, direction, placed)
+            self._measure_road(ranges < low, direction, placed[1:])
         self._seen += 1
 
     def _measure_ranges(self, valid: NDArray[np.float32]) -> None:
@@ -158,6 +166,8 @@ class Soundness:
             "growth_moving": growth[1],
             "stood_frames": int(self.changed[0, 0, 1]),
             "speed": self.speed.median,
+            "stretch": self.way.stretch,
+            **self.way.lean(self.params.sound.lean),
             "place_over_speed": self.by_place / self.by_speed if self.by_speed else None,
             "leap_metres": self.leap,
             "metres": self.length,
@@ -272,6 +282,12 @@ def _mounting_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str
             f"the road leans by {slope:.1f}° across the track: is street.mounting.roll ({mounting.roll:g}°) right, and "
             "its sign?"
         )
+    lean, share = facts["lean_deg"], facts["lean_share"]
+    if share is not None and share > sound.lean_share:
+        said.append(
+            f"upright edges lean by {abs(lean):.0f}° {'forwards' if lean > 0 else 'backwards'}: is street.mounting."
+            f"pitch ({mounting.pitch:g}°) right? {mounting.pitch - lean:.0f}° sets them upright"
+        )
     return said
 
 
@@ -283,6 +299,12 @@ def _way_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:
     ratio = facts["place_over_speed"]
     if ratio is not None and not 1.0 / sound.ratio <= ratio <= sound.ratio:
         said.append(f"places go {ratio:.3g} times as far as the speed says: one of the columns has another unit")
+    stretch = facts["stretch"]
+    if stretch is not None and not 1.0 / sound.stretch <= stretch <= sound.stretch:
+        said.append(
+            f"what stands beside the road seems {stretch:.2f} times as long along it as upwards: is the speed, or the "
+            "place, in metres and seconds? km/h make it 3.6 times"
+        )
     stood, went = facts["growth_standing"], facts["growth_moving"]
     if facts["stood_frames"] < sound.stood or stood is None or stood < sound.growth:
         return said
