@@ -91,6 +91,7 @@ class Way:
         if not 0.0 <= gone <= SIZES[-1]:
             self._held.clear()
             self._edges.clear()
+            gone = math.inf
         else:
             self.metres += gone
         ahead, aside, up = ((v * UNIT).astype(np.float32) for v in (x if len(x) else np.zeros_like(y), y, z))

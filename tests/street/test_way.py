@@ -116,3 +116,16 @@ def test_bumps_that_are_drawn_out(stretch: float) -> None:
 def test_a_wall_tells_nothing_of_speed() -> None:
     way = of_depths(lambda x, z: np.where(z < 0.5, 4.0, 8.0), np.linspace(-1, 4, 200), 0.05, 64.0, config().street)
     assert way.stretch is None
+
+
+def test_a_vehicle_that_goes_back_or_leaps_begins_again() -> None:
+    params = config().street
+    way, other = Way(params), Way(params)
+    random = np.random.default_rng(7)
+    for k, x in enumerate((0.0, 0.1, 0.2, 0.1, 0.2, 9.0, 9.1)):
+        y, z = (np.rint(random.uniform(2, 6, 50) / UNIT).astype(np.int32) for _ in range(2))
+        row = (round(x / UNIT), np.empty(0, np.int32), y, z, np.hypot(y, z).astype(np.float32) * np.float32(UNIT))
+        way.see(*row)
+        if k >= 5:
+            other.see(*row)
+    assert 0.35 < way.metres < 0.45 and 0.05 < other.metres < 0.15
