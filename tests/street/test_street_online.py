@@ -262,3 +262,15 @@ def test_memory_of_the_loop_does_not_grow():
     tracemalloc.stop()
     assert held[1] < 1.05 * held[0]
     assert latency.summary()["frames"] > 600
+
+
+def test_what_measures_the_way_is_warmed_too(monkeypatch):
+    from fwclass.store.models import load_model
+    from fwclass.street import way
+
+    called = set()
+    for name in ("add_upwards", "add_along", "add_leans"):
+        kernel = getattr(way, name)
+        monkeypatch.setattr(way, name, lambda *a, kernel=kernel, name=name: (called.add(name), kernel(*a)))
+    online.warm(load_model(directory() / "model"), config().street)
+    assert called == {"add_upwards", "add_along", "add_leans"}
