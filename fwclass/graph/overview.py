@@ -77,7 +77,7 @@ def deliver_overview(
     names: Mapping[str, str],
 ) -> Result:
     """A fair sample of all echoes, or of those of one square, as COPC; drawn by the hash that the tiles' levels are
-    drawn by. Drawn square by square, or of the tiles of the only square."""
+    drawn by. Drawn square by square, or of all tiles where no square is drawn by itself."""
     drawn = (here.inputs.table(DRAW_OVERVIEW.name, key, here.columns) for key in here.parts(DRAW_OVERVIEW.name))
     table = _lowest(_tiles_within(here, None, most) if here.present else drawn, most, here.columns)
     if not table.rows:
@@ -113,17 +113,14 @@ def squares(layout: Layout) -> tuple[Tile, ...]:
 
 
 def _drawn_squares(plan: Plan) -> tuple[Tile, ...]:
-    """Squares that are drawn by themselves: none where there is one."""
-    every = squares(plan.layout)
+    """Squares that are drawn by themselves: none where there is one, or one overview has all echoes."""
+    every = squares(plan.layout) if plan.layout.echoes > plan.config.publish.overview_echoes else ()
     return every if len(every) > 1 else ()
 
 
 def overview_parts(plan: Plan) -> Names:
     """The whole survey; its squares too, where they are several and it has more echoes than one overview."""
-    layout = plan.layout
-    keys = tuple(s.key for s in squares(layout))
-    several = len(keys) > 1 and layout.echoes > plan.config.publish.overview_echoes
-    return (WHOLE, *keys) if several else (WHOLE,)
+    return (WHOLE, *(s.key for s in _drawn_squares(plan)))
 
 
 def cloud_columns(plan: Plan) -> Names:

@@ -89,7 +89,7 @@ def test_a_survey_that_one_overview_holds_has_one(finished: tuple[Path, object])
     assert identities(root / "laz" / "overview.copc.laz") == who(*(echoes[n] for n in IDENTITY))
 
 
-def test_the_only_square_is_drawn_of_its_tiles(finished: tuple[Path, object], survey: Path, tmp_path: Path) -> None:
+def test_where_no_square_is_drawn_the_tiles_are(finished: tuple[Path, object], survey: Path, tmp_path: Path) -> None:
     root = tmp_path / "run"
     shutil.copytree(finished[0], root, symlinks=True)
     road, _ = walk(survey, root, "publish.overview_echoes=3000")

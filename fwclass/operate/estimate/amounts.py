@@ -218,7 +218,8 @@ class _Quantities:
             blocks = sum(math.ceil(b.area / edge**2) for b in boxes)
             return Amount(blocks, cells, min(cells, (edge / cell) ** 2), 0.0)
         spread = spread_of(self.counts.pieces(self.facts), edge)
-        if stage is DRAW_OVERVIEW and spread.within(stage.margin) == 1:
+        total = float(self.counts.echoes.sum())
+        if stage is DRAW_OVERVIEW and (total <= self.config.publish.overview_echoes or spread.within(0) == 1):
             return None
         longest = float(spread.counts.max()) * self.crowd
         held = float(spread.grown(stage.reach(plan)).max()) * self.crowd
