@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import laspy
+import numpy as np
+import pyarrow.parquet as pq
 
 from fwclass import conf
 from fwclass.operate.status.walk import RunStatus, look_at
@@ -56,6 +58,17 @@ def looked(survey: Path, root: Path, *settings: str) -> RunStatus:
     """How the run that `walk` makes stands."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
     return look_at(root, lambda runner: WORKFLOWS["classification"](config, runner, None))
+
+
+ANSWER = ("strip", "pulse", "echo_number", "classification", "confidence", "entropy")
+
+
+def delivered_echoes(root: Path, columns: tuple[str, ...] = ANSWER) -> dict[str, np.ndarray]:
+    """Columns of all delivered echoes, ordered by strip, pulse and number, whatever the tiles."""
+    parts = [pq.read_table(p, columns=list(columns)) for p in sorted((root / "parquet").glob("*.parquet"))]
+    echoes = {n: np.concatenate([p.column(n).to_numpy() for p in parts]) for n in columns}
+    order = np.lexsort((echoes["echo_number"], echoes["pulse"], echoes["strip"]))
+    return {n: v[order] for n, v in echoes.items()}
 
 
 def delivered(root: Path) -> dict[str, str]:

@@ -5,10 +5,9 @@ import json
 import shutil
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from commandline import fwclass
-from runmaker import SETTINGS, delivered, looked, walk
+from runmaker import SETTINGS, delivered, delivered_echoes, looked, walk
 
 import fwclass as fwclass_package
 from fwclass import conf
@@ -32,7 +31,6 @@ LAYER = (
     "train.samples_per_class=800",
     "train.importance_repeats=0",
 )
-COLUMNS = ("strip", "pulse", "echo_number", "classification", "confidence", "entropy")
 
 
 @pytest.fixture(scope="module")
@@ -43,20 +41,13 @@ def in_context(survey, tmp_path_factory):
     return root, report
 
 
-def echoes(root):
-    parts = [pq.read_table(p, columns=list(COLUMNS)) for p in sorted((root / "parquet").glob("*.parquet"))]
-    columns = {n: np.concatenate([p.column(n).to_numpy() for p in parts]) for n in COLUMNS}
-    order = np.lexsort((columns["echo_number"], columns["pulse"], columns["strip"]))
-    return {n: v[order] for n, v in columns.items()}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", ["tile.size=37.5", "tile.size=150", "tile.size=1000"])
 def test_tiles_change_no_answer(setting, survey, in_context, tmp_path):
     runner, _ = walk(survey, tmp_path, setting, *LAYER)
     assert not runner.failures
-    before, after = echoes(in_context[0]), echoes(tmp_path)
-    for name in COLUMNS:
+    before, after = delivered_echoes(in_context[0]), delivered_echoes(tmp_path)
+    for name in before:
         np.testing.assert_array_equal(before[name], after[name], err_msg=name)
 
 
@@ -88,8 +79,8 @@ def test_its_model_classifies_another_run_and_a_file(survey, in_context, tmp_pat
     assert any("both" in note for note in card["notes"]), "what the layer gains is said"
     runner, _ = walk(survey, tmp_path / "run", f"survey.model={model}", "survey.reference.kind=none")
     assert not runner.failures
-    before, after = echoes(in_context[0]), echoes(tmp_path / "run")
-    for name in COLUMNS:
+    before, after = delivered_echoes(in_context[0]), delivered_echoes(tmp_path / "run")
+    for name in before:
         np.testing.assert_array_equal(before[name], after[name], err_msg=name)
     strip = sorted((survey / "strips").glob("*.las"))[0]
     words = ("--set", "ground.block=64", "--set", "ground.max_building_size=50")

@@ -6,10 +6,9 @@ import sys
 import time
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from commandline import fwclass
-from runmaker import SETTINGS, delivered, looked, walk
+from runmaker import ANSWER, SETTINGS, delivered, delivered_echoes, looked, walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError
@@ -25,7 +24,6 @@ LAYER = (
     "classify.refine.method=forest",
     "train.importance_repeats=0",
 )
-COLUMNS = ("strip", "pulse", "echo_number", "classification", "confidence", "entropy")
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +32,6 @@ def refined(survey, tmp_path_factory):
     runner, report = walk(survey, root, *LAYER)
     assert not runner.failures, runner.failures
     return root, report
-
-
-def echoes(root):
-    parts = [pq.read_table(p, columns=list(COLUMNS)) for p in sorted((root / "parquet").glob("*.parquet"))]
-    columns = {n: np.concatenate([p.column(n).to_numpy() for p in parts]) for n in COLUMNS}
-    order = np.lexsort((columns["echo_number"], columns["pulse"], columns["strip"]))
-    return {n: v[order] for n, v in columns.items()}
 
 
 def boundary(root):
@@ -59,9 +50,9 @@ def test_weights_of_classes_that_the_second_layer_lacks_are_the_first_one_s(surv
 
 @pytest.mark.slow
 def test_answers_change_at_the_boundary_alone(survey, refined, finished):
-    after, before = echoes(refined[0]), echoes(finished[0])
+    after, before = delivered_echoes(refined[0]), delivered_echoes(finished[0])
     changed = np.zeros(len(after["strip"]), bool)
-    for name in COLUMNS[3:]:
+    for name in ANSWER[3:]:
         changed |= after[name] != before[name]
     at, rows = boundary(refined[0])
     assert 0 < changed.sum() <= at < rows == len(changed)
@@ -73,8 +64,8 @@ def test_answers_change_at_the_boundary_alone(survey, refined, finished):
 def test_tiles_change_no_answer(setting, survey, refined, tmp_path):
     runner, _ = walk(survey, tmp_path, setting, *LAYER)
     assert not runner.failures
-    before, after = echoes(refined[0]), echoes(tmp_path)
-    for name in COLUMNS:
+    before, after = delivered_echoes(refined[0]), delivered_echoes(tmp_path)
+    for name in before:
         np.testing.assert_array_equal(before[name], after[name], err_msg=name)
     assert boundary(tmp_path) == boundary(refined[0])
 
@@ -127,8 +118,8 @@ def test_a_model_of_two_layers_classifies_another_run_and_a_file(survey, refined
     assert found.kind == "two-layer" and found.card["refine"]["between"] == ["building", "vegetation"]
     runner, _ = walk(survey, tmp_path / "run", f"survey.model={model}", "survey.reference.kind=none")
     assert not runner.failures
-    before, after = echoes(refined[0]), echoes(tmp_path / "run")
-    for name in COLUMNS:
+    before, after = delivered_echoes(refined[0]), delivered_echoes(tmp_path / "run")
+    for name in before:
         np.testing.assert_array_equal(before[name], after[name], err_msg=name)
     strip = sorted((survey / "strips").glob("*.las"))[0]
     words = [
