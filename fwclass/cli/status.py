@@ -152,6 +152,30 @@ def _verify_alone(location: Any, fault: StoreError, as_json: bool) -> NoReturn:
     sys.exit(PARTIAL)
 
 
+def _request_of_run(run: Any, workflow: str, verify: bool, as_json: bool) -> tuple[Any, Any]:
+    """What a run directory was asked for last, and its configuration."""
+    from fwclass.operate.configured import configured
+    from fwclass.operate.request import Request
+    from fwclass.store.run_location import open_store
+    from fwclass.workflows import workflow_of
+
+    location = run_at(run)
+    try:
+        request = Request.kept(open_store(location, read_only=True), own_file(workflow))
+    except StoreError as fault:
+        if not verify:
+            raise
+        _verify_alone(location, fault, as_json)
+    if Path(request.conf).is_absolute() and not Path(request.conf).is_file():
+        raise ConfigError(
+            "the configuration that the run was made with is not there any more",
+            where=run,
+            expected=request.conf,
+            do=f"name where it is now: fwclass status NEW.yaml --out {run}",
+        )
+    return configured(request.conf, request.settings, workflow_of(request.workflow).classifies), request
+
+
 @cli.command()
 @click.argument("conf_or_run", metavar="CONF|RUN", type=RUN)
 @click.option("--out", type=RUN, help="With CONF: the run directory (default: runs/<survey>).")
@@ -179,11 +203,8 @@ def status(
     Exit code 0 if all is done (and, with --verify, undamaged), 3 if not.
     """
     little_garbage()
-    from fwclass.operate.configured import configured
-    from fwclass.operate.request import Request
-    from fwclass.store.run_location import held_by, open_store
+    from fwclass.store.run_location import held_by
     from fwclass.store.url import is_url
-    from fwclass.workflows import workflow_of
 
     if is_url(conf_or_run) or conf_or_run.is_dir():
         if out is not None or settings or tiles or aoi or (workflow != "classification" and not own_file(workflow)):
@@ -192,21 +213,7 @@ def status(
                 where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
             )
-        location = run_at(conf_or_run)
-        try:
-            request = Request.kept(open_store(location, read_only=True), own_file(workflow))
-        except StoreError as fault:
-            if not verify:
-                raise
-            _verify_alone(location, fault, as_json)
-        if Path(request.conf).is_absolute() and not Path(request.conf).is_file():
-            raise ConfigError(
-                "the configuration that the run was made with is not there any more",
-                where=conf_or_run,
-                expected=request.conf,
-                do=f"name where it is now: fwclass status NEW.yaml --out {conf_or_run}",
-            )
-        config = configured(request.conf, request.settings, workflow_of(request.workflow).classifies)
+        config, request = _request_of_run(conf_or_run, workflow, verify, as_json)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():
             raise ConfigError(

@@ -9,7 +9,7 @@ from fwclass.conf import Config
 
 
 def configured(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = True) -> Config:
-    """`conf.load`, and of what `classifies` the areas as boxes (`graph.area_files`)."""
+    """`conf.load`, and of what `classifies` the areas as boxes (`survey.area_files`)."""
     config = conf.load(name, settings, classifies)
     if not classifies or (config.areas.train_by is None and config.areas.test_by is None):
         return config
