@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -169,35 +170,13 @@ class Work:
 
     function: Callable[..., Result]
     arguments: Mapping[str, Any]
-    part: str
-    needs: tuple[Name, ...]
-    place: Tile | None
-    halo: float
-    columns: Mapping[str, str]
-    own: Mapping[str, str]
-    present: tuple[str, ...]
-    tile_size: float
-    source: Location | None
-    writes: Names
-    cells: bool
+    here: Callable[[PartInputs, Path], StageInputs]
+    cells: bool = False
     declares: tuple[Column, ...] = ()
 
     def __call__(self, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
         declare(self.declares)
-        here = StageInputs(
-            inputs,
-            directory,
-            self.part,
-            self.needs,
-            self.place,
-            self.halo,
-            self.columns,
-            self.own,
-            self.present,
-            self.tile_size,
-            self.source,
-            self.writes,
-        )
+        here = self.here(inputs, directory)
         result = self.function(here, **self.arguments)
         if isinstance(result, tuple):
             table, facts = result
@@ -205,24 +184,26 @@ class Work:
             table, facts = result, {}
         else:
             return result
-        self._check(table)
+        _check_columns(table, here)
         write_table(directory / TABLE, table)
-        return {**facts, **(self._digests(table, inputs) if self.cells else {})}
+        return {**facts, **(_cell_digests(table, here) if self.cells else {})}
 
-    def _check(self, table: Table) -> None:
-        if set(table) != set(self.writes):
-            raise FwclassError(
-                "a stage writes other columns than its record says",
-                where=self.part,
-                expected=", ".join(self.writes),
-                got=", ".join(table),
-                do="name them in Stage.writes",
-            )
 
-    def _digests(self, table: Table, inputs: PartInputs) -> Mapping[str, Any]:
-        """Digests of the rows by place, so that who reads a halo is made anew for what changed in it, and no more."""
-        place = table if "x" in table else inputs.rows(self.part, dict.fromkeys(("x", "y"), "tile"))
-        return {CELLS: by_place(table, place["x"], place["y"])}
+def _check_columns(table: Table, here: StageInputs) -> None:
+    if set(table) != set(here.writes):
+        raise FwclassError(
+            "a stage writes other columns than its record says",
+            where=here.part,
+            expected=", ".join(here.writes),
+            got=", ".join(table),
+            do="name them in Stage.writes",
+        )
+
+
+def _cell_digests(table: Table, here: StageInputs) -> Mapping[str, Any]:
+    """Digests of the rows by place, so that who reads a halo is made anew for what changed in it, and no more."""
+    place = table if "x" in table else here.inputs.rows(here.part, dict.fromkeys(("x", "y"), "tile"))
+    return {CELLS: by_place(table, place["x"], place["y"])}
 
 
 def always(plan: Plan) -> bool:
@@ -377,22 +358,20 @@ class _Maker:
         more = stage.each(plan, part)
         params = _disjoint(self.params, plain_values(more, stage.silent))
         location, external = stage.source(plan, part) or (None, ())
-        work = Work(
-            stage.function,
-            {**self.arguments, **more},
-            key,
-            needs,
-            place,
-            self.halo,
-            self.of_reads,
-            self.of_own,
-            present,
-            self.size,
-            location,
-            self.writes,
-            stage.cells,
-            plan.declares,
+        here = partial(
+            StageInputs,
+            part=key,
+            needs=needs,
+            place=place,
+            halo=self.halo,
+            columns=self.of_reads,
+            own=self.of_own,
+            present=present,
+            tile_size=self.size,
+            source=location,
+            writes=self.writes,
         )
+        work = Work(stage.function, {**self.arguments, **more}, here, stage.cells, plan.declares)
         return Task(
             stage.name, key, stage.version, params, work, needs, external, stage.where, within, check=self.check
         )

@@ -3,6 +3,7 @@
 import ast
 import inspect
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -78,7 +79,7 @@ def test_columns_that_the_record_does_not_name_are_refused(tmp_path):
     def function(here: StageInputs):
         return Table.empty(("z",))
 
-    work = Work(function, {}, "0_0", (), None, 0.0, {}, {}, (), 100.0, None, ("x", "y"), False)
+    work = Work(function, {}, partial(StageInputs, part="0_0", writes=("x", "y")))
     with pytest.raises(FwclassError, match="other columns than its record"):
         work(None, tmp_path)
 
