@@ -114,6 +114,8 @@ def merged_sample(
     X, place = np.empty((sample.rows, len(names)), np.float32), np.empty((sample.rows, 2), np.int64)
     for tile in tiles:
         keys = np.intersect1d(inputs.arrays(stage, tile, SAMPLE, ("key",))[0]["key"], sample.key, assume_unique=True)
+        if len(keys) == 0:
+            continue
         rows = rows_of(keys, canonical_key(inputs.rows(tile, dict.fromkeys(IDENTITY, "tile"))))
         order = np.argsort(rows)
         table = inputs.rows_at(tile, {**dict.fromkeys(("x", "y"), "tile"), **columns}, rows[order])
@@ -125,7 +127,7 @@ def merged_sample(
 def rows_of(keys: NDArray[np.uint64], there: NDArray[np.uint64]) -> NDArray[np.int64]:
     """int64 (keys,): in which rows of `there` the keys stand; each stands in one."""
     order = np.argsort(there)
-    return order[np.searchsorted(there[order], keys)] if len(keys) else order[:0]
+    return order[np.searchsorted(there[order], keys)]
 
 
 def load_sample(inputs: PartInputs, stage: str, part: str, names: tuple[str, ...]) -> Sample:
