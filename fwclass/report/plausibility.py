@@ -98,25 +98,21 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
     """What is worth telling of strips (`strip_plausibility`): one line for each kind, whatever their number."""
     lines = []
     if some := [s for s in strips if s["implausible"] > RARE * s["fitted"]]:
-        n = {key: sum(s[key] for s in some) for key in ("implausible", "fitted", "below", "weak")}
-        share = _percent(n["implausible"] / n["fitted"])
+        below, weak = _sums(some, "below", "weak")
         lines.append(
-            f"{n['implausible']:,} of {n['fitted']:,} echoes ({share}) are implausible, and neither ground filter nor "
-            f"terrain sees them: {n['below']:,} more than {params.envelope_margin:g} m below all returns around, "
-            f"{n['weak']:,} after all else of their pulse, or above all returns, and no stronger than the noise "
-            f"({_names(some)})"
+            f"{_part(some, 'implausible', 'fitted', 'echoes')} are implausible, and neither ground filter nor terrain "
+            f"sees them: {below:,} more than {params.envelope_margin:g} m below all returns around, {weak:,} after all "
+            f"else of their pulse, or above all returns, and no stronger than the noise ({_names(some)})"
         )
     if some := [s for s in strips if (s["unexplained_share"] or 0.0) >= TOLD_FROM]:
-        lone, checked = _sums(some, "unexplained", "checked")
         lines.append(
-            f"{lone:,} of {checked:,} echoes ({_percent(lone / checked)}) have no return within "
+            f"{_part(some, 'unexplained', 'checked', 'echoes')} have no return within "
             f"{params.vendor_tolerance:g} ns, {sum(s['outside'] for s in some):,} of them lie outside of the returns' "
             f"heights ({_names(some)})"
         )
     if some := [s for s in strips if (s["unmatched_returns_share"] or 0.0) >= TOLD_FROM]:
-        lone, returns = _sums(some, "returns_without_echo", "returns")
         lines.append(
-            f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
+            f"{_part(some, 'returns_without_echo', 'returns', 'returns')} have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
         )
     if some := [s for s in strips if (s["unreadable_share"] or 0.0) > TOLD_FROM]:
@@ -125,33 +121,28 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             _unreadable_words([s for s in some if not s["returns"]], "pulses"),
         ]
     if some := [s for s in strips if (s["blank_share"] or 0.0) > RARE]:
-        blank, pulses = _sums(some, "blank", "waveforms")
         lines.append(
-            f"{blank:,} of {pulses:,} pulses ({_percent(blank / pulses)}) have nothing but zeros for a waveform, which "
+            f"{_part(some, 'blank', 'waveforms', 'pulses')} have nothing but zeros for a waveform, which "
             f"no receiver records: is the packet file whole? ({_names(some)})"
         )
     if some := [s for s in strips if (s["downward_share"] or 0.0) > RARE]:
-        down, pulses = _sums(some, "downward", "waveforms")
         lines.append(
-            f"{down:,} of {pulses:,} waveforms ({_percent(down / pulses)}) have echoes that point down, and are not "
+            f"{_part(some, 'downward', 'waveforms', 'waveforms')} have echoes that point down, and are not "
             f"found: {TURN} ({_names(some)})"
         )
     if some := [s for s in strips if (s["floored_share"] or 0.0) > TOLD_FROM]:
-        low, pulses = _sums(some, "floored", "waveforms")
         lines.append(
-            f"{low:,} of {pulses:,} waveforms ({_percent(low / pulses)}) have more than a quarter of their samples at "
+            f"{_part(some, 'floored', 'waveforms', 'waveforms')} have more than a quarter of their samples at "
             f"0: {FLOOR} ({_names(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
-        off, fitted = _sums(some, "off_earth", "fitted")
         lines.append(
-            f"{off:,} of {fitted:,} echoes ({_percent(off / fitted)}) lie below {LAND[0]:g} m or above {LAND[1]:g} m, "
+            f"{_part(some, 'off_earth', 'fitted', 'echoes')} lie below {LAND[0]:g} m or above {LAND[1]:g} m, "
             f"where no land is: are times in nanoseconds, and directions in metres? ({_names(some)})"
         )
     if some := [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]:
-        poor, fitted = _sums(some, "poor", "fitted")
         lines.append(
-            f"{poor:,} of {fitted:,} echoes ({_percent(poor / fitted)}) are poorly fitted, misfit above "
+            f"{_part(some, 'poor', 'fitted', 'echoes')} are poorly fitted, misfit above "
             f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
         )
     lines += pulse_remarks(strips)
@@ -236,12 +227,17 @@ def _unreadable_words(strips: Sequence[Mapping[str, Any]], what: str) -> str:
     """`what` : "returns" or "pulses", of `strips` that all have such."""
     if not strips:
         return ""
-    lost, rows = _sums(strips, "unreadable_packets", what)
     then = "lie where their vendor has them: is the packet file whole?" if what == "returns" else "are left out"
     return (
-        f"{lost:,} of {rows:,} {what} ({_percent(lost / rows)}) have a waveform that cannot be read, and {then} "
+        f"{_part(strips, 'unreadable_packets', what, what)} have a waveform that cannot be read, and {then} "
         f"({_names(strips)})"
     )
+
+
+def _part(strips: Sequence[Mapping[str, Any]], part: str, whole: str, what: str) -> str:
+    """``3 of 1,000 echoes (0.3 %)``, of all `strips` together."""
+    some, every = _sums(strips, part, whole)
+    return f"{some:,} of {every:,} {what} ({_percent(some / every)})"
 
 
 def _sums(strips: Iterable[Mapping[str, Any]], *keys: str) -> list[int]:
