@@ -83,8 +83,8 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
 
 def class_gains(first: ArrayLike, second: ArrayLike) -> list[dict[str, Any] | None]:
     """95 % intervals of how much higher the IoU of each class is in `second` than in `first`, as `difference` takes
-    them: ``{"value", "low", "high"}`` each, fractions; None of a class without a reference, ends None with fewer than
-    `LEAST` blocks."""
+    them: ``(classes,)`` of ``{"value", "low", "high"}``, fractions; None of a class without a reference, ends None with
+    fewer than `LEAST` blocks."""
     a, b = np.asarray(first, np.int64), np.asarray(second, np.int64)
     split = a.shape[2]
     both = _sort_blocks(_counts(np.concatenate([a, b], axis=2)))

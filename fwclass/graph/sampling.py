@@ -22,7 +22,7 @@ from fwclass.graph.corrections import (
 )
 from fwclass.graph.learn import SAMPLE, trains
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.label.census import census, count_training, lacking, total
+from fwclass.label.counts import count_labelled, count_training, lacking, total
 from fwclass.model import ClassDef
 from fwclass.run.part import Name
 from fwclass.schema import canonical_key
@@ -35,10 +35,10 @@ def count_labels(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef
     """How many of a tile's echoes are labelled as what, and where they lie."""
     table, train = here.rows(), areas.boxes("train")
     if not here.parts(CORRECTIONS):
-        return census(table, rows_to_test(table, train, areas.boxes("test"), areas.gap), train, classes)
+        return count_labelled(table, rows_to_test(table, train, areas.boxes("test"), areas.gap), train, classes)
     corrections = corrections_of(here)
     corrected = corrected_training_rows(table, corrections, areas, reach)
-    return census(table, untaught_rows(table, corrections, areas, reach), train, classes, corrected)
+    return count_labelled(table, untaught_rows(table, corrections, areas, reach), train, classes, corrected)
 
 
 def count_samples(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Result:

@@ -16,25 +16,25 @@ BAR = 0.34
 """Height of a box's bar, as a share of the box."""
 
 
-def sampling_map(census: Mapping[str, Any]) -> bytes:
+def sampling_map(counts: Mapping[str, Any]) -> bytes:
     """PNG of ``report["sampling"]``; the same figures give the same bytes.
 
     Tiles with tested echoes are tinted. In every training area lies a bar: its width is shared among the classes as
     the rows that train are. A training area without labelled echoes is crossed out.
     """
-    view = _view(census)
-    palette = {int(k): css(v) for k, v in colours(census["classes"]).items()}
+    view = _view(counts)
+    palette = {int(k): css(v) for k, v in colours(counts["classes"]).items()}
     figure, axes = frame(view)
     draw(axes, np.full((1, 1, 3), 255, np.uint8), view)
-    for tile in census["tiles"]:
+    for tile in counts["tiles"]:
         x0, y0, x1, y1 = tile["box"]
         face = TESTED if any(tile["test"]) else PLAIN
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=face, edgecolor="#c3ced6", linewidth=0.5))
-    areas = {"train": [b["box"] for b in census["boxes"]], "test": census["test_boxes"]}
-    for place, box in enumerate(census["boxes"], 1):
-        _box(axes, place, box, census["classes"], palette)
+    areas = {"train": [b["box"] for b in counts["boxes"]], "test": counts["test_boxes"]}
+    for place, box in enumerate(counts["boxes"], 1):
+        _box(axes, place, box, counts["classes"], palette)
     handles: list[Any] = [
-        Patch(facecolor=palette[int(c["code"])], edgecolor="#00000030", label=c["name"]) for c in census["classes"]
+        Patch(facecolor=palette[int(c["code"])], edgecolor="#00000030", label=c["name"]) for c in counts["classes"]
     ]
     handles.append(Patch(facecolor=TESTED, edgecolor="#c3ced6", label="tested tile"))
     handles += outline(axes, areas, view)
@@ -42,9 +42,9 @@ def sampling_map(census: Mapping[str, Any]) -> bytes:
     return png(figure)
 
 
-def _view(census: Mapping[str, Any]) -> View:
+def _view(counts: Mapping[str, Any]) -> View:
     """The tiles with echoes, and a margin."""
-    boxes = np.array([t["box"] for t in census["tiles"]], float)
+    boxes = np.array([t["box"] for t in counts["tiles"]], float)
     low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     margin = 0.02 * float((high - low).max())
     wide, tall = (high - low) + 2 * margin

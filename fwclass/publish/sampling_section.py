@@ -20,41 +20,41 @@ KINDS = {
 }
 
 
-def sampling(census: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Rows of classes and training boxes, facts and remarks; None without a census."""
-    if not census or not census.get("classes"):
+def sampling(counts: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Rows of classes and training boxes, facts and remarks; None without labels."""
+    if not counts or not counts.get("classes"):
         return None
-    classes = census["classes"]
+    classes = counts["classes"]
     dots = colours(classes)
     return {
-        "kind": KINDS.get(census["reference"], census["reference"]),
-        "facts": _facts(census),
+        "kind": KINDS.get(counts["reference"], counts["reference"]),
+        "facts": _facts(counts),
         "rows": [
             {"name": c["name"], "dot": css(dots[int(c["code"])])}
             | {key: number(c[key]) for key in ("labelled", "train", "taken", "test")}
             for c in classes
         ],
-        "boxes": [_box(i + 1, b) for i, b in enumerate(census["boxes"][:LISTED])],
-        "more": max(len(census["boxes"]) - LISTED, 0),
+        "boxes": [_box(i + 1, b) for i, b in enumerate(counts["boxes"][:LISTED])],
+        "more": max(len(counts["boxes"]) - LISTED, 0),
         "names": [c["name"] for c in classes],
-        "remarks": list(census["remarks"]),
+        "remarks": list(counts["remarks"]),
     }
 
 
-def _facts(census: Mapping[str, Any]) -> list[tuple[str, str]]:
-    labelled, share = census["labelled"], percent(census["labelled"] / max(int(census["echoes"]), 1))
-    gap = census["gap"]
+def _facts(counts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    labelled, share = counts["labelled"], percent(counts["labelled"] / max(int(counts["echoes"]), 1))
+    gap = counts["gap"]
     nearest = "no tested echo" if gap["found"] is None else f"{gap['found']:.2f} m from a training area at least"
     rows = [
-        ("labelled", f"{number(labelled)} of {number(census['echoes'])} echoes, {share} %"),
+        ("labelled", f"{number(labelled)} of {number(counts['echoes'])} echoes, {share} %"),
         ("tested echoes", f"{nearest} (areas.gap {gap['asked']:g} m)"),
     ]
-    if census["other_codes"]:
-        others = ", ".join(f"{code}: {number(n)}" for code, n in census["other_codes"].items())
+    if counts["other_codes"]:
+        others = ", ".join(f"{code}: {number(n)}" for code, n in counts["other_codes"].items())
         rows.append(("codes of no class", others))
-    if census["ambiguous"]:
-        rows.append(("in polygons of different classes", f"{number(census['ambiguous'])} echoes, not labelled"))
-    if corrected := census.get("corrections"):
+    if counts["ambiguous"]:
+        rows.append(("in polygons of different classes", f"{number(counts['ambiguous'])} echoes, not labelled"))
+    if corrected := counts.get("corrections"):
         back = f", {number(corrected['taken_back'])} taken back" if corrected["taken_back"] else ""
         rows.append(("corrections", f"{number(corrected['applied'])} of {number(corrected['standing'])} applied{back}"))
     return rows

@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.grid import TileGrid
-from fwclass.label.census import label_remarks, total, total_training
+from fwclass.label.counts import label_remarks, total, total_training
 from fwclass.store.receipts import Receipt
 
 

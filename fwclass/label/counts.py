@@ -20,16 +20,16 @@ FEW = 100
 LOPSIDED = 100
 """Times that the largest class may have more training rows than the smallest."""
 
-Census = Mapping[str, Any]
+Counts = Mapping[str, Any]
 
 
-def census(
+def count_labelled(
     table: Table,
     tested: NDArray[np.bool_],
     train: Sequence[Box],
     classes: Sequence[ClassDef],
     corrected: NDArray[np.bool_] | None = None,
-) -> Census:
+) -> Counts:
     """Counts of one tile.
 
     Parameters
@@ -68,8 +68,9 @@ def census(
 
 def count_training(
     table: Table, chosen: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]
-) -> Census:
-    """Counts of the rows of one tile that train: ``train`` [class] and ``boxes`` [box][class], as in `census`."""
+) -> Counts:
+    """Counts of the rows of one tile that train: ``train`` [class] and ``boxes`` [box][class], as `count_labelled` has
+    them."""
     some = table.take(chosen)
     index = class_index(some["reference"], classes)
     boxes = [by_class(index[box.contains(some["x"], some["y"])], len(classes)) for box in train]
@@ -95,7 +96,7 @@ def nearest_box(x: NDArray[np.float64], y: NDArray[np.float64], boxes: Sequence[
     return least / 1000
 
 
-def total(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
+def total(tiles: Iterable[Counts], boxes: int, classes: int) -> Counts:
     """The sum of all tiles, with the same keys; ``nearest`` is the least."""
     counts = list(tiles)
     nearest = [c["nearest"] for c in counts if c["nearest"] is not None]
@@ -114,7 +115,7 @@ def total(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
     }
 
 
-def total_training(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
+def total_training(tiles: Iterable[Counts], boxes: int, classes: int) -> Counts:
     """The sum of what `count_training` gave."""
     counts = list(tiles)
     return {
@@ -131,9 +132,9 @@ def _sum(arrays: Iterable[Any], shape: tuple[int, ...]) -> Any:
 
 
 def label_remarks(
-    whole: Census,
-    rows: Census | None,
-    tiles: Mapping[str, Census],
+    whole: Counts,
+    rows: Counts | None,
+    tiles: Mapping[str, Counts],
     classes: Sequence[ClassDef],
     train: Sequence[Box],
     test: Sequence[Box],
@@ -157,7 +158,7 @@ def label_remarks(
     ]
 
 
-def _about_codes(whole: Census, classes: Sequence[ClassDef], others: frozenset[int] = frozenset()) -> list[str]:
+def _about_codes(whole: Counts, classes: Sequence[ClassDef], others: frozenset[int] = frozenset()) -> list[str]:
     """Classes that no echo of the survey has, but for `others`, with the codes that are there instead."""
     lacking = [c for c, n in zip(classes, whole["labelled"], strict=True) if n == 0 and c.code not in others]
     if not lacking:
@@ -169,7 +170,7 @@ def _about_codes(whole: Census, classes: Sequence[ClassDef], others: frozenset[i
 
 
 def lacking(
-    whole: Census, classes: Sequence[ClassDef], train: Sequence[Box], others: frozenset[int] = frozenset()
+    whole: Counts, classes: Sequence[ClassDef], train: Sequence[Box], others: frozenset[int] = frozenset()
 ) -> list[str]:
     """Why nothing can be learned from the labels, as sentences: classes and training areas without a labelled echo.
 
@@ -187,7 +188,7 @@ def lacking(
     return sentences
 
 
-def _about_classes(whole: Census, rows: Census | None, names: Sequence[str]) -> list[str]:
+def _about_classes(whole: Counts, rows: Counts | None, names: Sequence[str]) -> list[str]:
     train = rows["train"] if rows else whole["train"]
     sentences = []
     for name, n, tests in zip(names, train, whole["test"], strict=True):
@@ -209,7 +210,7 @@ def _about_classes(whole: Census, rows: Census | None, names: Sequence[str]) -> 
     return sentences
 
 
-def _about_tiles(tiles: Mapping[str, Census], names: Sequence[str]) -> list[str]:
+def _about_tiles(tiles: Mapping[str, Counts], names: Sequence[str]) -> list[str]:
     trained = {key: c["train"] for key, c in tiles.items() if any(c["train"])}
     sentences = []
     for k, name in enumerate(names):
@@ -219,7 +220,7 @@ def _about_tiles(tiles: Mapping[str, Census], names: Sequence[str]) -> list[str]
     return sentences
 
 
-def _about_boxes(whole: Census, train: Sequence[Box]) -> list[str]:
+def _about_boxes(whole: Counts, train: Sequence[Box]) -> list[str]:
     return [
         f"Training area {_text(box)} has no labelled echo."
         for box, counts in zip(train, whole["boxes"], strict=True)
@@ -227,7 +228,7 @@ def _about_boxes(whole: Census, train: Sequence[Box]) -> list[str]:
     ]
 
 
-def _about_areas(whole: Census, train: Sequence[Box], test: Sequence[Box], gap: float) -> list[str]:
+def _about_areas(whole: Counts, train: Sequence[Box], test: Sequence[Box], gap: float) -> list[str]:
     sentences = [
         f"Test area {_text(t)} overlaps training area {_text(b)}: what lies in it or within {gap:g} m is not tested."
         for t in test

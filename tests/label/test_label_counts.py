@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fwclass.grid import Box
-from fwclass.label.census import census, count_training, label_remarks, nearest_box, total, total_training
+from fwclass.label.counts import count_labelled, count_training, label_remarks, nearest_box, total, total_training
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 
@@ -26,7 +26,7 @@ def in_test(t):
 
 def test_counts_are_those_of_a_loop():
     t = table()
-    found = census(t, in_test(t), TRAIN, CLASSES)
+    found = count_labelled(t, in_test(t), TRAIN, CLASSES)
     rows = list(zip(t["x"].tolist(), t["y"].tolist(), t["reference"].tolist(), strict=True))
     of = {2: 0, 3: 1, 5: 1}
     counts = {k: [0, 0] for k in ("labelled", "train", "test")}
@@ -50,8 +50,8 @@ def test_counts_are_those_of_a_loop():
 def test_tiles_add_up():
     t = table()
     parts = [t.take(t["x"] // 7 == k) for k in range(8)]
-    whole = total([census(p, in_test(p), TRAIN, CLASSES) for p in parts], len(TRAIN), len(CLASSES))
-    assert whole == census(t, in_test(t), TRAIN, CLASSES)
+    whole = total([count_labelled(p, in_test(p), TRAIN, CLASSES) for p in parts], len(TRAIN), len(CLASSES))
+    assert whole == count_labelled(t, in_test(t), TRAIN, CLASSES)
     drawn = np.random.default_rng(1).random(t.rows) < 0.1
     drawn &= TRAIN[0].contains(t["x"], t["y"])
     some = [count_training(t.take(t["x"] // 7 == k), drawn[t["x"] // 7 == k], TRAIN, CLASSES) for k in range(8)]
