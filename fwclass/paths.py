@@ -15,6 +15,14 @@ from fwclass.errors import InputError, is_control
 MOST_BYTES = 200
 """Of a name; file systems take 255, and endings are still to come."""
 
+WAVEFORM_ENDINGS = {
+    ".las": (".wdp", ".wdz"),
+    ".laz": (".wdp", ".wdz"),
+    ".pls": (".wvs", ".wvz"),
+    ".plz": (".wvz", ".wvs"),
+}
+"""Endings of the file of waveforms that goes with a file of points or pulses; the usual one first."""
+
 
 def name_fault(name: object) -> str:
     """Why `name` cannot be the name of one file or directory; "" if it can."""

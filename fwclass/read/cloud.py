@@ -14,13 +14,14 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_unless_flat
 from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.grid import quantise
+from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.points import PointReader, coordinates, flags_of
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
 
-LAS_SUFFIXES = (".las", ".laz", ".pls")
+LAS_SUFFIXES = tuple(WAVEFORM_ENDINGS)
 
 FAR, HIGH = 1e8, 1e5
 """No place on earth has larger coordinates [m], in the plane or in height."""

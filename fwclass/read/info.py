@@ -15,6 +15,7 @@ from fwclass.formats import vector
 from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.checks import first_hole
 from fwclass.formats.flat import flat_faults
+from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
 from fwclass.read.beams import beam_fault
 from fwclass.read.las import LasSource
@@ -34,7 +35,7 @@ Z_MARGIN = 100.0
 
 _MAX_RETURN = 16
 
-_ENDINGS = {".las", ".laz", ".pls", *PARQUET, *vector.FORMATS} - {".json"}
+_ENDINGS = {*WAVEFORM_ENDINGS, *PARQUET, *vector.FORMATS} - {".json"}
 
 
 @dataclass
@@ -298,7 +299,7 @@ def _format_text(info_: dict[str, Any]) -> str:
     if "format" in info_:
         return str(info_["format"])
     if "pulses" in info_:
-        return f"PulseWaves {info_['version']}"
+        return f"PulseWaves {info_['version']}{', compressed' * info_['compressed']}"
     kind = "COPC" if info_["copc"] else "LAZ" if info_["compressed"] else "LAS"
     return f"{kind} {info_['version']}, point format {info_['point_format']}"
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fwclass.errors import InputError
 from fwclass.formats.crs import crs_of
-from fwclass.paths import open_regular
+from fwclass.paths import WAVEFORM_ENDINGS, open_regular
 from fwclass.read.base import Source, WaveStore, file_beside
 from fwclass.read.pls_header import SIGNATURE, SPEC, PulseHeader, read_pulse_header
 
@@ -120,7 +120,7 @@ class PulseSource(Source):
 
 def is_pulse_file(path: Path) -> bool:
     """The file begins with the signature of PulseWaves, or is named like a part of it."""
-    if path.suffix.lower() in (".pls", ".plz", ".wvs", ".wvz"):
+    if path.suffix.lower() in (".pls", ".plz", *WAVEFORM_ENDINGS[".pls"]):
         return True
     try:
         with open_regular(path) as stream:
@@ -137,8 +137,8 @@ def open_pls(path: Path) -> PulseSource:
     InputError
         No Pulse file of version 0.3, cut short, or a header that contradicts the file.
     """
-    if path.suffix.lower() in (".wvs", ".wvz"):
-        raise InputError("this file holds waveforms, not pulses", where=path, do="give the .pls beside it")
+    if path.suffix.lower() in WAVEFORM_ENDINGS[".pls"]:
+        raise InputError("this file holds waveforms, not pulses", where=path, do="give the .pls or .plz beside it")
     header = read_pulse_header(path)
     faults = list(header.faults)
     crs = crs_of(header, faults)
@@ -205,7 +205,7 @@ def _descriptor(body: bytes) -> PulseDescriptor:
 
 def _find_waves(path: Path, compressed: bool, faults: list[str]) -> tuple[WaveStore, bool]:
     """The Waves file, and whether it is compressed; beside compressed pulses a .wvz comes first."""
-    names = (".wvz", ".wvs") if compressed else (".wvs", ".wvz")
+    names = WAVEFORM_ENDINGS[".plz" if compressed else ".pls"]
     waves, why, packed = next(filter(None, (file_beside(path, name) for name in names)), None), "", False
     if waves is None:
         why = f"the waveforms are missing: put {path.with_suffix(names[0]).name} beside {path.name}"

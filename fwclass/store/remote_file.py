@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fwclass.errors import InputError, StoreError
-from fwclass.paths import path_matches
+from fwclass.paths import WAVEFORM_ENDINGS, path_matches
 from fwclass.store.atomic import digest_of
 from fwclass.store.digests import looks
 from fwclass.store.objects import Download, StoredObject, objects_at
@@ -121,13 +121,7 @@ def _with_beside(one: StoredObject, objects: Iterable[StoredObject], directory: 
     return RemoteFile(directory / one.key, tuple(own), params)
 
 
-_BESIDE = {
-    ".las": (".wdp", ".wdz"),
-    ".laz": (".wdp", ".wdz"),
-    ".pls": (".wvs",),
-    ".plz": (".wvz", ".wvs"),
-    ".shp": (".dbf", ".shx", ".prj", ".cpg"),
-}
+_BESIDE = {**WAVEFORM_ENDINGS, ".shp": (".dbf", ".shx", ".prj", ".cpg")}
 """Files that are read together with one of this ending."""
 
 

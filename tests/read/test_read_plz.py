@@ -16,8 +16,10 @@ from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, write_pls
 from plzmaker import compress, wild_records
 
 from fwclass.errors import InputError
+from fwclass.operate.schedule.places import WAVES
+from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read import pls_compressed
-from fwclass.read.info import describe, info
+from fwclass.read.info import describe, files_in, info
 from fwclass.read.pls_waves import read_records
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
 from fwclass.waveforms import Waveforms
@@ -209,7 +211,7 @@ def test_without_the_waves_the_name_that_is_missing_is_told(tmp_path, params):
     path.with_suffix(".wvz").rename(tmp_path / "moved.wvz")
     with pytest.raises(InputError, match=r"put a\.wvz beside"):
         read(path, params)
-    with pytest.raises(InputError, match=r"give the \.pls beside it"):
+    with pytest.raises(InputError, match=r"give the \.pls or \.plz"):
         open_source(tmp_path / "moved.wvz")
 
 
@@ -311,3 +313,11 @@ def test_real_pulses(shared_data, params, tmp_path):
         for s, t in ((".plz", ".pls"), (".wvz", ".wvs"))
     ]
     assert max(both) < 0.6, both
+
+
+def test_a_directory_names_them_and_an_inbox_moves_both(tmp_path):
+    kinds = described()
+    plz = compress(survey(tmp_path / "a.pls", pulses=5, descriptors=kinds).path, kinds)
+    assert files_in(tmp_path) == (plz,)
+    assert plz.with_suffix(".wvz").suffix in WAVEFORM_ENDINGS[plz.suffix] and ".wvz" in WAVES
+    assert "PulseWaves 0.3, compressed" in describe(info(plz))

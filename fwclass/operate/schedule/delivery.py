@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.operate.schedule.inbox import REPLACED, Delivery
-from fwclass.operate.schedule.places import COMPANIONS, WAVES, Places
+from fwclass.operate.schedule.places import WAVES, Places
 from fwclass.operate.schedule.watch import mark_of
+from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.store.atomic import sync
 
 
@@ -46,7 +47,7 @@ def _there(delivery: Delivery, places: Places) -> list[Path]:
     """The strip's files in the survey: sources of the same stem, points first, and their waveforms."""
     head = delivery.files[-1]
     same = [p for p in sorted(delivery.target.iterdir()) if p.is_file() and p.stem.lower() == head.stem.lower()]
-    heads = [p for p in same if p.suffix.lower() in COMPANIONS and (places.finds(p) or p.name == head.name)]
+    heads = [p for p in same if p.suffix.lower() in WAVEFORM_ENDINGS and (places.finds(p) or p.name == head.name)]
     return heads + [p for p in same if p.suffix.lower() in WAVES]
 
 
@@ -54,7 +55,7 @@ def _ahead(delivery: Delivery, places: Places) -> set[str]:
     """Waveforms that lie in the survey without points: they came by a move that was cut off, and belong to the delivery
     where it has none itself."""
     there = _there(delivery, places)
-    if any(p.suffix.lower() in COMPANIONS for p in there) or len(delivery.files) > 1:
+    if any(p.suffix.lower() in WAVEFORM_ENDINGS for p in there) or len(delivery.files) > 1:
         return set()
     return {p.name for p in there}
 

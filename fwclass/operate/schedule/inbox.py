@@ -11,10 +11,10 @@ from pathlib import Path
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.errors import InputError
 from fwclass.formats.las_header import Header
-from fwclass.operate.schedule.places import COMPANIONS, WAVES, Places
+from fwclass.operate.schedule.places import WAVES, Places
 from fwclass.operate.schedule.ticks import Now
 from fwclass.operate.schedule.watch import writers
-from fwclass.paths import name_fault
+from fwclass.paths import WAVEFORM_ENDINGS, name_fault
 
 REPLACED = "replaced"
 """Directory in the inbox where older versions of files that came again are kept."""
@@ -148,7 +148,8 @@ def _marks(directory: Path) -> dict[Path, Mark]:
 
 def _goes_with(head: Path, path: Path) -> bool:
     """`path` holds the waveforms of `head`."""
-    return path.suffix.lower() in COMPANIONS.get(head.suffix.lower(), ()) and head.stem.lower() == path.stem.lower()
+    beside = WAVEFORM_ENDINGS.get(head.suffix.lower(), ())
+    return path.suffix.lower() in beside and head.stem.lower() == path.stem.lower()
 
 
 def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -> str:
@@ -185,7 +186,7 @@ def _moved_ahead(head: Path, target: Path) -> bool:
     if not target.is_dir():
         return False
     there = [p for p in target.iterdir() if p.stem.lower() == head.stem.lower()]
-    return any(_goes_with(head, p) for p in there) and not any(p.suffix.lower() in COMPANIONS for p in there)
+    return any(_goes_with(head, p) for p in there) and not any(p.suffix.lower() in WAVEFORM_ENDINGS for p in there)
 
 
 def _surplus(header: Header) -> list[str]:

@@ -8,12 +8,9 @@ from pathlib import Path, PurePath
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.paths import path_matches
+from fwclass.paths import WAVEFORM_ENDINGS, path_matches
 
-COMPANIONS = {".las": (".wdp", ".wdz"), ".laz": (".wdp", ".wdz"), ".pls": (".wvs",)}
-"""Endings of the file of waveforms that goes with a file of points or pulses."""
-
-WAVES = frozenset(ending for endings in COMPANIONS.values() for ending in endings)
+WAVES = frozenset(ending for endings in WAVEFORM_ENDINGS.values() for ending in endings)
 
 
 @dataclass(frozen=True)
