@@ -130,3 +130,40 @@ def test_a_dry_run_measures_and_leaves_nothing_behind(conf: Path, tmp_path: Path
     assert len({k.strip(",") for k in keys}) == 2
     assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["plan"]
     assert sorted(p.name for p in (tmp_path / "r" / "plan").iterdir()) == ["plan.json", "plan.png", "tiles.gpkg"]
+
+
+OWN = """
+from dataclasses import replace
+from fwclass.graph.own_stage import classifier_stage
+from fwclass.workflows.classification import classification
+
+
+def answer(X):
+    return X[:, 0] > 0
+
+
+workflow = classification.without_training().with_stage_instead(classifier_stage(answer, ("z",)))
+"""
+EARLY = """
+from dataclasses import replace
+from fwclass.graph.stages import TILE_ECHOES
+from fwclass.workflows.classification import classification
+
+workflow = classification.with_stage_instead(replace(TILE_ECHOES))
+"""
+
+
+def test_a_workflow_of_ones_own_is_planned_by_its_stages(tmp_path: Path) -> None:
+    """What does not learn is not charged for learning; a cost that is set for a stage is reckoned with."""
+    (tmp_path / "own.py").write_text(OWN)
+    ended = fwclass("plan", "demo", "--workflow", tmp_path / "own.py", "--out", tmp_path / "r", "--json")
+    assert ended.returncode == 0, ended.stderr
+    stages = {s["name"] for s in json.loads(ended.stdout)["stages"]}
+    assert {"tile", "classify"} <= stages and not stages & {"sample", "training", "trees", "train"}
+    assert fwclass("plan", "demo", "--workflow", "he2023").returncode == 2
+
+
+def test_a_stage_before_the_tiles_cannot_be_replaced(tmp_path: Path) -> None:
+    (tmp_path / "early.py").write_text(EARLY)
+    ended = fwclass("plan", "demo", "--workflow", tmp_path / "early.py", "--out", tmp_path / "r")
+    assert ended.returncode == 2 and "before the tiles cannot be replaced" in ended.stderr

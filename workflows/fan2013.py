@@ -36,7 +36,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     computed = (*used, *config.features.also)
     check_features(config, computed, f"{config.path}: survey.features, features.also")
     names = features_like(config, printed["selection"]["order"])
-    plan = without_corrections(until_tiles(Plan(config, used, computed), runner))
+    plan = without_corrections(until_tiles(Plan(config, used, computed), runner, delivers=True))
     report = until_report(plan, runner, after_tiles(classification.stages))
     if runner.failures:
         return report

@@ -48,7 +48,6 @@ def plan(
     """
     from fwclass.errors import visible
     from fwclass.graph.outputs import DELIVER_STRIP, check_class_codes
-    from fwclass.graph.stages import STAGES
     from fwclass.operate.configured import configured
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
@@ -61,6 +60,10 @@ def plan(
     from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
+    if not chosen.stages:
+        raise ConfigError(
+            "this workflow has no stages to plan", where=f"workflow {workflow}", do="run it: it takes minutes"
+        )
     if count is not None and chosen.settle is not None:
         raise ConfigError(
             "tiles are tried with the stages of `classification` alone", where="--dry-run", do="leave one of them out"
@@ -78,10 +81,10 @@ def plan(
     check_areas(config, facts.box)
     if copied:
         check_class_codes({s.path.name: s.point_format for s in facts.sources}, with_model(config))
-    settled, stages = (config, STAGES) if chosen.settle is None else (chosen.settle(config), chosen.stages)
-    estimate = make_plan(settled, facts, number, room_at(root), stages=stages)
+    settled = config if chosen.settle is None else chosen.settle(config)
+    estimate = make_plan(settled, facts, number, room_at(root), stages=chosen.stages)
     if count is not None:
-        estimate = _dry_run(estimate, count, root)
+        estimate = _dry_run(estimate, count, root, chosen.stages)
     paths = deliver(estimate, root)
     written = "\n".join(f"written     {visible(p)}" for p in paths)
     click.echo(f"{describe(estimate)}\n\n{written}", err=as_json)
@@ -90,7 +93,7 @@ def plan(
     refuse(list(estimate.limits), config.path)
 
 
-def _dry_run(estimate: Any, count: int, root: Path) -> Any:
+def _dry_run(estimate: Any, count: int, root: Path, stages: Any) -> Any:
     """The plan again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
     from fwclass.operate.estimate.trial import run_trial, trial_of
@@ -111,7 +114,7 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
                 do="mend the cause; the run would fail too",
             )
         click.echo(f"dry run     tiles {', '.join(keys)} from {trial_.files:,} files", err=True)
-        return make_plan(estimate.config, estimate.facts, estimate.workers, estimate.room, store)
+        return make_plan(estimate.config, estimate.facts, estimate.workers, estimate.room, store, stages)
 
 
 def _check(config: Any, workflow: str) -> None:

@@ -95,10 +95,18 @@ class Workflow:
         names: set[str] = set()
         every = {s.name for s in self.stages}
         ours = {id(stage) for stage in STAGES}
+        early = {stage.name for stage in (SIMULATE, *TO_TILES)}
         written: dict[str, str] = {}
         for stage in self.stages:
             if id(stage) in ours:
                 continue
+            if stage.name in early:
+                raise ConfigError(
+                    "a stage before the tiles cannot be replaced: what it finds decides which tiles there are",
+                    where=where,
+                    got=stage.name,
+                    do="add a stage behind `tile` that changes what it gives, and is read in its place",
+                )
             if sum(s.name == stage.name for s in self.stages) > 1:
                 raise ConfigError(
                     "two stages have one name, and would write the same parts",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +25,8 @@ from fwclass.grid import Box, TileGrid, groups, joint_box
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of
 from fwclass.publish.cog import STRIPE
-from fwclass.store.models import load_model
-from fwclass.store.remote_file import local
 from fwclass.survey.bounds import CLOUD_ROWS
-from fwclass.walk.steps import base_model, given_model, with_model
+from fwclass.walk.steps import plan_with_features
 
 MIB = 1 << 20
 
@@ -92,23 +89,13 @@ class Counts:
 
 
 def plan_of(config: Config) -> Plan:
-    """What the stages are planned by before any file is read."""
-    named = config.survey.model or config.survey.base_model
-    names = _features_of_model(config, named) if named else config.features_asked
-    return Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))))
+    """What the stages are planned by before any file is read, as a run plans them; models are opened once."""
+    if not _last or _last[0][0] is not config:
+        _last[:] = [(config, plan_with_features(config))]
+    return _last[0][1]
 
 
-_known: dict[tuple[Path, str], tuple[str, ...]] = {}
-
-
-def _features_of_model(config: Config, named: str) -> tuple[str, ...]:
-    """Of the model that is given, wherever it lies; it is opened once."""
-    key = (config.path, named)
-    if key not in _known:
-        model = given_model(config) or base_model(with_model(config))
-        _known.clear()
-        _known[key] = load_model(local(model[0])).features if model else ()
-    return _known[key]
+_last: list[tuple[Config, Plan]] = []
 
 
 def tile_halo(config: Config, stages: Sequence[Stage] = STAGES) -> float:

@@ -20,7 +20,6 @@ NEAR = 0.1
 """A gain of less than this share is none: a size that is set stays."""
 
 Costs = Mapping[str, StageCost]
-UNITS = {stage.name: stage.unit for stage in STAGES}
 
 
 @dataclass(frozen=True)
@@ -85,19 +84,19 @@ def estimate_run(
 ) -> Estimate:
     """The run of `stages` with tiles of `size` [m]; those that `costs` does not know are told in `unknown`."""
     waves = float(sum(s.wave_bytes for s in facts.sources))
-    works, unknown = [], []
+    works, unknown, units = [], [], {stage.name: stage.unit for stage in stages}
     for name, amount in amounts(config, facts, size, stages).items():
         if name in costs:
-            works.append(_stage(name, amount, costs[name], waves, config.plan.base_mib))
+            works.append(_stage(name, units[name], amount, costs[name], waves, config.plan.base_mib))
         else:
             unknown.append(name)
     return Estimate(size, max(1, workers), tuple(works), config.plan.compile_seconds, tuple(unknown))
 
 
-def _stage(name: str, amount: Amount, cost: StageCost, waves: float, base_mib: float) -> StagePlan:
+def _stage(name: str, unit: str, amount: Amount, cost: StageCost, waves: float, base_mib: float) -> StagePlan:
     return StagePlan(
         name,
-        UNITS[name],
+        unit,
         amount,
         seconds=amount.parts * cost.part * 1e-3 + amount.units * cost.each * 1e-6,
         longest=cost.part * 1e-3 + amount.longest * cost.each * 1e-6,
