@@ -147,12 +147,7 @@ def ground_counts(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int
 
 
 def assess_survey(
-    here: StageInputs,
-    names: tuple[str, ...],
-    areas: AreasSection,
-    block: float,
-    classes: tuple[ClassDef, ...],
-    quantiles: tuple[float, ...],
+    here: StageInputs, names: tuple[str, ...], classes: tuple[ClassDef, ...], quantiles: tuple[float, ...]
 ) -> Result:
     """Figures over all test areas with their intervals, and the distribution of the features by class.
 
@@ -195,16 +190,6 @@ def _learned_around(plan: Plan, tile: Any) -> Mapping[str, Any]:
     return reach_around(plan, tile) if plan.config.survey.model is None else {}
 
 
-def _judging_arguments(plan: Plan) -> Mapping[str, Any]:
-    config = plan.config
-    return {
-        "names": feature_columns(plan),
-        "areas": config.areas,
-        "block": config.assess.block,
-        "classes": config.classes,
-    }
-
-
 _ANSWERS = ("reference", "classification", "confidence", "ground")
 
 COUNT_CONFUSION = Stage(
@@ -214,7 +199,13 @@ COUNT_CONFUSION = Stage(
     "echo",
     count_tile,
     when=has_reference,
-    arguments=lambda plan: {**_judging_arguments(plan), **kept_argument(plan)},
+    arguments=lambda plan: {
+        "names": feature_columns(plan),
+        "areas": plan.config.areas,
+        "block": plan.config.assess.block,
+        "classes": plan.config.classes,
+        **kept_argument(plan),
+    },
     each=_learned_around,
     own=lambda plan: (*IDENTITY_AND_PLACE, "z", *feature_columns(plan), *_ANSWERS, *deciding_column(plan)),
     after=(CORRECTIONS,),
@@ -229,7 +220,12 @@ ASSESS = Stage(
     "echo",
     assess_survey,
     when=has_reference,
-    arguments=lambda plan: {**_judging_arguments(plan), "quantiles": plan.config.assess.quantiles},
+    arguments=lambda plan: {
+        "names": feature_columns(plan),
+        "classes": plan.config.classes,
+        "quantiles": plan.config.assess.quantiles,
+    },
+    keyed=lambda plan: {"areas": plan.config.areas, "block": plan.config.assess.block},
     after=("confusion",),
     needs=lambda plan, part: [("confusion", t.key) for t in plan.layout.tiles],
     check=True,

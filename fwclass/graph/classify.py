@@ -62,16 +62,11 @@ def _model(here: StageInputs, digest: str | None) -> Model:
 
 
 def classify_tile(
-    here: StageInputs,
-    names: tuple[str, ...],
-    probabilities: bool,
-    model: str | None,
-    kept: Kept | None = None,
-    left: Left | None = None,
+    here: StageInputs, probabilities: bool, model: str | None, kept: Kept | None = None, left: Left | None = None
 ) -> Result:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
 
-    `names`: the features that decide; `model`: digest of a given one, None for the run's own; `kept`: which echoes
+    `model`: digest of a given one, None for the run's own; `kept`: which echoes
     have the class of their source instead, `left`: which have none.
     """
     used = _model(here, model)
@@ -90,15 +85,13 @@ def classify_tile(
 
 def classify_thinned_tile(
     here: StageInputs,
-    names: tuple[str, ...],
     probabilities: bool,
     model: str | None,
     reach: float,
-    thin: int,
     kept: Kept | None = None,
     left: Left | None = None,
 ) -> Result:
-    """As `classify_tile`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes,
+    """As `classify_tile`, for a thinned run: the model is asked about sampled echoes,
     in the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
     chunk = here.chunk()
     rows = np.flatnonzero(chunk.table["sampled"])
@@ -132,8 +125,12 @@ def codes_of(table: Table) -> dict[str, int]:
 
 def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
-    arguments = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
-    return {**arguments, **answer_arguments(plan)}
+    return {"probabilities": shares, "model": plan.model[1] if plan.model else None, **answer_arguments(plan)}
+
+
+def names_that_decide(plan: Plan) -> Mapping[str, Any]:
+    """The features that the classifier decides by, which are read."""
+    return {"names": plan.names}
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
@@ -160,6 +157,7 @@ CLASSIFY_ECHOES = Stage(
     classify_tile,
     when=lambda plan: not thins(plan.config) and fine_layer(plan) is None and context_layer(plan) is None,
     arguments=_arguments,
+    keyed=names_that_decide,
     own=lambda plan: (*plan.names, *deciding_column(plan)),
     writes=classes_written,
     after=("train",),
@@ -170,7 +168,8 @@ CLASSIFY_THINNED = replace(
     CLASSIFY_ECHOES,
     function=classify_thinned_tile,
     when=lambda plan: thins(plan.config),
-    arguments=lambda plan: {**_arguments(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
+    arguments=lambda plan: {**_arguments(plan), "reach": plan.config.thin.reach},
+    keyed=lambda plan: {**names_that_decide(plan), "thin": THIN.version},
     reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
     own=deciding_column,
     halo=lambda plan: plan.config.thin.reach,

@@ -9,7 +9,15 @@ from fwclass.classify.kept import Kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.classify.unsure import Left
 from fwclass.errors import InputError
-from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
+from fwclass.graph.classify import (
+    classes_written,
+    codes_of,
+    given_model,
+    model_at,
+    names_that_decide,
+    outside_facts,
+    own_model,
+)
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
 from fwclass.graph.learn import MODEL, TRAIN_COARSE
@@ -22,7 +30,7 @@ FIRST = "first-shares"
 _PLACE = ("x", "y", "z")
 
 
-def share_first(here: StageInputs, layer: ContextLayer, names: tuple[str, ...], model: str | None) -> Result:
+def share_first(here: StageInputs, layer: ContextLayer, model: str | None) -> Result:
     """The first layer's shares of a tile's echoes."""
     if model is None:
         used = model_at(
@@ -44,7 +52,6 @@ def share_first(here: StageInputs, layer: ContextLayer, names: tuple[str, ...], 
 def classify_tile_in_context(
     here: StageInputs,
     layer: ContextLayer,
-    names: tuple[str, ...],
     probabilities: bool,
     model: str | None,
     kept: Kept | None = None,
@@ -86,11 +93,8 @@ SHARE_FIRST = Stage(
     "echo",
     share_first,
     when=lambda plan: context_layer(plan) is not None,
-    arguments=lambda plan: {
-        "layer": layer_of(plan),
-        "names": plan.names,
-        "model": plan.model[1] if plan.model else None,
-    },
+    arguments=lambda plan: {"layer": layer_of(plan), "model": plan.model[1] if plan.model else None},
+    keyed=names_that_decide,
     own=lambda plan: plan.names,
     writes=lambda plan: layer_of(plan).columns(),
     after=(TRAIN_COARSE,),
@@ -107,11 +111,11 @@ CLASSIFY_IN_CONTEXT = Stage(
     when=lambda plan: context_layer(plan) is not None,
     arguments=lambda plan: {
         "layer": layer_of(plan),
-        "names": plan.names,
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
         **answer_arguments(plan),
     },
+    keyed=names_that_decide,
     reads=lambda plan: (*_PLACE, *layer_of(plan).columns()),
     own=lambda plan: (*plan.names, *deciding_column(plan)),
     writes=classes_written,

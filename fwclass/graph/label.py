@@ -90,7 +90,7 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
     return _loaded[key]
 
 
-def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
+def label_by_source(here: StageInputs, reach: float = 0.0) -> Result:
     """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
     chunk = here.chunk()
     return _with_counts(*_correct(here, chunk, _without_implausible(chunk, from_source(chunk)), reach))
@@ -201,34 +201,36 @@ READ_POLYGONS = Stage(
     each=lambda plan, part: {"layer": part.file.layer, "own_crs": part.file.crs},
     source=lambda plan, part: (part.file.path, part.file.digests),
 )
-LABEL_BY_SOURCE = Stage(
+LABEL_BY_CLOUD = Stage(
     LABEL.name,
     LABEL.version,
     "tile",
     "echo",
-    label_by_source,
-    when=_of_kind("source"),
+    label_by_cloud,
+    when=_of_kind("cloud"),
     arguments=_params,
     each=reach_here,
     silent=_OF_ECHOES,
-    own=("x", "y", "z", "source_class", "fit_flags"),
-    writes=_CLASSES,
-    halo=_correction_reach,
-    after=(CORRECTIONS,),
-    needs=corrections_here,
-    check=_only_judges,
-)
-LABEL_BY_CLOUD = replace(
-    LABEL_BY_SOURCE,
-    function=label_by_cloud,
-    when=_of_kind("cloud"),
     own=("x", "y", "z", "gps_time", "fit_flags"),
+    writes=_CLASSES,
     halo=lambda plan: max(LABEL.halo(plan.config.label), _correction_reach(plan)),
     after=("reference", CORRECTIONS),
     needs=_clouds,
+    check=_only_judges,
+)
+LABEL_BY_SOURCE = replace(
+    LABEL_BY_CLOUD,
+    function=label_by_source,
+    when=_of_kind("source"),
+    arguments=lambda plan: {},
+    keyed=_params,
+    own=("x", "y", "z", "source_class", "fit_flags"),
+    halo=_correction_reach,
+    after=(CORRECTIONS,),
+    needs=corrections_here,
 )
 LABEL_BY_ECHOES = replace(
-    LABEL_BY_SOURCE,
+    LABEL_BY_CLOUD,
     function=label_by_echoes,
     when=_of_kind("echoes", "corrections"),
     silent=frozenset({"max_distance"}),

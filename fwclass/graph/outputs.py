@@ -80,7 +80,6 @@ def crs_of(text: str | None) -> CRS | None:
 def deliver_tile(
     here: StageInputs,
     params: PublishParams,
-    columns: Names,
     crs: str | None,
     standard_time: bool,
     calibrated: bool,
@@ -225,12 +224,12 @@ DELIVER_TILE = Stage(
     deliver_tile,
     arguments=lambda plan: {
         "params": plan.config.publish,
-        "columns": columns_of_tiles(plan),
         "crs": plan.survey.crs,
         "standard_time": plan.survey.standard_time,
         "calibrated": plan.config.radiometry.calibrates,
         "names": class_names(plan),
     },
+    keyed=lambda plan: {"columns": columns_of_tiles(plan)},
     silent=NO_BYTE,
     own=columns_of_tiles,
     where="deliver",

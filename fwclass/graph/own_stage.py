@@ -112,6 +112,7 @@ def classifier_stage(
         function=OfRows(CLASSIFY.name, function),
         when=always,
         arguments=lambda plan: {**arguments(plan), "classes": plan.config.classes},
+        keyed=lambda plan: {},
         own=_column_names(CLASSIFY.name, reads),
         writes=CLASSIFY.writes,
         after=(),

@@ -18,7 +18,15 @@ from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
-from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
+from fwclass.graph.classify import (
+    classes_written,
+    codes_of,
+    given_model,
+    model_at,
+    names_that_decide,
+    outside_facts,
+    own_model,
+)
 from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
@@ -55,7 +63,7 @@ DRAWN, MERGED = "refine-sample", "refine-training"
 _PLACE = ("x", "y", "z")
 
 
-def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) -> Result:
+def answer_coarse(here: StageInputs, model: str | None) -> Result:
     """The first layer's answers of a tile."""
     if model is None:
         used = model_at(
@@ -187,13 +195,7 @@ def _with_values(sample: Sample) -> tuple[Sample, list[str]]:
 
 
 def classify_refined(
-    here: StageInputs,
-    layer: FineLayer,
-    names: tuple[str, ...],
-    probabilities: bool,
-    model: str | None,
-    kept: Kept | None = None,
-    left: Left | None = None,
+    here: StageInputs, probabilities: bool, model: str | None, kept: Kept | None = None, left: Left | None = None
 ) -> Result:
     """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none."""
     if model is None:
@@ -250,7 +252,8 @@ ANSWER_COARSE = Stage(
     "echo",
     answer_coarse,
     when=_has,
-    arguments=lambda plan: {"names": plan.names, "model": plan.model[1] if plan.model else None},
+    arguments=lambda plan: {"model": plan.model[1] if plan.model else None},
+    keyed=names_that_decide,
     own=lambda plan: plan.names,
     writes=COARSE,
     after=(TRAIN_COARSE,),
@@ -342,12 +345,11 @@ CLASSIFY_REFINED = Stage(
     classify_refined,
     when=_has,
     arguments=lambda plan: {
-        "layer": _layer(plan),
-        "names": plan.names,
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
         **answer_arguments(plan),
     },
+    keyed=lambda plan: {"layer": _layer(plan), **names_that_decide(plan)},
     own=lambda plan: (
         *deciding_column(plan),
         *COARSE,

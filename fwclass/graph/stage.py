@@ -233,6 +233,7 @@ class Stage:
     key : name of a part.
     arguments : what `function` gets besides, the same for every part; all of it enters the key.
     each : likewise, of one part.
+    keyed : what enters the key besides, as it decides which columns or parts are read: the function does not see it.
     silent : settings among the arguments' own that change no byte, and stay out of the key.
     reads : columns of echoes that are read of the part's tile and of its neighbours within `halo`; a stage over the
         survey reads those of all tiles, or of `tiles`.
@@ -264,6 +265,7 @@ class Stage:
     key: Callable[[Any], str] = lambda part: str(getattr(part, "key", part))
     arguments: Callable[[Plan], Mapping[str, Any]] = lambda plan: {}
     each: Callable[[Plan, Any], Mapping[str, Any]] = lambda plan, part: {}
+    keyed: Callable[[Plan], Mapping[str, Any]] = lambda plan: {}
     silent: frozenset[str] = frozenset()
     reads: Columns = ()
     tiles: Callable[[Plan], Sequence[Tile]] = lambda plan: plan.layout.tiles
@@ -330,7 +332,9 @@ class _Maker:
         self.reads, self.own = names_under(stage.reads, plan), names_under(stage.own, plan)
         self.of_reads, self.of_own = self._stages(self.reads), self._stages(self.own)
         self.arguments = stage.arguments(plan)
-        self.params = plain_values(self.arguments, stage.silent)
+        self.params = _disjoint(
+            plain_values(self.arguments, stage.silent), plain_values(stage.keyed(plan), stage.silent)
+        )
         self.writes = stage.columns(plan)
         self.halo = stage.reach(plan)
         self.check = stage.check(plan) if callable(stage.check) else stage.check

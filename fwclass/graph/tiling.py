@@ -125,9 +125,7 @@ def _fragments(here: StageInputs, stage: str) -> list[Table]:
     return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
 
 
-def tile_echoes(
-    here: StageInputs, params: TileParams, blocks: tuple[float, ...], kept_noise: tuple[int, ...] = ()
-) -> Result:
+def tile_echoes(here: StageInputs, blocks: tuple[float, ...], kept_noise: tuple[int, ...] = ()) -> Result:
     """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them.
 
     Those of the source classes `kept_noise` are flagged as implausible ones are, so that no ground is made of them.
@@ -163,7 +161,7 @@ def _passes(table: Table) -> list[list[float]]:
     return passes
 
 
-def tile_reference(here: StageInputs, params: TileParams) -> Result:
+def tile_reference(here: StageInputs) -> Result:
     """A tile's reference points."""
     table = assemble_points(_fragments(here, "reference-split"))
     return table, {"rows": table.rows}
@@ -211,7 +209,8 @@ TILE_ECHOES = Stage(
     "echo",
     tile_echoes,
     parts=_cut("split"),
-    arguments=lambda plan: {**_sizes(plan), "blocks": _blocks(plan), **kept_noise(plan)},
+    arguments=lambda plan: {"blocks": _blocks(plan), **kept_noise(plan)},
+    keyed=_sizes,
     after=("split",),
     needs=lambda plan, tile: [("split", part) for part in tile.chunks],
     writes=DECOMPOSE.writes,
@@ -226,7 +225,7 @@ TILE_REFERENCE = Stage(
     tile_reference,
     when=_has_cloud,
     parts=_cut("reference-split"),
-    arguments=_sizes,
+    keyed=_sizes,
     after=("reference-split",),
     needs=lambda plan, tile: [("reference-split", part) for part in tile.chunks],
     writes=CLOUD_COLUMNS,

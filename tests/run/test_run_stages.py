@@ -15,6 +15,7 @@ from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
 from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_TILES, graph_of, providers
+from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.publish.stage_graph import drop_implied, stage_graph
 from fwclass.schema import Table
 from fwclass.walk import steps as walk
@@ -73,6 +74,27 @@ def test_all_that_a_function_gets_enters_the_key():
         plain_values({"params": config.features, "normal_radius": 3.0})
     with pytest.raises(TypeError, match="cannot enter a key"):
         plain_values({"path": object()})
+
+
+def test_functions_use_all_that_they_are_given():
+    """What decides what a part reads, and nothing else, is `keyed`."""
+    for function in {stage.function for stage in STAGES}:
+        (definition,) = ast.parse(inspect.getsource(function)).body
+        used = {node.id for line in definition.body for node in ast.walk(line) if isinstance(node, ast.Name)}
+        asked = {a.arg for a in (*definition.args.args, *definition.args.kwonlyargs)}
+        assert asked - used <= ({"count"} if definition.name == "permute_features" else set()), definition.name
+
+
+def test_what_is_keyed_enters_the_key_and_no_argument():
+    plan = WORKFLOWS["classification"].begin(conf.load("demo", ()))
+    keyed = replace(
+        TILE_ECHOES, parts=None, over="survey", needs=lambda plan, part: (), keyed=lambda plan: {"least": 2}
+    )
+    task = keyed.task(plan, "all")
+    assert task.params["least"] == 2 and "least" not in task.work.arguments
+    assert keyed.task(plan, "all").params != replace(keyed, keyed=lambda plan: {"least": 3}).task(plan, "all").params
+    with pytest.raises(TypeError, match="enter its key as blocks"):
+        replace(keyed, keyed=lambda plan: {"blocks": 1}).task(plan, "all")
 
 
 def test_columns_that_the_record_does_not_name_are_refused(tmp_path):
