@@ -90,8 +90,8 @@ class SoundParams(Params):
     returns. max_frozen : of the frames that repeat the one before. max_same : of the returns that have one range.
     least_road : of the frames in which the road is seen where beams look at it. height [m], height_share : between
     mounting and road, the larger counts. slope : of the road across the track [deg]. fastest : median speed [m/s].
-    ratio : of the ways by place and by speed. stretch : of what stands beside the road, along it over upwards.
-    lean : of upright edges [deg]; lean_share : of those that lean so to the others. change : of a range that
+    ratio : of the ways by place and by speed. stretch : least and most, of what stands beside the road, along it over
+    upwards. lean : of upright edges [deg]; lean_share : of those that lean so to the others. change : of a range that
     counts as one [m]; growth : of the changes over half a second, over those from frame to frame, that a standing
     vehicle does not see, in at least `stood` frames; standing : share of the moving one's growth that wind makes.
     max_outside, max_second : share of the
@@ -111,7 +111,7 @@ class SoundParams(Params):
     slope: float = Field(gt=0, le=90)
     fastest: float = Field(gt=0, le=100)
     ratio: float = Field(ge=1, le=100)
-    stretch: float = Field(ge=1, le=100)
+    stretch: tuple[Annotated[float, Field(gt=0, le=1)], Annotated[float, Field(ge=1, le=100)]]
     lean: float = Field(gt=0, le=28)
     lean_share: float = Field(gt=0, le=100)
     change: float = Field(gt=0, le=10)

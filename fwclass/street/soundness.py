@@ -300,7 +300,7 @@ def _way_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:
     if ratio is not None and not 1.0 / sound.ratio <= ratio <= sound.ratio:
         said.append(f"places go {ratio:.3g} times as far as the speed says: one of the columns has another unit")
     stretch = facts["stretch"]
-    if stretch is not None and not 1.0 / sound.stretch <= stretch <= sound.stretch:
+    if stretch is not None and not sound.stretch[0] <= stretch <= sound.stretch[1]:
         said.append(
             f"what stands beside the road seems {stretch:.2f} times as long along it as upwards: is the speed, or the "
             "place, in metres and seconds? km/h make it 3.6 times"

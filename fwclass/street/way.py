@@ -39,7 +39,7 @@ FEWEST_CHANGES = 0.1
 ENOUGH = 300.0
 """m of road, after which no more is looked at."""
 
-LONG, SOME = 60.0, 30.0
+LONG, SOME = 100.0, 30.0
 """m of road, that tell how long things are, and how edges lean."""
 
 FEWEST_PAIRS = 2000
