@@ -37,7 +37,7 @@ def pair_decisions(X: NDArray[np.float32], model: KernelMachine) -> NDArray[np.f
     """Decisions (rows, pairs) of a matrix (rows, features) that fits the checked `model`; see `KernelMachine`.
 
     They are computed in single precision with a bound of their error (`support_blocks`); a row with a decision that is
-    nearer to nought than its bound is computed again in double precision. So every sign is that of double precision,
+    nearer to zero than its bound is computed again in double precision. So every sign is that of double precision,
     and a value elsewhere is off by less than itself, mostly by less than 0.001.
     """
     ready, blocks = model.preparation(X), support_blocks(model)

@@ -37,7 +37,7 @@ SLACK = 1.05
 
 PASSED = 2e-4
 """Largest part of a decision that is left out by passing over blocks. Margins lie at -1 and 1: some 0.1 % of the rows
-are so near to nought that this makes them unsure."""
+are so near to zero that this makes them unsure."""
 
 FARTHEST = np.float32(120.0)
 """Squared distance from which on a kernel counts as 2^-120: the exponent of float32 ends at -126."""

@@ -67,7 +67,7 @@ def cloud_styles(names: Mapping[int, str]) -> dict[str, list[Xml.Element]]:
 
 
 def _by_column(name: str, ramp: Ramp, high: float, unit: str = "") -> list[Xml.Element]:
-    """From nought to `high`."""
+    """From zero to `high`."""
     of_column = column(name)
     return ramp_cloud_style(of_column.las, ramp, 0, high, unit, of_column.las_scale)
 

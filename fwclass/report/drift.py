@@ -18,7 +18,7 @@ WORST = 3
 
 def drift(card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]]) -> dict[str, Any] | None:
     """``outside``: the share of every feature's values outside of what the model has seen, the largest first, and
-    ``remarks``; None where its card does not say. `counts`: of all parts, as `Outside.counts` gives them."""
+    ``remarks``; None where its card does not say. `counts`: of all parts, as `RangeCounter.counts` gives them."""
     if RANGES not in card:
         return None
     outside = shares(counts)

@@ -1,7 +1,7 @@
 """Parts on a Dask cluster. The only file that imports dask.
 
 Data never travels through the scheduler: a task's function reads from and writes to the store, and returns a small
-`Outcome`. The graph's edges are the tasks' needs. `hand` keeps what the scheduler knows.
+`Outcome`. The graph's edges are the tasks' needs. `in_flight` keeps what the scheduler knows.
 """
 
 from __future__ import annotations

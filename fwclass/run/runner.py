@@ -67,7 +67,7 @@ class Runner:
 
     With `fail_fast` the first part that fails ends the walk by a `PartialError`; with `accept_libraries` parts made
     with other libraries are done; with `verify` the generation that is there is read before it is taken for what this
-    run delivers. `store` remembers receipts; two roads over one run share it (`seen`). `held` raises `StoreError` when
+    run delivers. `store` remembers receipts; two runners of one run share it (`seen`). `held` raises `StoreError` when
     the run's lock is lost; it is asked before a failure is believed and before anything is delivered.
     """
 

@@ -71,7 +71,7 @@ def decompose_file(
     undulation: float = 0.0,
     crs: str | None = None,
 ) -> tuple[str, list[dict[str, Any]]]:
-    """Waveforms of one file to echoes in one LAZ file; returns the summary, and what `run.plausibility` judges.
+    """Waveforms of one file to echoes in one LAZ file; returns the summary, and what `report.plausibility` judges.
 
     `settings` are ``section.key=value`` of `SECTIONS`. The echoes of the whole file are held in memory. Where
     something tells how far the sensor was (`trajectory`, ``radiometry.platform_altitude``, the format itself), the

@@ -47,7 +47,7 @@ class Canopy(NamedTuple):
 
 
 def canopy(counts: Counts, cell: float, params: TreeParams) -> Canopy:
-    """The surface of vegetation by the tops of its cells of edge `cell` [m] (`cells.counted`); 0 for none."""
+    """The surface of vegetation by the tops of its cells of edge `cell` [m] (`cells.count_cells`); 0 for none."""
     top = np.nan_to_num(counts.top.astype(np.float64), nan=0.0).clip(0.0)
     surface = without_pits(top, cell, params.pit)
     smooth = _smoothed(surface, params.smooth / cell)

@@ -245,7 +245,7 @@ class _Quantities:
 
 
 def raster_boxes(config: Config, facts: SurveyFacts, counts: Counts) -> list[Box]:
-    """Where rasters are made: the survey's box, or those of its places where most of it is empty (`plan.sites`)."""
+    """Where rasters are made: the survey's box, or those of its places where most of it is empty (`graph.sites`)."""
     cell, edge = min(config.terrain.cell, config.publish.class_cell), config.terrain.block
     blocks = spread_of(counts.pieces(facts), edge)
     if not in_sites(facts.box, cell, blocks.number * (edge / cell) ** 2, config.publish.cog_block):

@@ -29,7 +29,7 @@ def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) ->
 
     Parameters
     ----------
-    facts : what `run.papers` gathers.
+    facts : what the paper's file in `study.papers` gathers.
     picture : PNG of the class map, or None.
 
     Returns

@@ -27,7 +27,7 @@ from fwclass.survey.systems import given_crs
 
 @dataclass(frozen=True)
 class NormalizeJob:
-    """What `fwclass normalize` was asked for; see `ground_file.GroundJob`.
+    """What `fwclass normalize` was asked for; see `file.GroundJob`.
 
     Attributes
     ----------
