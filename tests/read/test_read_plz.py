@@ -251,7 +251,7 @@ def test_what_unpacks_to_far_more_than_the_file_is_refused(tmp_path, params):
         read(path, params)
 
 
-relaxed = settings(deadline=None, max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+relaxed = settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @relaxed
