@@ -51,6 +51,9 @@ AS_FAR = 1.25
 LOWEST_FLIGHT = 20.0
 """m, nearer to the sensor no airborne scanner sees anything."""
 
+AT_SENSOR = 5.0
+"""Metres from the place where beams meet within which first samples lie at the sensor itself."""
+
 BEGIN = "the time of the first sample after it (begin_ns)"
 HORIZONTAL = "the sign of their horizontal parts is wrong"
 TURNED: dict[str, Callable[[Floats], Floats]] = {
@@ -67,12 +70,14 @@ TURNED: dict[str, Callable[[Floats], Floats]] = {
 class FirstSamples:
     """Of every pulse, in the order of time: the place of its first sample (n, 3) [m], the unit vector of its beam away
     from the sensor (n, 3), the distance from the sensor to that sample that the file gives, and from that sample to the
-    last one [m], both (n,) and NaN where they are not known."""
+    last one [m], both (n,) and NaN where they are not known; and whether a time of the first sample is missing, where
+    a table may have it."""
 
     place: Floats
     beam: Floats
     distance: Floats
     length: Floats
+    untimed: bool = False
 
     @classmethod
     def none(cls) -> FirstSamples:
@@ -181,6 +186,11 @@ def _sensor_fault(firsts: FirstSamples) -> str:
         return ""
     away = float(np.median(_root_mean_square(p - p.mean(axis=1, keepdims=True))[turning] / turn[turning]))
     last = away + float(np.nanmax(firsts.length))
+    if firsts.untimed and away < AT_SENSOR:
+        return (
+            f"the first samples lie within {AT_SENSOR:g} m of where the beams of neighbouring pulses meet, which is "
+            f"the sensor: x, y and z are its place, and {BEGIN} is missing; give 0 where samples begin at the sensor"
+        )
     if last >= LOWEST_FLIGHT:
         return ""
     return (
@@ -223,7 +233,7 @@ def _first_samples(source: Source) -> FirstSamples:
     """Of the first pulses of a file, one row a pulse."""
     if not source.has_waves or source.waves.kind == "none" or source.n_records == 0:
         return FirstSamples.none()
-    last = min(source.n_records, LOOKED_AT)
+    last, untimed = min(source.n_records, LOOKED_AT), False
     if isinstance(source, PulseSource):
         kinds = Samplings.of(source)
         waves = find(source, read_records(source, 0, last), kinds, waves_of(source))
@@ -240,6 +250,7 @@ def _first_samples(source: Source) -> FirstSamples:
         row, speed = np.arange(len(rows)), np.linalg.norm(step, axis=1)
         distance = rows.anchor_range + rows.begin * speed
         length = np.maximum(0, rows.samples.lengths - 1) * rows.spacing * speed
+        untimed = "begin_ns" not in getattr(source.layout, "columns", ("begin_ns",))
     else:
         las = las_of(source)
         with PointReader(las) as reader:
@@ -254,4 +265,4 @@ def _first_samples(source: Source) -> FirstSamples:
         place, step = project_beams(source.crs, CRS.from_user_input(source.target), place, step, source.path)
     order = np.argsort(time, kind="stable")
     beam = -step / np.linalg.norm(step, axis=1, keepdims=True)
-    return FirstSamples(place[order], beam[order], distance[order], length[order])
+    return FirstSamples(place[order], beam[order], distance[order], length[order], untimed)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beams import beam_fault
-from fwclass.read.pls_waves import FAULTS, SILENT, Pulses, Samplings, blocks_of, reach
+from fwclass.read.pls_waves import FAULTS, SILENT, Pulses, Samplings, blocks_of, reach, waves_fault
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import quantities_of, words_of
 
@@ -29,6 +29,7 @@ class _Tally:
     high: NDArray[np.float64] = field(default_factory=lambda: np.full(3, -np.inf))
     gps: tuple[float, float] = (np.inf, -np.inf)
     outgoing: int = 0
+    misfit: str = ""
 
     def add(self, records: NDArray[Any], pulses: Pulses, kinds: Samplings) -> None:
         self.faults += np.bincount(pulses.fault, minlength=len(FAULTS))
@@ -50,6 +51,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
     tally, kinds = _Tally(), Samplings.of(source)
     for records, pulses in blocks_of(source):
         tally.add(records, pulses, kinds)
+        tally.misfit = tally.misfit or waves_fault(source, records["waves"], pulses)
     crs, header = source.crs, source.header
     return {
         "path": str(source.path),
@@ -101,6 +103,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
             *place_faults(crs, tally.low.tolist(), tally.high.tolist()),
             *time_faults(*tally.gps),
             *_faults(source, tally),
+            *filter(None, [tally.misfit]),
             *filter(None, [beam_fault(source)]),
         ],
     }

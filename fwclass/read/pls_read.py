@@ -10,9 +10,9 @@ from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.packet_kernels import gather
 from fwclass.read.pls_waves import (
     FAULTS,
+    FITTING,
     OVERLAP,
     SILENT,
-    Pulses,
     Samplings,
     Segments,
     blocks_of,
@@ -20,6 +20,7 @@ from fwclass.read.pls_waves import (
     reach,
     read_records,
     refuse_overlap,
+    waves_fault,
     waves_of,
 )
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseSource
@@ -27,12 +28,6 @@ from fwclass.read.spans import Span, spans_by_points
 from fwclass.read.wave_kernels import clear_of_last
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
-
-FEW, FITTING = 10, 0.2
-"""Pulses below which ends of waves tell nothing, and the share that must meet: a clipped file keeps runs of pulses."""
-
-UNPACKED = ("waves cut short", "too many segments", "compressed waves damaged")
-"""What compressed waves end in that are not what the pulse had."""
 
 SECOND_CHANNEL = "segments of a second channel left out"
 OVERLAPPING = "segments that begin before the one before them ends, left out"
@@ -48,7 +43,14 @@ def check_pls(source: PulseSource) -> None:
     for records, pulses in blocks_of(source):
         counts += np.bincount(pulses.fault, minlength=len(FAULTS))
         if counts[0]:
-            _check_ends(source, records["waves"], pulses)
+            if misfit := waves_fault(source, records["waves"], pulses):
+                raise InputError(
+                    "the pulses and their compressed waves do not fit each other",
+                    where=source.path,
+                    expected=f"waves that end where another pulse's begin, of {FITTING:.0%} of the pulses at least",
+                    got=misfit,
+                    do=f"put the {(source.waves.path or source.path).name} of this very file beside it",
+                )
             return
     if source.n_records == 0:
         return
@@ -63,22 +65,6 @@ def check_pls(source: PulseSource) -> None:
         if source.waves.kind == "none"
         else f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged",
     )
-
-
-def _check_ends(source: PulseSource, begins: NDArray[np.int64], pulses: Pulses) -> None:
-    """Compressed waves end where those of another pulse begin, or the file does; those of another file anywhere."""
-    if not source.packed or source.waves.path is None:
-        return
-    tried = np.isin(pulses.fault, [0, SILENT, *map(FAULTS.index, UNPACKED)])
-    met = np.isin(pulses.stop[tried], np.append(begins, source.waves.available))
-    if len(met) >= FEW and met.mean() < FITTING:
-        raise InputError(
-            "the pulses and their compressed waves do not fit each other",
-            where=source.path,
-            expected=f"waves that end where those of another pulse begin, of {FITTING:.0%} of the pulses at least",
-            got=f"{int(met.sum())} of {len(met)}",
-            do=f"put the {source.waves.path.name} of this very file beside it",
-        )
 
 
 def pulse_bounds(source: PulseSource) -> tuple[float, ...]:

@@ -55,6 +55,12 @@ it; file systems leave holes of 512 bytes and more."""
 _BY_WALK = {SOUND: 0, NO_WAVES: 1, PAST_END: 2, CUT_SHORT: 3, TOO_MANY: 4, wave_kernels.DAMAGED: 5}
 SILENT = FAULTS.index("no returning samples")
 
+FEW, FITTING = 10, 0.2
+"""Pulses below which ends of waves tell nothing, and the share that must meet: a clipped file keeps runs of pulses."""
+
+UNPACKED = ("waves cut short", "too many segments", "compressed waves damaged")
+"""What compressed waves end in that are not what the pulse had."""
+
 OVERLAP = 2
 """Waves may be this many times as long as their file before they are refused."""
 
@@ -265,6 +271,17 @@ def _walk(
         table = np.empty((count, SEGMENT_COLUMNS), np.int64)
         walk(*arguments, MAX_SEGMENTS, ends, table)
     return data, table[:count], np.where(unpacking == SOUND, ends, unpacking), stop
+
+
+def waves_fault(source: PulseSource, begins: NDArray[np.int64], pulses: Pulses) -> str:
+    """That compressed waves are another file's: theirs end where those of another pulse begin, or the file does."""
+    if not source.packed:
+        return ""
+    tried = np.isin(pulses.fault, [0, SILENT, *map(FAULTS.index, UNPACKED)])
+    met = np.isin(pulses.stop[tried], np.append(begins, source.waves.available))
+    if len(met) < FEW or met.mean() >= FITTING:
+        return ""
+    return f"of {len(met)} pulses {int(met.sum())} have waves that end where another's begin: they are another file's"
 
 
 def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:

@@ -29,7 +29,8 @@ OFFSET = 0.05
 """ns between fitted times and the vendor's locations from which it is told: 7 mm."""
 
 UNREADABLE = (
-    *("packet past the end", "packet cut short", "compressed packet damaged, or another file's"),
+    *("packet past the end", "packet cut short", "packet shared by too many returns"),
+    "compressed packet damaged, or another file's",
     *pls_waves.DAMAGED,
     *beam_source.DAMAGED,
 )

@@ -235,6 +235,7 @@ def test_another_files_waves_are_told(tmp_path, params):
     other.with_suffix(".wvz").rename(path.with_suffix(".wvz"))
     with pytest.raises(InputError, match="do not fit each other"):
         read(path, params)
+    assert "they are another file's" in describe(info(path))
 
 
 def test_what_unpacks_to_far_more_than_the_file_is_refused(tmp_path, params):
