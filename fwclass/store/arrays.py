@@ -25,7 +25,7 @@ else:
     pa, pq = LazyModule("pyarrow"), LazyModule("pyarrow.parquet")
 
 CHUNK = 1 << 18
-"""Values of a chunk of a flat array; a shard holds the whole array of a part."""
+"""Values of a chunk of a flat or narrow array; a shard holds the whole array of a part."""
 
 RASTER_CHUNK = 256
 """Cells along the edge of a chunk of a raster."""
@@ -44,8 +44,10 @@ _SHAPE, _DTYPE, _ATTRIBUTES = b"shape", b"dtype", b"attributes"
 
 
 def _layout(array: NDArray) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    edge = CHUNK if array.ndim == 1 else RASTER_CHUNK
-    chunks = tuple(max(1, min(edge, n)) for n in array.shape)
+    edges = (CHUNK,) if array.ndim == 1 else (RASTER_CHUNK,) * array.ndim
+    if array.ndim == 2 and 0 < array.shape[1] <= RASTER_CHUNK:  # features of rows, which are read whole
+        edges = CHUNK // array.shape[1], array.shape[1]
+    chunks = tuple(max(1, min(edge, n)) for edge, n in zip(edges, array.shape, strict=True))
     shards = tuple(-(-max(n, 1) // c) * c for n, c in zip(array.shape, chunks, strict=True))
     return chunks, shards
 
@@ -208,6 +210,7 @@ def _held(array: Any, directory: Path) -> NDArray:
     edge = CHUNK if array.ndim < 2 else RASTER_CHUNK
     for cells in (array.shape, array.shards or array.chunks):
         chunks = math.prod(-(-n // c) for n, c in zip(cells, array.chunks, strict=True))
-        if max(array.chunks, default=0) > edge or LISTED * chunks > held:
+        large = max(array.chunks, default=0) > edge and math.prod(array.chunks) > CHUNK
+        if large or LISTED * chunks > held:
             raise ValueError(f"{directory.name}: shape {array.shape}, which {held} bytes do not hold")
     return np.asarray(array[...])

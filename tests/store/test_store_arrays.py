@@ -77,3 +77,22 @@ def test_a_group_that_says_more_than_its_files_hold_is_refused(what: str, tmp_pa
     document.write_text(json.dumps(about))
     with pytest.raises(StoreError, match="do not hold"):
         read_arrays(tmp_path / "a.zarr")
+
+
+@pytest.mark.parametrize("shape", [(10_000, 64), (9000, 300), (0, 64), (7, 0), (70, 1), (5, 4, 3)])
+def test_arrays_of_any_shape_come_back_from_a_group(shape: tuple[int, ...], tmp_path: Path) -> None:
+    values = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    _write_group(tmp_path / "a.zarr", {"X": values}, {})
+    np.testing.assert_array_equal(read_arrays(tmp_path / "a.zarr")[0]["X"], values)
+
+
+def test_features_of_rows_are_read_in_few_chunks(tmp_path: Path) -> None:
+    _write_group(tmp_path / "a.zarr", {"X": np.ones((10_000, 64), np.float32)}, {})
+    document = tmp_path / "a.zarr" / "X" / "zarr.json"
+    about = json.loads(document.read_text())
+    assert about["codecs"][0]["configuration"]["chunk_shape"] == [4096, 64]
+    about["chunk_grid"]["configuration"]["chunk_shape"] = about["shape"] = [300_000_000, 64]
+    about["codecs"][0]["configuration"]["chunk_shape"] = [300_000_000, 64]
+    document.write_text(json.dumps(about))
+    with pytest.raises(StoreError, match="do not hold"):
+        read_arrays(tmp_path / "a.zarr")
