@@ -108,6 +108,15 @@ def test_every_file_that_cannot_be_used_is_named(conf: Path, tmp_path: Path, com
     assert "b.las: the file is cut short" in ended.stderr and "c.las: " in ended.stderr
 
 
+@pytest.mark.parametrize("command", ["plan", "run"])
+def test_two_files_of_one_name_are_refused(conf: Path, tmp_path: Path, command: str) -> None:
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "a.las").write_bytes((tmp_path / "a.las").read_bytes())
+    settings = ("--set", "survey.sources=['a.las', 'more/*.las']", "--out", tmp_path / "r")
+    ended = fwclass(command, conf, *settings)
+    assert ended.returncode == 1 and "two files of the survey have the same name" in ended.stderr
+
+
 def test_a_survey_still_to_be_simulated_is_planned_but_not_tried(tmp_path: Path) -> None:
     ended = fwclass("plan", "demo", "--out", tmp_path / "r", "--json")
     assert ended.returncode == 0, ended.stderr

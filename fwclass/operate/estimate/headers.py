@@ -21,7 +21,7 @@ from fwclass.simulate.params import SimulateParams
 from fwclass.store.remote_file import local
 from fwclass.survey.bounds import CLOUD_ROWS
 from fwclass.survey.files import find_files
-from fwclass.survey.gather import directory_of, open_all
+from fwclass.survey.gather import directory_of, open_all, require_distinct
 from fwclass.survey.systems import common_crs
 
 SPARSE = 0.01
@@ -139,6 +139,7 @@ def survey_facts(config: Config, root: Path, copied: bool = False) -> SurveyFact
         return simulated_facts(config)
     places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
     opened = open_all(places, config, copied)
+    require_distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
     if not full:
         raise InputError(
