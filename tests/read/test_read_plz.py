@@ -16,6 +16,7 @@ from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, write_pls
 from plzmaker import compress, wild_records
 
 from fwclass.errors import InputError
+from fwclass.operate.schedule.inbox import fault_of
 from fwclass.operate.schedule.places import WAVES
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read import pls_compressed
@@ -322,3 +323,16 @@ def test_a_directory_names_them_and_an_inbox_moves_both(tmp_path):
     assert files_in(tmp_path) == (plz,)
     assert plz.with_suffix(".wvz").suffix in WAVEFORM_ENDINGS[plz.suffix] and ".wvz" in WAVES
     assert "PulseWaves 0.3, compressed" in describe(info(plz))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_an_inbox_waits_for_all_of_a_waves_file(tmp_path, packed):
+    kinds = described()
+    head = survey(tmp_path / "a.pls", pulses=40, descriptors=kinds).path
+    head = compress(head, kinds) if packed else head
+    waves = head.with_suffix(WAVEFORM_ENDINGS[head.suffix][0])
+    assert fault_of(head, (waves,), tmp_path, False) == ""
+    waves.write_bytes(waves.read_bytes()[:-200])
+    assert f"{waves.name} is cut short" in fault_of(head, (waves,), tmp_path, False)
+    waves.unlink()
+    assert f"put {waves.name} beside" in fault_of(head, (), tmp_path / "survey", False)

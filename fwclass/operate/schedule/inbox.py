@@ -7,6 +7,7 @@ import stat
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.errors import InputError
@@ -15,6 +16,9 @@ from fwclass.operate.schedule.places import WAVES, Places
 from fwclass.operate.schedule.ticks import Now
 from fwclass.operate.schedule.watch import writers
 from fwclass.paths import WAVEFORM_ENDINGS, name_fault
+
+if TYPE_CHECKING:
+    from fwclass.read.pulsewaves import PulseSource
 
 REPLACED = "replaced"
 """Directory in the inbox where older versions of files that came again are kept."""
@@ -159,6 +163,7 @@ def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -
     """
     from fwclass.read.las import LasSource
     from fwclass.read.points import PointReader
+    from fwclass.read.pulsewaves import PulseSource
     from fwclass.read.source import open_source
 
     try:
@@ -174,6 +179,8 @@ def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -
         if source.has_waves and source.waves.kind == "none" and not _moved_ahead(head, target):
             named = not isinstance(source, LasSource) or source.header.global_encoding & (EXTERNAL | INTERNAL)
             return source.waves.why_not if named else ""
+        if isinstance(source, PulseSource):
+            return _short_pulses(source)
         return next((fault for fault in map(_short_waves, beside) if fault), "")
     except InputError as fault:
         return f"{fault.what}: expected {fault.expected}, got {fault.got}" if fault.expected else fault.what
@@ -197,6 +204,19 @@ def _surplus(header: Header) -> list[str]:
     if header.size - counted < header.record_length:
         return []
     return [f"its header counts {header.n_points} points, which end at byte {counted}, but the file has {header.size}"]
+
+
+def _short_pulses(source: PulseSource) -> str:
+    """The last pulses' waves lie behind the end of a Waves file that is still being written; they state no length."""
+    from fwclass.read.pls_waves import FAULTS, Samplings, find, read_records, waves_of
+
+    last = max(0, source.n_records - LAST)
+    records = read_records(source, last, source.n_records)
+    fault = find(source, records, Samplings.of(source), waves_of(source)).fault
+    short = sum(FAULTS[code] in ("waves past the end", "waves cut short") for code in fault)
+    if not short or source.waves.path is None:
+        return ""
+    return f"{source.waves.path.name} is cut short: it ends before the waves of {short} of the last {len(fault)} pulses"
 
 
 def _short_waves(path: Path) -> str:
