@@ -13,10 +13,13 @@ from fwclass.read.footprints import is_footprints, open_footprints
 from fwclass.read.helios import LEVELS, is_helios, open_helios
 from fwclass.read.raw_csv import is_raw_csv, open_raw_csv
 from fwclass.read.raw_parquet import is_raw_parquet, open_raw_parquet
+from fwclass.read.riegl_sdf import is_sdf, open_sdf
 from fwclass.units import QUANTUM
 
 PARQUET, TEXTS = (".parquet", ".geoparquet"), (".csv", ".txt", ".tsv")
 """Names of such files end so."""
+
+NO_CRS = "no usable CRS: name one in the configuration"
 
 FOOTPRINT_STEP = 1.0 / 16.0
 """Of samples of GEDI, which are digitiser counts with a part after the point: 4096 of them are the most."""
@@ -48,7 +51,7 @@ def is_beam_file(path: str | Path) -> bool:
     ending = path.suffix.lower()
     if not path.is_file():
         return False
-    if is_helios(path) or is_footprints(path):
+    if is_helios(path) or is_footprints(path) or is_sdf(path):
         return True
     return (ending in PARQUET and is_raw_parquet(path)) or (ending in TEXTS and is_raw_csv(path))
 
@@ -57,11 +60,13 @@ def _open(path: Path) -> OpenedTable:
     if is_helios(path):
         layout = open_helios(path)
         bins = f"{layout.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * layout.bin_ns:g} there and back"
-        no_crs = "no usable CRS: name one in the configuration"
-        return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
+        return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, (("bins", bins),), (NO_CRS,), LEVELS)
     if is_footprints(path):
         shots, kind, system, about = open_footprints(path)
         return OpenedTable(kind, shots, system, None, False, tuple(about), (), step=FOOTPRINT_STEP)
+    if is_sdf(path):
+        sdf, about = open_sdf(path)
+        return OpenedTable("RIEGL sample data", sdf, None, None, False, tuple(about), (NO_CRS,))
     raw, settings = open_raw_parquet(path) if path.suffix.lower() in PARQUET else open_raw_csv(path)
     faults: list[str] = []
     crs = settings.system(path, faults)
