@@ -170,6 +170,13 @@ def test_a_workflow_of_ones_own_is_planned_by_its_stages(tmp_path: Path) -> None
     stages = {s["name"] for s in json.loads(ended.stdout)["stages"]}
     assert {"tile", "classify"} <= stages and not stages & {"sample", "training", "trees", "train"}
     assert fwclass("plan", "demo", "--workflow", "he2023").returncode == 2
+    page = Path(__file__).parents[1] / "docs" / "extending.md"
+    own = page.read_text(encoding="utf-8").split("```python\n# uneven.py")[1].split("```")[0]
+    (tmp_path / "uneven.py").write_text(own)
+    words = ("--workflow", tmp_path / "uneven.py", "--set", "survey.features=[zc, unevenness]", "--out", tmp_path / "u")
+    ended = fwclass("plan", "demo", *words)
+    assert ended.returncode == 0 and "what unevenness of" in ended.stderr, ended.stderr
+    assert fwclass("plan", "demo", *words, "--dry-run", 1, "--overwrite").returncode == 2
 
 
 def test_a_stage_before_the_tiles_cannot_be_replaced(tmp_path: Path) -> None:

@@ -56,33 +56,31 @@ def plan(
     from fwclass.operate.estimate.whole import as_json as plain
     from fwclass.operate.estimate.whole import make_plan
     from fwclass.survey.gather import check_areas
-    from fwclass.walk.steps import with_model
     from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
     if not chosen.stages:
-        raise ConfigError(
-            "this workflow has no stages to plan", where=f"workflow {workflow}", do="run it: it takes minutes"
-        )
-    if count is not None and chosen.settle is not None:
+        raise ConfigError("this workflow has no stages to plan", where=f"workflow {workflow}", do="run it")
+    own = {id(s) for s in chosen.stages} - {id(s) for s in workflow_of("classification").stages}
+    if count is not None and (own or chosen.settle is not None):
         raise ConfigError(
             "tiles are tried with the stages of `classification` alone", where="--dry-run", do="leave one of them out"
         )
     config = configured(conf, settings, chosen.classifies)
     if graph:
-        _tell_graph(config, workflow, as_json)
+        _tell_graph(config, chosen, as_json)
         return
     root = out if out is not None else Path("runs") / config.survey.name
     check_free(root, overwrite)
     number = config.run.workers if workers is None else workers
-    _check(config, workflow)
+    begun = chosen.begin(config)
+    _tell_unknown(config, chosen)
     copied = DELIVER_STRIP in chosen.stages
     facts = survey_facts(config, root, copied)
     check_areas(config, facts.box)
     if copied:
-        check_class_codes({s.path.name: s.point_format for s in facts.sources}, with_model(config))
-    settled = config if chosen.settle is None else chosen.settle(config)
-    estimate = make_plan(settled, facts, number, room_at(root), stages=chosen.stages)
+        check_class_codes({s.path.name: s.point_format for s in facts.sources}, begun.config)
+    estimate = make_plan(begun, facts, number, room_at(root), stages=chosen.stages)
     if count is not None:
         estimate = _dry_run(estimate, count, root, chosen.stages)
     paths = deliver(estimate, root)
@@ -114,26 +112,20 @@ def _dry_run(estimate: Any, count: int, root: Path, stages: Any) -> Any:
                 do="mend the cause; the run would fail too",
             )
         click.echo(f"dry run     tiles {', '.join(keys)} from {trial_.files:,} files", err=True)
-        return make_plan(estimate.config, estimate.facts, estimate.workers, estimate.room, store, stages)
+        return make_plan(estimate.begun, estimate.facts, estimate.workers, estimate.room, store, stages)
 
 
-def _check(config: Any, workflow: str) -> None:
-    """`ConfigError` for features that no stage writes; what is said of stages whose cost is not known."""
-    from fwclass.workflows import workflow_of
-
-    chosen = workflow_of(workflow)
-    chosen.begin(config)
+def _tell_unknown(config: Any, chosen: Any) -> None:
+    """What is said of stages whose cost is not known."""
     own = [s.name for s in chosen.stages if s.name not in config.plan.stages]
     if own:
-        click.echo(f"note: what {', '.join(own)} of {workflow} take is not known and not reckoned with", err=True)
+        click.echo(f"note: what {', '.join(own)} of {chosen.name} take is not known and not reckoned with", err=True)
 
 
-def _tell_graph(config: Any, workflow: str, as_json: bool) -> None:
+def _tell_graph(config: Any, chosen: Any, as_json: bool) -> None:
     """The stages of a workflow in the order of the run: what a part of each is, and which others it reads."""
     from fwclass.graph.stages import graph_of
-    from fwclass.workflows import workflow_of
 
-    chosen = workflow_of(workflow)
     stages = graph_of(chosen.begin(config), chosen.stages)
     if as_json:
         click.echo(json.dumps(stages, indent=1))

@@ -16,6 +16,9 @@ from fwclass.operate.estimate.limits import Room
 from fwclass.operate.estimate.output import deliver
 from fwclass.operate.estimate.whole import make_plan
 from fwclass.store.run_store import peak_mib
+from fwclass.workflows import workflow_of
+
+begin = workflow_of("classification").begin
 
 STRIPS, PIECES, EDGE = 250, 40, 100_000.0
 """Flight lines 400 m apart that overlap by half, in files of 2.5 km."""
@@ -41,7 +44,7 @@ def main(directory: Path) -> None:
     began = time.perf_counter()
     config = conf.load("city-1200m", ("tile.size=316", "areas.train=[[450000, 5350000, 450100, 5350100]]"))
     facts = SurveyFacts(headers(), (), CRS.from_epsg(25832).to_wkt(), None)
-    plan = make_plan(config, facts, 64, Room(64 * 16_000.0, 1e15))
+    plan = make_plan(begin(config), facts, 64, Room(64 * 16_000.0, 1e15))
     paths = deliver(plan, directory)
     told = {
         "cpu_seconds": time.process_time(),

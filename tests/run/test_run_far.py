@@ -23,7 +23,9 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.store.run_location import locked
 from fwclass.walk import steps as of_walk
-from fwclass.workflows import WORKFLOWS
+from fwclass.workflows import WORKFLOWS, workflow_of
+
+begin = workflow_of("classification").begin
 
 SETTINGS = (
     "train.trees=2",
@@ -110,7 +112,7 @@ def test_a_stray_point_leaves_the_delivery_whole_and_is_named(far, tmp_path, cap
 
 def test_a_plan_counts_the_places_that_a_run_makes(far, tmp_path):
     config = conf.load(far / "S.yaml", SETTINGS)
-    plan = make_plan(config, survey_facts(config, tmp_path), 0, Room(16_000.0, 1e12))
+    plan = make_plan(begin(config), survey_facts(config, tmp_path), 0, Room(16_000.0, 1e12))
     stages = {s.name: s.amount for s in plan.estimate.stages}
     assert plan.tiles.number == 2
     assert stages["publish-rasters"].parts == 2

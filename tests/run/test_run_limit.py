@@ -19,6 +19,9 @@ from fwclass.run.limit import ended_after, warned_after
 from fwclass.run.local import Loop
 from fwclass.run.lost import TIME, Losses, cause_of
 from fwclass.run.part import Task
+from fwclass.workflows import workflow_of
+
+begin = workflow_of("classification").begin
 
 
 def test_a_process_that_hears_nobody_is_ended():
@@ -87,7 +90,7 @@ def test_a_part_that_was_ended_is_not_tried_again(tmp_path: Path):
 
 def test_a_plan_tells_the_longest_part():
     config = conf.load("demo", ("run.part_hours=0.000001",))
-    made = estimate_run(config, simulated_facts(config), config.tile.size, 2, config.plan.stages)
+    made = estimate_run(begin(config), simulated_facts(config), config.tile.size, 2, config.plan.stages)
     told = next(m for m in limits(config, made, 2, Room(16_000.0, 1e12), None) if m.what.startswith("time of a part"))
     assert not told.fits
     assert "run.part_hours" in told.do

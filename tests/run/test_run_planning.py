@@ -27,6 +27,9 @@ from fwclass.operate.estimate.spread import Spread
 from fwclass.operate.estimate.whole import make_plan
 from fwclass.read.source import las_of, open_source
 from fwclass.store.run_store import Store
+from fwclass.workflows import workflow_of
+
+begin = workflow_of("classification").begin
 
 ROOM = Room(16_000.0, 1e12)
 SCALE = Path(__file__).with_name("planning_scale.py")
@@ -115,7 +118,7 @@ def walked(survey: Path, finished: tuple[Path, dict]):
     """The small survey's plan by the receipts of its whole run, the run's store and its report."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}"))
     root, report = finished
-    return make_plan(config, survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
+    return make_plan(begin(config), survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
 
 
 def test_what_the_headers_tell_is_what_the_run_finds(walked) -> None:
@@ -156,8 +159,8 @@ def test_measured_costs_give_the_measured_time_and_disk_back(walked) -> None:
     config = plan.config
     costs = {n: c.model_copy(update={"part": 3.0}) for n, c in config.plan.stages.items()}
     timed = Timed(store.root)
-    costs = measure_costs(timed, costs, amounts(config, plan.facts, config.tile.size)).costs
-    made = {s.name: s for s in estimate_run(config, plan.facts, config.tile.size, 2, costs).stages}
+    costs = measure_costs(timed, costs, amounts(begin(config), plan.facts, config.tile.size)).costs
+    made = {s.name: s for s in estimate_run(begin(config), plan.facts, config.tile.size, 2, costs).stages}
     for name in ("tile", "radiometry", "publish-tile"):
         assert costs[name].each == pytest.approx(20.0, abs=0.01), name
         assert made[name].seconds == pytest.approx(sum(r.seconds for r in timed.receipts(name)), rel=0.1), name
@@ -169,7 +172,7 @@ def test_a_stage_that_took_twice_as_long_costs_twice_as_much(walked) -> None:
     plan, store, _ = walked
     config = plan.config
     base = {n: c.model_copy(update={"part": 0.0}) for n, c in config.plan.stages.items()}
-    made = amounts(config, plan.facts, config.tile.size)
+    made = amounts(begin(config), plan.facts, config.tile.size)
     once = measure_costs(store, base, made)
 
     class Slow(Store):
@@ -189,7 +192,7 @@ def test_larger_tiles_take_more_memory_and_have_fewer_parts(walked) -> None:
     features = [
         next(
             s.memory_mib
-            for s in estimate_run(plan.config, plan.facts, size, 2, plan.config.plan.stages).stages
+            for s in estimate_run(plan.begun, plan.facts, size, 2, plan.config.plan.stages).stages
             if s.name == "features"
         )
         for size in (20.0, 50.0, 100.0)
@@ -200,12 +203,12 @@ def test_larger_tiles_take_more_memory_and_have_fewer_parts(walked) -> None:
 def test_a_size_that_does_not_fit_is_not_proposed(walked) -> None:
     plan, _, _ = walked
     costs = {n: c.model_copy(update={"held": 5e4 * (n == "features")}) for n, c in plan.config.plan.stages.items()}
-    wide = choices(plan.config, plan.facts, 1, costs, 1e9)
+    wide = choices(plan.begun, plan.facts, 1, costs, 1e9)
     memory = {c.size: c.memory_mib for c in wide}
-    tight = choices(plan.config, plan.facts, 1, costs, (memory[50.0] + memory[100.0]) / 2)
+    tight = choices(plan.begun, plan.facts, 1, costs, (memory[50.0] + memory[100.0]) / 2)
     best = propose_size(plan.config, tight)
     assert best is not None and best.size == 50.0 and not next(c for c in tight if c.size == 100.0).fits
-    assert propose_size(plan.config, choices(plan.config, plan.facts, 1, costs, 1.0)) is None
+    assert propose_size(plan.config, choices(plan.begun, plan.facts, 1, costs, 1.0)) is None
 
 
 NO_HALO = "terrain.max_gap=0 terrain.dsm_gap=0 terrain.block_halo=0"
@@ -227,7 +230,7 @@ def test_what_cannot_fit_is_refused_with_the_numbers(walked, survey, room, setti
         first = facts.box
         wide = Box(first.xmin, first.ymin, first.xmin + 1000.0, first.ymin + 1000.0)
         facts = replace(facts, sources=tuple(replace(s, bounds=wide) for s in facts.sources))
-    plan = make_plan(config, facts, workers, room)
+    plan = make_plan(begin(config), facts, workers, room)
     with pytest.raises(ConfigError, match="does not fit") as fault:
         refuse(list(plan.limits), config.path)
     assert told in fault.value.got and "needed" in fault.value.got and fault.value.exit_code == 2

@@ -10,6 +10,9 @@ import pytest
 from fwclass import conf
 from fwclass.operate.estimate.density import costs_at_density, density_known, too_dense
 from fwclass.operate.estimate.headers import Sample, SurveyFacts, simulated_facts
+from fwclass.workflows import workflow_of
+
+begin = workflow_of("classification").begin
 
 
 def facts_at(config: conf.Config, density: float, even: float = 1.0) -> SurveyFacts:
@@ -23,10 +26,12 @@ def config() -> conf.Config:
 
 def test_features_take_longer_where_neighbourhoods_hold_more(config: conf.Config) -> None:
     plain = config.plan.stages["features"].each
-    each = [costs_at_density(config, facts_at(config, d))["features"].each for d in (1.0, 4.0, 33.0, 330.0, 3300.0)]
+    each = [
+        costs_at_density(begin(config), facts_at(config, d))["features"].each for d in (1.0, 4.0, 33.0, 330.0, 3300.0)
+    ]
     assert each[0] == each[1] == plain and plain < each[2] < each[3] < each[4]
     assert each[4] - plain == pytest.approx(10.0 * (each[3] - plain), rel=0.02)
-    others = costs_at_density(config, facts_at(config, 330.0))
+    others = costs_at_density(begin(config), facts_at(config, 330.0))
     assert all(others[name] == cost for name, cost in config.plan.stages.items() if name != "features")
 
 
@@ -35,7 +40,7 @@ def test_of_echoes_that_do_not_all_count_the_time_has_a_bound(config: conf.Confi
     facts = facts_at(config, 1.0, even=1e6)
     assert density_known(facts) == 1e6 and too_dense(config, facts)
     bound = config.features.dense_echoes / config.features.dense_cell**2
-    below = costs_at_density(config, facts_at(config, 0.99 * bound))["features"].each
-    assert costs_at_density(config, facts)["features"].each < 0.01 * below
+    below = costs_at_density(begin(config), facts_at(config, 0.99 * bound))["features"].each
+    assert costs_at_density(begin(config), facts)["features"].each < 0.01 * below
     assert not too_dense(config, facts_at(config, 0.99 * bound))
     assert density_known(simulated_facts(config)) == 0.0

@@ -29,6 +29,7 @@ from fwclass.read.points import PointReader, coordinates
 from fwclass.read.polygons import is_polygon_file
 from fwclass.read.source import is_beam_file, open_source
 from fwclass.survey.gather import require_distinct
+from fwclass.workflows import workflow_of
 
 LEAST = 500
 """Points of a class below which it is not proposed: too few to learn from and to judge by."""
@@ -294,7 +295,8 @@ def _tile_lines(text: str, beside: Path) -> str:
     """`tile.size` where another than the default suits the survey, by `fwclass plan`."""
     try:
         config = conf.load_text(text, beside / "survey.yaml")
-        plan = make_plan(config, survey_facts(config, beside), config.run.workers, room_at(beside))
+        begun = workflow_of("classification").begin(config)
+        plan = make_plan(begun, survey_facts(config, beside), config.run.workers, room_at(beside))
     except FwclassError:
         return ""  # what is missing stands in the notes; `fwclass plan` says the rest
     if plan.best is None or plan.best.size == config.tile.size:

@@ -26,7 +26,6 @@ from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of
 from fwclass.publish.cog import STRIPE
 from fwclass.survey.bounds import CLOUD_ROWS
-from fwclass.walk.steps import plan_with_features
 
 MIB = 1 << 20
 
@@ -88,19 +87,8 @@ class Counts:
         )
 
 
-def plan_of(config: Config) -> Plan:
-    """What the stages are planned by before any file is read, as a run plans them; models are opened once."""
-    if not _last or _last[0][0] is not config:
-        _last[:] = [(config, plan_with_features(config))]
-    return _last[0][1]
-
-
-_last: list[tuple[Config, Plan]] = []
-
-
-def tile_halo(config: Config, stages: Sequence[Stage] = STAGES) -> float:
+def tile_halo(plan: Plan, stages: Sequence[Stage] = STAGES) -> float:
     """The furthest that any of `stages` reads around a tile [m]."""
-    plan = plan_of(config)
     return max(s.reach(plan) for s in stages if s.over == "tile" and s.when(plan))
 
 
@@ -109,9 +97,9 @@ def crowding(config: Config, facts: SurveyFacts) -> float:
     return config.plan.crowding * (facts.sample.crowding if facts.sample else 1.0)
 
 
-def amounts(config: Config, facts: SurveyFacts, size: float, stages: Sequence[Stage] = STAGES) -> dict[str, Amount]:
-    """The work of each of `stages` with tiles of `size` [m], in the order of the run."""
-    plan, quantities = plan_of(config), _Quantities.of(config, facts, size)
+def amounts(plan: Plan, facts: SurveyFacts, size: float, stages: Sequence[Stage] = STAGES) -> dict[str, Amount]:
+    """The work of each of `stages` with tiles of `size` [m], in the order of the run. `plan`: as a workflow begins."""
+    quantities = _Quantities.of(plan.config, facts, size)
     by_stage: dict[str, Amount] = {}
     for stage in stages:
         amount = quantities.amount(stage, plan) if stage.when(plan) else None

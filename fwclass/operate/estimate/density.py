@@ -6,7 +6,7 @@ import math
 
 from fwclass.conf import Config
 from fwclass.graph.features import neighbourhood_features
-from fwclass.operate.estimate.amounts import plan_of
+from fwclass.graph.stage import Plan
 from fwclass.operate.estimate.estimate import Costs
 from fwclass.operate.estimate.headers import SurveyFacts
 
@@ -22,9 +22,10 @@ def too_dense(config: Config, facts: SurveyFacts) -> bool:
     return density_known(facts) > config.features.dense_echoes / config.features.dense_cell**2
 
 
-def costs_at_density(config: Config, facts: SurveyFacts) -> Costs:
+def costs_at_density(begun: Plan, facts: SurveyFacts) -> Costs:
     """`plan.stages` with the time of features raised by the echoes that spheres and cylinders hold beyond those of the
     survey that the costs were measured on; where not all of them count, by those that do."""
+    config = begun.config
     plan, costs, density = config.plan, dict(config.plan.stages), density_known(facts)
     if "features" not in costs or density <= plan.density:
         return costs
@@ -32,7 +33,7 @@ def costs_at_density(config: Config, facts: SurveyFacts) -> Costs:
     if too_dense(config, facts):
         count = 1.0 / config.features.dense_step**2
         share = count / density
-    asked = neighbourhood_features(plan_of(config))
+    asked = neighbourhood_features(begun)
     radii = [config.features.normal_radius, *(s.metres for s in asked.of_kind("rc"))]
     radii += [r for _ in asked.of_kind("o") for r in config.features.optimal_radii]
     met = max(count - plan.density, 0.0) * sum(math.pi * r * r for r in radii) * share

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from fwclass.conf import Config
 from fwclass.conf.planning import StageCost
-from fwclass.graph.stage import Stage
+from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import STAGES
 from fwclass.grid import TileGrid
 from fwclass.operate.estimate.amounts import Amount, amounts
@@ -80,17 +80,17 @@ class Estimate:
 
 
 def estimate_run(
-    config: Config, facts: SurveyFacts, size: float, workers: int, costs: Costs, stages: Sequence[Stage] = STAGES
+    plan: Plan, facts: SurveyFacts, size: float, workers: int, costs: Costs, stages: Sequence[Stage] = STAGES
 ) -> Estimate:
     """The run of `stages` with tiles of `size` [m]; those that `costs` does not know are told in `unknown`."""
     waves = float(sum(s.wave_bytes for s in facts.sources))
     works, unknown, units = [], [], {stage.name: stage.unit for stage in stages}
-    for name, amount in amounts(config, facts, size, stages).items():
+    for name, amount in amounts(plan, facts, size, stages).items():
         if name in costs:
-            works.append(_stage(name, units[name], amount, costs[name], waves, config.plan.base_mib))
+            works.append(_stage(name, units[name], amount, costs[name], waves, plan.config.plan.base_mib))
         else:
             unknown.append(name)
-    return Estimate(size, max(1, workers), tuple(works), config.plan.compile_seconds, tuple(unknown))
+    return Estimate(size, max(1, workers), tuple(works), plan.config.plan.compile_seconds, tuple(unknown))
 
 
 def _stage(name: str, unit: str, amount: Amount, cost: StageCost, waves: float, base_mib: float) -> StagePlan:
@@ -118,15 +118,15 @@ class Choice:
 
 
 def choices(
-    config: Config, facts: SurveyFacts, workers: int, costs: Costs, allowed_mib: float, stages: Sequence[Stage] = STAGES
+    plan: Plan, facts: SurveyFacts, workers: int, costs: Costs, allowed_mib: float, stages: Sequence[Stage] = STAGES
 ) -> list[Choice]:
     """All sizes of ``plan.sizes`` and the one that is set; sizes with too many tiles for this extent are left out."""
-    boxes, choices_by_size = [box for s in facts.sources for box, _ in s.where], []
+    config, boxes, choices_by_size = plan.config, [box for s in facts.sources for box, _ in s.where], []
     for size in sorted({*config.plan.sizes, config.tile.size}):
         if math.prod(map(len, held_squares(boxes, size))) > MOST_SQUARES / 2:
             continue
         TileGrid(size)
-        estimate = estimate_run(config, facts, size, workers, costs, stages)
+        estimate = estimate_run(plan, facts, size, workers, costs, stages)
         memory, enough = estimate.largest.memory_mib, estimate.tiles >= config.plan.tiles_per_worker * max(1, workers)
         choices_by_size.append(Choice(size, estimate.tiles, estimate.wall, memory, enough, memory <= allowed_mib))
     return choices_by_size

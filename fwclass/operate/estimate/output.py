@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from fwclass.errors import ConfigError
 from fwclass.formats.geopackage import rectangles, write_layer
 from fwclass.graph.ground_auto import halo_of
-from fwclass.operate.estimate.amounts import plan_of
 from fwclass.operate.estimate.estimate import MIB
 from fwclass.operate.estimate.picture import plan_picture
 from fwclass.operate.estimate.spread import Spread, spread_of
@@ -67,7 +66,7 @@ def write_gpkg(plan: Plan, path: Path) -> None:
     halo = {"tile": fields["tile"], "halo_m": np.full(len(around), plan.halo)}
     write_layer(path, "halos", "Polygon", squares(tiles, at, plan.halo), halo, plan.facts.crs)
     blocks = spread_of(plan.counts.pieces(plan.facts), config.ground.block)
-    at, reach = np.nonzero(blocks.occupied), halo_of(plan_of(config))
+    at, reach = np.nonzero(blocks.occupied), halo_of(plan.begun)
     fields = {
         "block": keys(blocks, at),
         "echoes": np.rint(blocks.counts[at]).astype(np.int64),

@@ -12,7 +12,6 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.stages import STAGES
 from fwclass.grid import Box
-from fwclass.operate.estimate.amounts import plan_of
 from fwclass.operate.estimate.whole import Plan
 from fwclass.read.source import open_source
 from fwclass.run.runner import Runner
@@ -86,8 +85,7 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
 
 def reach(plan: Plan) -> float:
     """The furthest that the road to a tile's classes reads around it [m]: its own halo, and its blocks with theirs."""
-    stages = plan_of(plan.config)
-    blocks = (s.edge(stages) + s.reach(stages) for s in STAGES if s.edge is not None and s.unit == "echo")
+    blocks = (s.edge(plan.begun) + s.reach(plan.begun) for s in STAGES if s.edge is not None and s.unit == "echo")
     return plan.halo + max(blocks)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.graph.stage import Stage
+from fwclass.graph import stage
 from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
 from fwclass.operate.estimate.density import costs_at_density, too_dense
@@ -22,9 +22,10 @@ from fwclass.store.run_store import Store
 
 @dataclass(frozen=True)
 class Plan:
-    """See the modules of its parts. `workers` 0 is the plain loop; `halo` is the widest around a tile [m]."""
+    """See the modules of its parts. `begun` is what the stages are planned by before any file is read; `workers` 0 is
+    the plain loop; `halo` is the widest around a tile [m]."""
 
-    config: Config
+    begun: stage.Plan
     facts: SurveyFacts
     counts: Counts
     tiles: Spread
@@ -39,36 +40,44 @@ class Plan:
     measured: MeasuredCosts | None = None
 
     @property
+    def config(self) -> Config:
+        """The configuration that it is made by."""
+        return self.begun.config
+
+    @property
     def fits(self) -> bool:
         """No limit is exceeded."""
         return all(limit.fits for limit in self.limits)
 
 
 def make_plan(
-    config: Config,
+    begun: stage.Plan,
     facts: SurveyFacts,
     workers: int,
     room: Room,
     trial: Store | None = None,
-    stages: Sequence[Stage] = STAGES,
+    stages: Sequence[stage.Stage] = STAGES,
 ) -> Plan:
-    """The plan of `stages` by the costs of section `plan`, or, as far as it goes, by receipts of a dry run, `trial`."""
+    """The plan of `stages`, which are planned by `begun` (`Workflow.begin`), by the costs of section `plan`, or, as far
+    as it goes, by receipts of a dry run, `trial`."""
+    config = begun.config
     size, counts = config.tile.size, Counts.of(config, facts)
-    observed = measure_costs(trial, config.plan.stages, amounts(config, facts, size, stages)) if trial else None
-    costs = observed.costs if observed else costs_at_density(config, facts)
-    estimate = estimate_run(config, facts, size, workers, costs, stages)
+    observed = measure_costs(trial, config.plan.stages, amounts(begun, facts, size, stages)) if trial else None
+    costs = observed.costs if observed else costs_at_density(begun, facts)
+    estimate = estimate_run(begun, facts, size, workers, costs, stages)
     if observed:
         base = measured_base(observed, estimate, config.plan.base_mib)
         config = replace(config, plan=config.plan.model_copy(update={"base_mib": base}))
-        estimate = estimate_run(config, facts, size, workers, costs, stages)
-    compared = tuple(choices(config, facts, workers, costs, allowed_mib(config, workers, room), stages))
+        begun = replace(begun, config=config)
+        estimate = estimate_run(begun, facts, size, workers, costs, stages)
+    compared = tuple(choices(begun, facts, workers, costs, allowed_mib(config, workers, room), stages))
     best = propose_size(config, list(compared))
     return Plan(
-        config,
+        begun,
         facts,
         counts,
         spread_of(counts.pieces(facts), size),
-        tile_halo(config, stages),
+        tile_halo(begun, stages),
         crowding(config, facts),
         workers,
         room,
