@@ -105,7 +105,14 @@ def unsure_facts(
             f"the model is unsure of {100 * share:.1f} % of the classified echoes (confidence below "
             f"{params.unsure:g}){before}{many if share > SAID_FROM else ''}"
         )
-    return {"share": share, "below": params.unsure, "left": left, "given": judged, "remarks": remarks}
+    return {
+        "share": share,
+        "below": params.unsure,
+        "left": left,
+        "given": given is not None,
+        "judged": judged,
+        "remarks": remarks,
+    }
 
 
 def _as_a_stranger(card: Mapping[str, Any]) -> str:
@@ -122,7 +129,12 @@ def _as_a_stranger(card: Mapping[str, Any]) -> str:
 
 def judge_unsure(facts: dict[str, Any] | None, params: ClassifyParams, where: object) -> None:
     """`QualityError` where a given model is unsure of more than `classify.max_unsure`."""
-    if facts is None or not facts["given"] or params.accept_drift or facts["share"] <= params.max_unsure:
+    if (
+        facts is None
+        or not facts.get("judged", facts["given"])
+        or params.accept_drift
+        or facts["share"] <= params.max_unsure
+    ):
         return
     raise QualityError(
         "the model is unsure of too much",

@@ -62,15 +62,17 @@ def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
             )
 
 
-def ground_notes(card: Mapping[str, Any], method: str | None, height: str, option: str = "--method ") -> list[str]:
+def ground_notes(card: Mapping[str, Any], method: str | None, height: str, in_run: bool = False) -> list[str]:
     """What to tell where heights decide that are of another ground filter (None: the file's own ground) than the
-    model's (`card`), or above it in another way (`height`, of `terrain.height`). `option` names a filter."""
+    model's (`card`), or above it in another way (`height`, of `terrain.height`). A run's filter is a
+    setting, a file's an option."""
     computed, notes = card.get("computed", {}), list[str]()
     learned = computed.get("ground")
     if learned not in (None, method):
         here = "the file's own ground" if method is None else method
-        file = learned == "auto" and option.startswith("--method")
-        how = "`fwclass ground --auto` first, then --own-ground" if file else f"{option}{learned}"
+        how = f"--set ground.method={learned}" if in_run else f"--method {learned}"
+        if learned == "auto" and not in_run:
+            how = "`fwclass ground --auto` first, then --own-ground"
         notes.append(f"the model learned from heights above the ground of {learned}, here it is that of {here}: {how}")
     above = computed.get("height")
     if above not in (None, height):

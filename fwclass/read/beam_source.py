@@ -183,6 +183,11 @@ class Layout(Protocol):
         """Rows of the file, one a waveform."""
         ...
 
+    @property
+    def timed(self) -> bool:
+        """Whether the file says when first samples were taken, or its format does."""
+        return True
+
     def blocks(self) -> Iterator[BeamRows]:
         """All rows, a bounded number at a time."""
 

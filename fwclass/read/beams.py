@@ -250,7 +250,7 @@ def _first_samples(source: Source) -> FirstSamples:
         row, speed = np.arange(len(rows)), np.linalg.norm(step, axis=1)
         distance = rows.anchor_range + rows.begin * speed
         length = np.maximum(0, rows.samples.lengths - 1) * rows.spacing * speed
-        untimed = "begin_ns" not in getattr(source.layout, "columns", ("begin_ns",))
+        untimed = not source.layout.timed
     else:
         las = las_of(source)
         with PointReader(las) as reader:

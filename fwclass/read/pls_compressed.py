@@ -37,16 +37,19 @@ RECORD_NUMBER = 5
 NONE, DEFAULT, ARITHMETIC = 0, 1, 0
 """The compressors and the one coder that there are."""
 
-PULSE, VARIABLE = 48, 0xFFFFFFFF
-"""Bytes of a pulse without what stands behind it; the chunk size that says that sizes vary."""
+RECORD_HEADER, PULSE = 96, 48
+"""Bytes of a record's header, and of a pulse without what stands behind it."""
+
+VARIABLE = 0xFFFFFFFF
+"""The chunk size that says that sizes vary."""
 
 _SIZES = {PULSE_0: PULSE, SOURCE_16: 2, SOURCE_32: 4}
 
-_LAST_RECORD = 96
-"""Bytes of the record that the library puts at the end of a file."""
-
 MOST_EXTRA = 1000
 """Bytes behind a pulse: each has models of its own."""
+
+LIKELY = 1_000
+"""Bytes of samples of a pulse that room is made for at first; where more are needed all is unpacked once more."""
 
 EXPANSION = 100
 """A file unpacks to this many times its bytes at most: constant samples reach some 60, real ones 2 to 6."""
@@ -82,8 +85,8 @@ def read_chunks(path: Path, size: int, start: int, pulses: int, pulse_size: int,
         raise _damaged(path, "a table of chunks", "the end of the file")
     at = _whole(data, start)
     wanted = -(-pulses // chunk) if chunk != VARIABLE else None
-    if at == -1:  # written to a pipe: the place stands at the end
-        ends = (_whole(data, k) for k in (size - _LAST_RECORD - 8, size - 8) if k >= start + 8)
+    if at == -1:  # written to a pipe: the place stands at the end, before the library's last record
+        ends = (_whole(data, k) for k in (size - RECORD_HEADER - 8, size - 8) if k >= start + 8)
         at = next((e for e in ends if start + 8 <= e <= size - 8 and _head(data, e)[0] == 0), -1)
     if at == start:
         raise InputError(
@@ -200,8 +203,8 @@ def unpacked_waves(
     """
     limit = EXPANSION * len(data)
     ends, start, stop = (np.zeros(len(offset), np.int64) for _ in range(3))
-    out = np.empty(min(limit, header + 8 * len(data)), np.uint8)
     places = np.ascontiguousarray(offset)
+    out = np.empty(min(limit, header + LIKELY * len(places)), np.uint8)
     decoder = decoder_of(data, WAVE_MODELS, WAVE_BITS)
     arguments = (places, descriptor, described, samplings, returning, header, most, limit, ends, start, stop)
     total = int(unpack_waves(*decoder, *arguments, out))

@@ -14,14 +14,14 @@ from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales
 from fwclass.formats.las_header import MAX_EVLR_BODY, Record, text
 from fwclass.paths import open_regular
-from fwclass.read.pls_compressed import RECORD_NUMBER, Chunks, read_chunks
+from fwclass.read.pls_compressed import PULSE, RECORD_HEADER, RECORD_NUMBER, Chunks, read_chunks
 
 SIGNATURE = b"PulseWavesPulse\0"
 SPEC = "PulseWaves_Spec"
 """Who writes the records of the specification."""
 
-HEADER, RECORD_HEADER, PULSE = 352, 96, 48
-"""Shortest lengths: of the header, of a record's header, of a pulse."""
+HEADER = 352
+"""Shortest length of the header."""
 
 LAST_AVLR, MAX_AVLRS = 0xFFFFFFFF, 1000
 

@@ -10,7 +10,7 @@ from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.packet_kernels import gather
 from fwclass.read.pls_waves import (
     FAULTS,
-    FITTING,
+    MISFIT,
     OVERLAP,
     SILENT,
     Samplings,
@@ -47,7 +47,7 @@ def check_pls(source: PulseSource) -> None:
                 raise InputError(
                     "the pulses and their compressed waves do not fit each other",
                     where=source.path,
-                    expected=f"waves that end where another pulse's begin, of {FITTING:.0%} of the pulses at least",
+                    expected=f"waves of more than {1 - MISFIT:.0%} of the pulses that end before the next pulse's",
                     got=misfit,
                     do=f"put the {(source.waves.path or source.path).name} of this very file beside it",
                 )

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.read import wave_kernels
 from fwclass.read.packets import VECTOR_RANGE
-from fwclass.read.pls_compressed import unpacked_pulses, unpacked_waves
-from fwclass.read.pls_header import PULSE
+from fwclass.read.pls_compressed import PULSE, unpacked_pulses, unpacked_waves
 from fwclass.read.points import ZEROS
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, WAVES_HEADER, PulseSource, Sampling
 from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, walk
@@ -55,8 +54,9 @@ it; file systems leave holes of 512 bytes and more."""
 _BY_WALK = {SOUND: 0, NO_WAVES: 1, PAST_END: 2, CUT_SHORT: 3, TOO_MANY: 4, wave_kernels.DAMAGED: 5}
 SILENT = FAULTS.index("no returning samples")
 
-FEW, FITTING = 10, 0.2
-"""Pulses below which ends of waves tell nothing, and the share that must meet: a clipped file keeps runs of pulses."""
+FEW, MISFIT = 10, 0.5
+"""Pulses below which nothing is told, and the share of them whose compressed waves are damaged, or run into those of
+another pulse, from which the file is another's: sound waves do neither, in whatever order or selection pulses stand."""
 
 UNPACKED = ("waves cut short", "too many segments", "compressed waves damaged")
 """What compressed waves end in that are not what the pulse had."""
@@ -274,14 +274,18 @@ def _walk(
 
 
 def waves_fault(source: PulseSource, begins: NDArray[np.int64], pulses: Pulses) -> str:
-    """That compressed waves are another file's: theirs end where those of another pulse begin, or the file does."""
+    """That compressed waves are another file's; `begins` is where those of every pulse stand. "" where they are not."""
     if not source.packed:
         return ""
-    tried = np.isin(pulses.fault, [0, SILENT, *map(FAULTS.index, UNPACKED)])
-    met = np.isin(pulses.stop[tried], np.append(begins, source.waves.available))
-    if len(met) < FEW or met.mean() >= FITTING:
+    places = np.append(np.unique(begins), source.waves.available)
+    following = places[np.minimum(np.searchsorted(places, begins, "right"), len(places) - 1)]
+    damaged = np.isin(pulses.fault, [FAULTS.index(f) for f in UNPACKED])
+    tried = damaged | (pulses.stop > 0)
+    wrong = damaged | (pulses.stop > following)
+    if tried.sum() < FEW or wrong[tried].mean() < MISFIT:
         return ""
-    return f"of {len(met)} pulses {int(met.sum())} have waves that end where another's begin: they are another file's"
+    count = int(wrong[tried].sum())
+    return f"compressed waves of {count} of {int(tried.sum())} pulses are damaged or run into others': another file's"
 
 
 def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:

@@ -177,6 +177,37 @@ def _next_source(data, state, counts, below, models, bits, at, zero, width, row,
 
 
 @kernel
+def _next_place(data, state, counts, below, models, bits, scan, moves, move, place):  # type: ignore[no-untyped-def]
+    """The next anchor and target, `place` (6,): as far from the last as pulses of the same `scan` were before, `moves`
+    (4, 3), or any, `move` (3,)."""
+    for k in range(3):
+        c, wanted = _PLACE + k * 37, move[k] if moves[scan, k] == _UNKNOWN else moves[scan, k]
+        move[k] = _signed(wanted + difference(data, state, counts, below, models, bits, c + scan, c + 4, 2 + k, 32))
+        moves[scan, k] = move[k]
+        place[k] = _signed(place[k] + move[k])
+    for k in range(3, 6):
+        c, wanted = _PLACE + k * 37, _signed(place[k] + move[k - 3])
+        place[k] = _signed(wanted + difference(data, state, counts, below, models, bits, c, c + 4, 2 + k, 32))
+
+
+@kernel
+def _next_behind(data, state, counts, below, models, bits, items, row, narrow, wide, oldest):  # type: ignore[no-untyped-def]
+    """What stands behind the next pulse, item by item, into `row`."""
+    at = items[0, 1]
+    for j in range(1, len(items)):
+        if items[j, 0] == SOURCE_16:
+            _next_source(data, state, counts, below, models, bits, at, 11, 16, row, _BEHIND, narrow, oldest[0:])
+        elif items[j, 0] == SOURCE_32:
+            c = _BEHIND + _SOURCE
+            _next_source(data, state, counts, below, models, bits, at, 12, 32, row, c, wide, oldest[1:])
+        else:
+            for k in range(items[j, 1]):
+                c = int(row[at + k]) + symbol(data, state, counts, below, models, MODELS + k, 256)
+                row[at + k] = c & 255
+        at += items[j, 1]
+
+
+@kernel
 def unpack_pulses(data, state, counts, below, models, bits, at, end, items, out):  # type: ignore[no-untyped-def]
     """Unpack the pulses of a chunk, `out` (n, bytes of a pulse); gives how many are whole.
 
@@ -245,26 +276,8 @@ def unpack_pulses(data, state, counts, below, models, bits, at, end, items, out)
         else:
             offset = offsets[context] = more
             waves += more
-        for k in range(3):
-            c, wanted = _PLACE + k * 37, move[k] if moves[scan, k] == _UNKNOWN else moves[scan, k]
-            move[k] = _signed(wanted + difference(data, state, counts, below, models, bits, c + scan, c + 4, 2 + k, 32))
-            moves[scan, k] = move[k]
-            place[k] = _signed(place[k] + move[k])
-        for k in range(3, 6):
-            c, wanted = _PLACE + k * 37, _signed(place[k] + move[k - 3])
-            place[k] = _signed(wanted + difference(data, state, counts, below, models, bits, c, c + 4, 2 + k, 32))
-        behind = items[0, 1]
-        for j in range(1, len(items)):
-            if items[j, 0] == SOURCE_16:
-                _next_source(data, state, counts, below, models, bits, behind, 11, 16, row, _BEHIND, narrow, oldest[0:])
-            elif items[j, 0] == SOURCE_32:
-                c = _BEHIND + _SOURCE
-                _next_source(data, state, counts, below, models, bits, behind, 12, 32, row, c, wide, oldest[1:])
-            else:
-                for k in range(items[j, 1]):
-                    c = int(row[behind + k]) + symbol(data, state, counts, below, models, MODELS + k, 256)
-                    row[behind + k] = c & 255
-            behind += items[j, 1]
+        _next_place(data, state, counts, below, models, bits, scan, moves, move, place)
+        _next_behind(data, state, counts, below, models, bits, items, row, narrow, wide, oldest)
         if passed(state):
             return i
         _put(row, 0, 8, time)

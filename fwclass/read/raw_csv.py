@@ -53,6 +53,10 @@ class CsvLayout(Layout):
     direction: str = ""
 
     @property
+    def timed(self) -> bool:
+        return "begin_ns" in self.columns
+
+    @property
     def n_rows(self) -> int:
         return int(row_marks(self.path, self.start)[-1, 0])
 

@@ -62,6 +62,10 @@ class ParquetLayout(Layout):
     groups: tuple[int, ...]
 
     @property
+    def timed(self) -> bool:
+        return "begin_ns" in self.columns
+
+    @property
     def n_rows(self) -> int:
         return self.groups[-1]
 

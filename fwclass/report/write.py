@@ -174,7 +174,7 @@ def _remarks(
         *of("accuracy", "earlier", "place"),
         *(report["radiometry"] or {}).get("implausible", ()),
         *of("repeated", "ground", "plausibility", "drift", "unsure"),
-        *ground_notes(card or {}, config.ground.method, config.terrain.height, "--set ground.method="),
+        *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),
         *remarks_on_empty_files(report["input"]),
         *remarks_of_parts(runner),

@@ -61,16 +61,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     records must be where the headers place them."""
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
-    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = open_all(places, config, copied)
-    require_distinct([s.path for s in opened])
-    full = [s for s in opened if s.n_records]
-    if not full:
-        raise InputError(
-            "the source files have no points and no pulses",
-            where=", ".join(str(s.path) for s in opened[:3]),
-            do="check the delivery; there is nothing to classify",
-        )
+    places, opened, full = open_survey(config, directory, copied)
     user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = assign_numbers(s.path.stem for s in opened)
     bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
@@ -100,6 +91,24 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
     more_files = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more_files)
+
+
+def open_survey(
+    config: Config, directory: Path | Url, copied: bool
+) -> tuple[list[Location], list[Source], list[Source]]:
+    """Where the survey's sources are, all of them opened and checked, and those that hold anything; `InputError` for
+    names that two of them share, and where none does."""
+    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    opened = open_all(places, config, copied)
+    require_distinct([s.path for s in opened])
+    full = [s for s in opened if s.n_records]
+    if not full:
+        raise InputError(
+            "the source files have no points and no pulses",
+            where=", ".join(str(s.path) for s in opened[:3]),
+            do="check the delivery; there is nothing to classify",
+        )
+    return places, opened, full
 
 
 def open_all(places: Sequence[Location], config: Config, copied: bool = False) -> list[Source]:

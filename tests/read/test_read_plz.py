@@ -21,7 +21,7 @@ from fwclass.operate.schedule.places import WAVES
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read import pls_compressed
 from fwclass.read.info import describe, files_in, info
-from fwclass.read.pls_waves import read_records
+from fwclass.read.pls_waves import Samplings, find, read_records, waves_fault, waves_of
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
 from fwclass.waveforms import Waveforms
 
@@ -236,7 +236,7 @@ def test_another_files_waves_are_told(tmp_path, params):
     other.with_suffix(".wvz").rename(path.with_suffix(".wvz"))
     with pytest.raises(InputError, match="do not fit each other"):
         read(path, params)
-    assert "they are another file's" in describe(info(path))
+    assert "another file's" in describe(info(path))
 
 
 def test_what_unpacks_to_far_more_than_the_file_is_refused(tmp_path, params):
@@ -336,3 +336,38 @@ def test_an_inbox_waits_for_all_of_a_waves_file(tmp_path, packed):
     assert f"{waves.name} is cut short" in fault_of(head, (waves,), tmp_path, False)
     waves.unlink()
     assert f"put {waves.name} beside" in fault_of(head, (), tmp_path / "survey", False)
+
+
+@pytest.mark.parametrize("which", ["shuffled", "every seventh"])
+def test_pulses_in_any_order_and_selection_fit_their_waves(tmp_path, params, which):
+    """A file sorted by intensity, or thinned beside its whole Waves file, is no other file's."""
+    kinds = described()
+    path = compress(survey(tmp_path / "a.pls", pulses=200, descriptors=kinds).path, kinds, pulses=False)
+    data = bytearray(path.read_bytes())
+    rows = np.frombuffer(bytes(data[-200 * 48 :]), np.uint8).reshape(200, 48)
+    chosen = np.random.default_rng(1).permutation(200) if which == "shuffled" else np.arange(0, 200, 7)
+    data[184:192] = struct.pack("<q", len(chosen))
+    path.write_bytes(bytes(data[: -200 * 48]) + rows[chosen].tobytes())
+    source = open_source(path)
+    check_source(source, params)
+    assert not [f for f in info(path)["faults"] if "another file" in f]
+    for first in range(0, len(chosen), 20):  # however few of the others are seen
+        records = read_records(source, first, min(first + 20, len(chosen)))
+        pulses = find(source, records, Samplings.of(source), waves_of(source))
+        assert waves_fault(source, records["waves"], pulses) == ""
+
+
+def test_another_files_waves_of_fixed_lengths_are_told(tmp_path, params):
+    """Nothing that is unpacked can be wrong by itself: all counts are fixed."""
+    fixed = Sampling(length_bits=0, samples=60, segment_bits=0, segments=1)
+    kinds, paths = {1: Descriptor([fixed])}, []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        pulses = [
+            Pulse((0, 0, 800), (0, 0, -1), [[(9.0, rng.normal(40, 2 * seed, 60).astype(int))]]) for _ in range(80)
+        ]
+        paths.append(compress(write_pls(tmp_path / f"{seed}.pls", pulses, kinds), kinds))
+    check_source(open_source(paths[0]), params)
+    paths[1].with_suffix(".wvz").rename(paths[0].with_suffix(".wvz"))
+    with pytest.raises(InputError, match="do not fit each other"):
+        read(paths[0], params)

@@ -15,7 +15,7 @@ from fwclass.street.params import StreetParams
 from fwclass.street.simulate import simulate_frames
 from fwclass.street.soundness import recording_faults
 from fwclass.street.sphere_kernels import UNIT
-from fwclass.street.way import Way
+from fwclass.street.way import MOST_EDGES, Way
 
 
 @functools.cache
@@ -130,3 +130,13 @@ def test_a_vehicle_that_goes_back_or_leaps_begins_again() -> None:
         if k >= 5:
             other.see(*row)
     assert 0.35 < way.metres < 0.45 and 0.05 < other.metres < 0.15
+
+
+def test_edges_of_a_frame_are_bounded():
+    """Each is held against all others: a scanner that sees noise must not keep the stream waiting."""
+    way, r = Way(config().street), np.random.default_rng(0)
+    for k in range(40):
+        y, z = (r.uniform(a, b, 1000) for a, b in ((2.0, 12.0), (-1.0, 4.0)))
+        units = [np.rint(v / UNIT).astype(np.int32) for v in (y, z)]
+        way.see(k * 60, np.zeros(0, np.int32), *units, y.astype(np.float32))
+    assert way.metres > 2.0 and max(len(edges) for _, edges in way._edges) <= MOST_EDGES

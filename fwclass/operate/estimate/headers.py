@@ -21,7 +21,7 @@ from fwclass.simulate.params import SimulateParams
 from fwclass.store.remote_file import local
 from fwclass.survey.bounds import CLOUD_ROWS
 from fwclass.survey.files import find_files
-from fwclass.survey.gather import directory_of, open_all, require_distinct
+from fwclass.survey.gather import directory_of, open_survey
 from fwclass.survey.systems import common_crs
 
 SPARSE = 0.01
@@ -137,16 +137,7 @@ def survey_facts(config: Config, root: Path, copied: bool = False) -> SurveyFact
     directory = directory_of(config, root)
     if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):
         return simulated_facts(config)
-    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = open_all(places, config, copied)
-    require_distinct([s.path for s in opened])
-    full = [s for s in opened if s.n_records]
-    if not full:
-        raise InputError(
-            "the source files have no points and no pulses",
-            where=", ".join(str(s.path) for s in opened[:3]),
-            do="check the delivery; there is nothing to classify",
-        )
+    _, _, full = open_survey(config, directory, copied)
     with Display() as display:
         crs = common_crs(config, full, Runner(root, Loop(), display))
     reference: tuple[int, ...] = ()
