@@ -248,3 +248,21 @@ def survey(
     written = write_pls(path, made, **options)
     cols = {k: np.array(v) for k, v in rows.items()}
     return Truth(written, cols["pulse"], cols["a"], cols["t"], cols["w"], cols["xyz"], np.array(peaks), made)
+
+
+def two_segments_of(duration_bits: int, segment_bits: int, length_bits: int) -> tuple[Sampling, list]:
+    """A sampling whose durations are signed, scaled and offset, with counts of these widths, fixed where 0; and two
+    segments of it."""
+    rng = np.random.default_rng(0)
+    sampling = Sampling(
+        duration_bits=duration_bits,
+        scale=0.5,
+        offset=3000.0,
+        segment_bits=segment_bits,
+        length_bits=length_bits,
+        segments=0 if segment_bits else 2,
+        samples=0 if length_bits else 30,
+        bits=16,
+        padding=4,
+    )
+    return sampling, [(2950.0, rng.integers(0, 65536, 30)), (3040.5, rng.integers(0, 65536, 30))]

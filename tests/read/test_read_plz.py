@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, write_pls
+from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, two_segments_of, write_pls
 from plzmaker import compress, wild_records
 
 from fwclass.errors import InputError
@@ -119,18 +119,7 @@ def test_cutting_changes_nothing(tmp_path, base, chunk):
 @pytest.mark.parametrize("duration_bits", [8, 16, 32])
 @pytest.mark.parametrize(("segment_bits", "length_bits"), [(0, 0), (8, 8), (16, 16), (0, 16), (16, 0)])
 def test_every_width_of_the_counts(tmp_path, params, duration_bits, segment_bits, length_bits):
-    rng = np.random.default_rng(0)
-    sampling = Sampling(
-        duration_bits=duration_bits,
-        scale=0.5,
-        offset=3000.0,
-        segment_bits=segment_bits,
-        length_bits=length_bits,
-        segments=0 if segment_bits else 2,
-        samples=0 if length_bits else 30,
-        bits=16,
-    )
-    segments = [(2950.0, rng.integers(0, 65536, 30)), (3040.5, rng.integers(0, 65536, 30))]
+    sampling, segments = two_segments_of(duration_bits, segment_bits, length_bits)
     kinds = {1: Descriptor([sampling], extra=5)}
     plain = write_pls(tmp_path / "a.pls", [Pulse((0, 0, 800), (0.1, 0.05, -1.0), [segments])] * 3, kinds)
     packed = compress(copied(plain, "b"), kinds)

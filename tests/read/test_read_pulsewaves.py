@@ -9,7 +9,7 @@ import numpy as np
 import plsmaker
 import pytest
 from lasmaker import METRES_PER_NS
-from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, write_pls
+from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, two_segments_of, write_pls
 from tolerances import FLOAT32_CHAIN_RTOL
 
 from fwclass.errors import InputError
@@ -112,19 +112,7 @@ def test_cutting_changes_nothing(tmp_path, base, chunk):
 @pytest.mark.parametrize(("segment_bits", "length_bits"), [(0, 0), (8, 8), (16, 16), (0, 16), (16, 0)])
 def test_every_width_of_the_counts(tmp_path, params, duration_bits, segment_bits, length_bits):
     """Durations are signed, scaled and offset; counts are fixed or stored in one or two bytes."""
-    rng = np.random.default_rng(0)
-    sampling = Sampling(
-        duration_bits=duration_bits,
-        scale=0.5,
-        offset=3000.0,
-        segment_bits=segment_bits,
-        length_bits=length_bits,
-        segments=0 if segment_bits else 2,
-        samples=0 if length_bits else 30,
-        bits=16,
-        padding=4,
-    )
-    segments = [(2950.0, rng.integers(0, 65536, 30)), (3040.5, rng.integers(0, 65536, 30))]
+    sampling, segments = two_segments_of(duration_bits, segment_bits, length_bits)
     descriptor = Descriptor([sampling], extra=5, padding=12)
     path = write_pls(tmp_path / "a.pls", [Pulse(ANCHOR, AWAY, [segments])] * 3, {1: descriptor})
     waves = read(path, params)
