@@ -152,6 +152,20 @@ def _verify_alone(location: Any, fault: StoreError, as_json: bool) -> NoReturn:
     sys.exit(PARTIAL)
 
 
+def _verify_copy(copy: Path, as_json: bool) -> NoReturn:
+    """Verify a delivery that was copied elsewhere."""
+    from fwclass.store.generations import copy_damage
+
+    damaged = copy_damage(copy)
+    if as_json:
+        click.echo(json.dumps({"damaged_delivered": damaged}, indent=1))
+    elif damaged:
+        click.echo("\n".join(visible(f"damaged  {name}") for name in damaged))
+    else:
+        click.echo("all files of this delivery have the bytes that were written")
+    sys.exit(PARTIAL if damaged else 0)
+
+
 def _request_of_run(run: Any, workflow: str, verify: bool, as_json: bool) -> tuple[Any, Any]:
     """What a run directory was asked for last, and its configuration."""
     from fwclass.operate.configured import configured
@@ -184,7 +198,9 @@ def _request_of_run(run: Any, workflow: str, verify: bool, as_json: bool) -> tup
 @AOI
 @WORKFLOW
 @click.option("--parts", "every", is_flag=True, help="List every part, done or not.")
-@click.option("--verify", is_flag=True, help="Read all files of parts and of the delivery, and compare their digests.")
+@click.option(
+    "--verify", is_flag=True, help="Read all files of parts and of all that was delivered, and compare their digests."
+)
 @JSON
 def status(
     conf_or_run: Any,
@@ -200,9 +216,11 @@ def status(
     """Tell which parts of a run are done, stale (and why), missing, running or failed; nothing is made.
 
     A run directory is looked at as its last `fwclass run` was asked for; a configuration with the words given here.
+    With --verify, RUN may also be a copy of a delivery elsewhere, as RUN/generations/0001 is one.
     Exit code 0 if all is done (and, with --verify, undamaged), 3 if not.
     """
     little_garbage()
+    from fwclass.store.generations import is_generation
     from fwclass.store.run_location import held_by
     from fwclass.store.url import is_url
 
@@ -213,6 +231,8 @@ def status(
                 where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
             )
+        if verify and is_generation(conf_or_run):
+            _verify_copy(conf_or_run, as_json)
         config, request = _request_of_run(conf_or_run, workflow, verify, as_json)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():

@@ -82,13 +82,13 @@ def _verify(runner: Any) -> None:
     """Remove what is damaged, with all that was made from it: this run makes it anew."""
     from fwclass.operate.status import verify as verifying
 
-    runner.display.say("verify           all files of the store and of the delivery are read")
+    runner.display.say("verify           all files of the store and of all that was delivered are read")
     runner.verify = True
     verified = verifying.verify(runner.store)
     if verified.sound:
         runner.display.say("verify           they have the bytes that were written")
         return
-    for line in verifying.rows(verified):
+    for line in [*verifying.rows(verified), *verifying.earlier_advice(verified, str(runner.store.where))]:
         runner.display.say(line)
     verifying.remove(verified, runner.store)
 

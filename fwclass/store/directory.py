@@ -88,9 +88,12 @@ class Directory:
         return {name: size for name, size in sizes if size is not None}
 
     def digests(self, sizes: Mapping[str, int]) -> dict[str, str]:
-        """Digests of the files of these keys that are there, from their bytes as they are now; `sizes` in bytes."""
+        """Digests of the files of these keys that are there, from their bytes as they are now; `sizes` in bytes. What
+        has several names here is read once."""
         paths = {key: self.root / key for key in sizes}
-        return {key: file_digest(path) for key, path in paths.items() if path.is_file()}
+        files = {key: _file_of(path) for key, path in paths.items() if path.is_file()}
+        digests = {file: file_digest(paths[key]) for file, key in {file: key for key, file in files.items()}.items()}
+        return {key: digests[file] for key, file in files.items()}
 
     def get(self, key: str) -> tuple[bytes, Mark] | None:
         """Bytes and mark of a file, None where there is none."""
@@ -340,6 +343,12 @@ class Directory:
 def failure_key(stage: str, part: str) -> str:
     """Where lies what a part said when it failed."""
     return f"store/failures/{stage}/{part}.json"
+
+
+def _file_of(path: Path) -> tuple[int, int]:
+    """Device and number of a file, whatever its name."""
+    facts = path.stat()
+    return facts.st_dev, facts.st_ino
 
 
 def link(source: Path, target: Path) -> None:

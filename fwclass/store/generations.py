@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -151,29 +151,51 @@ class Generations:
         sizes = self.files.sizes(generation.key, listed)
         return [name for name, facts in listed.items() if sizes.get(name) != facts["bytes"]]
 
-    def damage(self) -> tuple[str, list[str]]:
-        """The name of the generation that readers see, and files of it that are gone or not what was written: all are
-        read; nothing for one of before there were manifests."""
+    def damage(self) -> dict[str, list[str]]:
+        """Files of each generation that are gone or not what was written, by its name, where there are any: the one
+        that readers see first. All are read, but for those of before there were manifests."""
         pointer = self.files.pointer()
-        if pointer is None:
-            return "", []
-        generation = self._named(pointer[0])
-        if generation is None:
-            return pointer[0], [FACTS]
-        return pointer[0], self._damaged(generation) if generation.manifest else []
+        shown = [pointer[0]] if pointer else []
+        others = [name for name in self._names() if name not in shown]
+        facts = self.files.many([f"{GENERATIONS}/{name}/{FACTS}" for name in others])
+        there = {n: self._parsed(n, data) for n, data in zip(others, facts, strict=True) if data is not None}
+        there = {name: self._named(name) for name in shown} | there
+        damaged = {name: [FACTS] for name, generation in there.items() if generation is None}
+        damaged |= self._damaged_of([g for g in there.values() if g is not None and g.manifest])
+        return {name: damaged[name] for name in there if damaged.get(name)}
 
-    def _damaged(self, generation: Generation, read: bool = True) -> list[str]:
-        """Files that are gone, of another size, or, where they are `read` or were written over, of other bytes."""
-        manifest = self.manifest(generation)
-        if manifest is None:
-            return [MANIFEST]
-        top = len(generation.key) + 1
-        there = {h.key[top:]: h for h in self.files.list(generation.key)}
-        sound = {n for n, facts in manifest.items() if n in there and there[n].size == facts["bytes"]}
-        doubted = {n for n in sound if read or there[n].mark.e_tag != manifest[n].get("e_tag")}
-        digests = self.files.digests({there[n].key: there[n].size for n in sorted(doubted)})
-        sound -= {n for n in doubted if digests.get(there[n].key) != manifest[n]["digest"]}
-        return [n for n in manifest if n not in sound]
+    def _damaged(self, generation: Generation, trusted: Collection[str]) -> list[str]:
+        """Files that are gone, of another size, or of other bytes; those that are `trusted` are read only where they
+        were written over."""
+        return self._damaged_of([generation], trusted)[generation.name]
+
+    def _damaged_of(self, generations: Sequence[Generation], trusted: Collection[str] = ()) -> dict[str, list[str]]:
+        """As `_damaged`, of each by its name; what several share is read once."""
+        manifests = {g.name: self.manifest(g) for g in generations}
+        sound: dict[str, set[str]] = {}
+        doubted: dict[str, int] = {}
+        for generation in generations:
+            key, manifest = generation.key, manifests[generation.name] or {}
+            there = {h.key: h for h in self.files.list(key)}
+            same = {n for n, facts in manifest.items() if (h := there.get(f"{key}/{n}")) and h.size == facts["bytes"]}
+            kept = {n for n in same if n in trusted and there[f"{key}/{n}"].mark.e_tag == manifest[n].get("e_tag")}
+            sound[generation.name] = same
+            doubted |= {f"{key}/{n}": there[f"{key}/{n}"].size for n in sorted(same - kept)}
+        digests = self.files.digests(doubted)
+
+        def broken(key: str, name: str, facts: Mapping[str, Any], same: set[str]) -> bool:
+            path = f"{key}/{name}"
+            return name not in same or (path in doubted and digests.get(path) != facts["digest"])
+
+        damaged = {}
+        for generation in generations:
+            listed, same = manifests[generation.name], sound[generation.name]
+            damaged[generation.name] = (
+                [MANIFEST]
+                if listed is None
+                else [n for n, facts in listed.items() if broken(generation.key, n, facts, same)]
+            )
+        return damaged
 
     def publish(
         self, files: Mapping[str, tuple[Path, str]], whole: bool, keep: int, read: bool = False, tell: Tell = _silent
@@ -182,8 +204,8 @@ class Generations:
 
         It becomes the current one if it is `whole`, or if no whole one is there. Of the whole ones the last `keep`
         stay; others go as soon as a later one is made. The current one is returned as it is where it holds just this:
-        every file that it should have is there with its size and, where they are `read`, its bytes. `tell` is told
-        what is not.
+        every file that it should have is there with its size, and reports (where all are `read`, all files) with their
+        bytes. `tell` is told what is not, and the new one takes its place: it goes.
 
         Raises
         ------
@@ -193,9 +215,10 @@ class Generations:
         self.check_links()
         digest = digest_of({name: of for name, (_, of) in files.items()})
         pointer, names = self.files.pointer(), self._names()
-        before, there = self._named(pointer[0]) if pointer else None, self._all(names)
+        before, there, broken = self._named(pointer[0]) if pointer else None, self._all(names), list[str]()
         if before is not None and pointer and before.whole == whole and before.digest == digest:
-            broken = self._damaged(before, read)
+            marked = self.manifest(before) or {} if self.files.far else files  # on a disk, reports are nobody else's
+            broken = self._damaged(before, () if read else marked)
             _tell_broken(before, broken, tell)
             if not broken and self._reports_stand(before):
                 self.clear_pending()
@@ -207,7 +230,8 @@ class Generations:
         latest = self._write(number, files, whole, digest, before)
         if before is None or whole or not before.whole:
             self._point(latest, pointer[1] if pointer else None)
-            self._retire(names, [*there, latest], keep, latest, None)
+            sound = [g for g in there if not broken or before is None or g.name != before.name]
+            self._retire(names, [*sound, latest], keep, latest, None)
         elif pointer:
             self._retire(names, [*there, latest], keep, before, pointer[1])
         return latest
@@ -306,3 +330,29 @@ def _generation_of(data: bytes, path: Path, where: Path | Url) -> Generation:
             got=fault,
             do="run again: a generation is made that is whole",
         ) from fault
+
+
+def is_generation(directory: Path | Url) -> bool:
+    """A directory of this host that a delivery was written or copied to."""
+    return isinstance(directory, Path) and (directory / FACTS).is_file() and not (directory / "store").is_dir()
+
+
+def copy_damage(directory: Path) -> list[str]:
+    """Files of a generation that somebody copied to `directory` which are gone there or not what was delivered; all are
+    read. Files beside them are not looked at.
+
+    Raises
+    ------
+    DamagedError
+        What tells of the generation is damaged itself.
+    """
+    generation = _generation_of((directory / FACTS).read_bytes(), directory, directory)
+    listed = (directory / MANIFEST).read_bytes() if (directory / MANIFEST).is_file() else b""
+    if bytes_digest(listed) != generation.manifest:
+        return [MANIFEST]
+    files = {name: (directory / name, facts) for name, facts in manifest_files(listed).items()}
+    return [
+        name
+        for name, (path, facts) in files.items()
+        if not path.is_file() or path.stat().st_size != facts["bytes"] or file_digest(path) != facts["digest"]
+    ]

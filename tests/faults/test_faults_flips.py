@@ -145,11 +145,13 @@ def test_a_run_restores_what_its_delivery_has_lost(survey, copy, expected, how):
     lost.unlink()
     if how == "shorter":
         lost.write_bytes(held[:-1])
+    changed = held.replace(b"a", b"b")
     if how == "report":
-        lost.write_bytes(held.replace(b"a", b"b"))
+        lost.write_bytes(changed)
     walk(survey, copy, *SMALL)
     assert (copy / "current").readlink().name == "0002" and delivered(copy) == expected
-    assert how != "report" or (copy / "current" / "report.html").read_bytes() != lost.read_bytes()
+    assert how != "report" or (copy / "current" / "report.html").read_bytes() != changed
+    assert not (copy / "generations" / "0001").exists()
     walk(survey, copy, *SMALL)
     assert (copy / "current").readlink().name == "0002"
     assert verify(Store(copy)).sound
@@ -164,9 +166,34 @@ def test_the_manifest_names_every_file(copy):
     }
     assert not (copy / "manifest.json").is_symlink()
     flip(current / "manifest.json")
-    assert verify(Store(copy)).delivered == ("manifest.json",)
+    assert verify(Store(copy)).delivered == {"0001": ("manifest.json",)}
     flip(current / "generation.json")
-    assert verify(Store(copy)).delivered == ("generation.json",)
+    assert verify(Store(copy)).delivered == {"0001": ("generation.json",)}
+
+
+def test_earlier_deliveries_and_copies_elsewhere_are_verified(survey, copy, tmp_path):
+    """What was delivered before stays as it was written, or is told; what was copied is held to its own manifest."""
+    walk(survey, copy, *CHANGED)
+    first = copy / "generations" / "0001"
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(first, elsewhere)
+    sound = fwclass("status", elsewhere, "--verify")
+    assert sound.returncode == 0 and "this delivery have the bytes" in sound.stdout
+    flip(first / "report.html")
+    told = fwclass("status", copy, "--verify")
+    assert told.returncode == 3 and "damaged  generations/0001/report.html" in told.stdout
+    assert told.stdout.splitlines()[-1].endswith(f"fwclass clean {copy} --keep latest")
+    walk(survey, copy, *CHANGED)  # a run makes none of it, and removes none of it
+    assert (copy / "current").readlink().name == "0002" and first.is_dir()
+    assert fwclass("clean", copy, "--keep", "latest").returncode == 0
+    assert verify(Store(copy)).sound and not first.exists()
+    flip(elsewhere / "laz" / "tiles" / min(p.name for p in (elsewhere / "laz" / "tiles").iterdir()))
+    (elsewhere / "report.json").unlink()
+    told = fwclass("status", elsewhere, "--verify", "--json")
+    assert told.returncode == 3
+    assert {n.split("/")[0] for n in json.loads(told.stdout)["damaged_delivered"]} == {"laz", "report.json"}
+    (elsewhere / "generation.json").write_text("{}")
+    assert fwclass("status", elsewhere, "--verify").returncode == 1
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
-"""Whether all files still have the bytes that were written: those of finished parts, and of the generation that is
-shown. All of them are read.
+"""Whether all files still have the bytes that were written: those of finished parts, and of every generation. All of
+them are read.
 
 A part that was made from a damaged one may be wrong, though its own bytes are what was written: nothing tells whether
 it was made before the damage or after. So every part whose receipt names a damaged one among its inputs goes with it,
@@ -8,8 +8,9 @@ and what names that, and so on. What was sound comes out as it was.
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
-SOUND = "all files of all parts, and of the generation that is shown, have the bytes that were written"
+SOUND = "all files of all parts, and of all that was delivered, have the bytes that were written"
 
 LISTED = 100
 """Damaged files of a generation that are named; the others are counted."""
@@ -44,36 +45,44 @@ class Damage:
 
 @dataclass(frozen=True)
 class Verification:
-    """What is not as it was written: `parts`; `descendants` made from them; `delivered` files of `generation`."""
+    """What is not as it was written: `parts`; `descendants` made from them; files that were `delivered`, by the name of
+    their generation, of which readers see the one that is `shown`."""
 
     parts: tuple[Damage, ...]
     descendants: tuple[Name, ...]
-    generation: str
-    delivered: tuple[str, ...]
+    delivered: Mapping[str, tuple[str, ...]]
+    shown: str
 
     @property
     def sound(self) -> bool:
         """Nothing is damaged."""
         return not (self.parts or self.delivered)
 
+    @property
+    def earlier(self) -> tuple[str, ...]:
+        """Damaged generations that no run makes again."""
+        return tuple(name for name in self.delivered if name != self.shown)
+
     def as_data(self) -> dict[str, Any]:
         """As plain data."""
         return {
             "damaged": [d.as_data() for d in self.parts],
             "made_from_damaged": [{"stage": stage, "part": part} for stage, part in self.descendants],
-            "damaged_delivered": [f"{self.generation}/{name}" for name in self.delivered],
+            "damaged_delivered": [f"{of}/{name}" for of, names in self.delivered.items() for name in names],
         }
 
 
 def verify(store: Store) -> Verification:
-    """Read every file of every part that has a receipt, in the plan or not, and of the current generation."""
+    """Read every file of every part that has a receipt, in the plan or not, and of every generation."""
     damaged = []
     for receipt in _receipts(store):
         files = store.damaged(receipt)
         if files:
             damaged.append(Damage(receipt.stage, receipt.part, tuple(files)))
-    generation, delivered = store.generations.damage()
-    return Verification(tuple(damaged), _descendants({d.name for d in damaged}, store), generation, tuple(delivered))
+    delivered = {name: tuple(files) for name, files in store.generations.damage().items()}
+    shown = store.generations.files.pointer()
+    made_from = _descendants({d.name for d in damaged}, store)
+    return Verification(tuple(damaged), made_from, delivered, shown[0] if shown else "")
 
 
 def remove(verified: Verification, store: Store) -> None:
@@ -117,15 +126,28 @@ def rows(verified: Verification) -> list[str]:
     counts = Counter(stage for stage, _ in verified.descendants)
     if counts:
         lines.append(f"made from these: {', '.join(f'{stage} {n}' for stage, n in sorted(counts.items()))}")
-    where = f"generations/{verified.generation}"
-    lines += [f"damaged  {where}/{name}" for name in verified.delivered[:LISTED]]
-    if len(verified.delivered) > LISTED:
-        lines.append(f"         and {len(verified.delivered) - LISTED} more files of {where}")
+    for generation, files in verified.delivered.items():
+        where = f"generations/{generation}"
+        lines += [f"damaged  {where}/{name}" for name in files[:LISTED]]
+        if len(files) > LISTED:
+            lines.append(f"         and {len(files) - LISTED} more files of {where}")
     return lines
+
+
+def earlier_advice(verified: Verification, root: str) -> list[str]:
+    """What to do about damaged generations that no run makes again, if there are any."""
+    if not verified.earlier:
+        return []
+    names = ", ".join(verified.earlier)
+    remove = shlex.join(["fwclass", "clean", root, "--keep", "latest"])
+    return [f"earlier deliveries are not made again ({names}): copy what you need of them; to remove them: {remove}"]
 
 
 def as_text(verified: Verification, request: Request) -> str:
     """What is damaged, what was made from it, and what to do."""
     if verified.sound:
         return SOUND
-    return "\n".join([*rows(verified), f"to have all of it made again, and delivered: {request.command()} --verify"])
+    lines = [*rows(verified), *earlier_advice(verified, str(request.root))]
+    if verified.parts or verified.shown in verified.delivered:
+        lines.append(f"to have all of it made again, and delivered: {request.command()} --verify")
+    return "\n".join(lines)
