@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,11 @@ import numpy as np
 from fwclass.classify.kept import Kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.classify.unsure import Left
-from fwclass.errors import InputError
 from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, source_classes, written
 from fwclass.graph.learn import MODEL
+from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import thins
 from fwclass.model import Model, sample_matrix
@@ -24,7 +23,6 @@ from fwclass.model.ranges import RangeCounter
 from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.external_file import ExternalFile
-from fwclass.store.models import load_model, model_digest
 from fwclass.store.remote_file import Location
 from fwclass.survey.layout import FileDigests
 from fwclass.thin.follow import follow
@@ -32,26 +30,6 @@ from fwclass.thin.sample import THIN
 
 _PLACE = ("x", "y", "z")
 OUTSIDE = "outside"
-_loaded: dict[tuple[str, str], Model] = {}
-
-
-def model_at(path: Path, digest: str, foreign: bool) -> Model:
-    """The model in `path`, kept in this process as long as its digest is the same.
-
-    A `foreign` model, which no receipt names, must still have it.
-    """
-    key = (str(path), digest)
-    if key not in _loaded:
-        _loaded.clear()
-        model = load_model(path)
-        if foreign and model_digest(path) != digest:
-            raise InputError(
-                "the model was changed while the run was under way",
-                where=path,
-                do="run the same again with one of them",
-            )
-        _loaded[key] = model
-    return _loaded[key]
 
 
 def _model(here: StageInputs, digest: str | None) -> Model:

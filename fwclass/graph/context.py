@@ -9,18 +9,11 @@ from fwclass.classify.kept import Kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.classify.unsure import Left
 from fwclass.errors import InputError
-from fwclass.graph.classify import (
-    classes_written,
-    codes_of,
-    given_model,
-    model_at,
-    names_that_decide,
-    outside_facts,
-    own_model,
-)
+from fwclass.graph.classify import classes_written, codes_of, given_model, names_that_decide, outside_facts, own_model
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
 from fwclass.graph.learn import MODEL, TRAIN_COARSE
+from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.model import Contextual, sample_matrix
 from fwclass.model.ranges import RangeCounter

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 
 from fwclass.classify.context import coarse_share_columns, halo_of
 from fwclass.errors import InputError
+from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan
 from fwclass.model import Contextual
 from fwclass.model.contextual import context_names
-from fwclass.store.models import load_model
 from fwclass.store.remote_file import local
 
 
@@ -40,7 +38,8 @@ class ContextLayer:
 def context_layer(plan: Plan) -> ContextLayer | None:
     """The layer of a run, None without one."""
     if plan.model is not None:
-        return _of_model(str(local(plan.model[0])), plan.model[1])
+        model = model_at(local(plan.model[0]), plan.model[1], True)
+        return ContextLayer(tuple(model.codes.tolist()), model.cells) if isinstance(model, Contextual) else None
     cells = plan.config.classify.context.cells or ()
     return ContextLayer(tuple(c.code for c in plan.config.classes), cells) if cells else None
 
@@ -51,9 +50,3 @@ def layer_of(plan: Plan) -> ContextLayer:
     if layer is None:
         raise InputError("the run decides without context", where="classify.context")
     return layer
-
-
-@lru_cache(maxsize=4)
-def _of_model(path: str, digest: str) -> ContextLayer | None:
-    model = load_model(Path(path))
-    return ContextLayer(tuple(model.codes.tolist()), model.cells) if isinstance(model, Contextual) else None

@@ -20,7 +20,6 @@ from fwclass.classify.shares import answer
 from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
-from fwclass.graph.classify import model_at
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.learn import (
     BASE_ROWS,
@@ -39,6 +38,7 @@ from fwclass.graph.learn import (
     with_base_rows,
     with_feature_parameters,
 )
+from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Tile, millimetres, whole_millimetres
 from fwclass.model import ClassDef, Contextual, sample_matrix

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 
 from fwclass.features.params import Asked
+from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan
 from fwclass.model import TwoLayer
-from fwclass.store.models import load_model
 from fwclass.store.remote_file import local
 
 
@@ -38,8 +36,8 @@ class FineLayer:
 def fine_layer(plan: Plan) -> FineLayer | None:
     """The second layer of a run, None without one."""
     if plan.model is not None:
-        model = _two_layer(str(local(plan.model[0])), plan.model[1])
-        return _layer(plan, model.pair, model.within, model.fine.features) if model else None
+        model = model_at(local(plan.model[0]), plan.model[1], True)
+        return _layer(plan, model.pair, model.within, model.fine.features) if isinstance(model, TwoLayer) else None
     params = plan.config.classify.refine
     if not params.between:
         return None
@@ -51,9 +49,3 @@ def fine_layer(plan: Plan) -> FineLayer | None:
 def _layer(plan: Plan, pair: tuple[int, int], within: float, names: tuple[str, ...]) -> FineLayer:
     known = {*plan.names, *plan.computed}
     return FineLayer(pair, within, names, tuple(n for n in names if n not in known))
-
-
-@lru_cache(maxsize=4)
-def _two_layer(path: str, digest: str) -> TwoLayer | None:
-    model = load_model(Path(path))
-    return model if isinstance(model, TwoLayer) else None

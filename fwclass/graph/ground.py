@@ -116,6 +116,16 @@ def stacked_ground(here: StageInputs, block: str) -> Table:
 
 def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
     """Terrain rasters of a block, and the heights above ground of its echoes, tile after tile."""
+    heights, facts, rasters = terrain_of_block(here, params)
+    write_rasters(here.directory, rasters, Window.covering(here.tile.box, params.cell))
+    return heights, facts
+
+
+def terrain_of_block(
+    here: StageInputs, params: TerrainParams
+) -> tuple[Table, Mapping[str, Any], Mapping[str, NDArray]]:
+    """Heights above ground [m] of a block's echoes, tile after tile; facts for its receipt; and its rasters (`STORED`),
+    which cover its cells."""
     core = Window.covering(here.tile.box, params.cell)
     around = around_block(here)
     t, own = around.table.select(TERRAIN.reads), around.own
@@ -141,9 +151,8 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
         flat = water.of_cells(core)
         stored["dtm"] = np.where(np.isnan(flat), stored["dtm"], flat).astype(np.float32)
         stored["mask"] = np.where(np.isnan(flat), stored["mask"], np.uint8(FLATTENED))
-    write_rasters(here.directory, stored, core)
     heights = Table({"height_above_ground": height[: len(around.own)]})
-    return heights, {
+    facts = {
         **around.facts(heights),
         "measured": int((rasters.support == 0).sum()),
         "beyond": int((rasters.support == 2).sum()),
@@ -151,6 +160,7 @@ def make_terrain(here: StageInputs, params: TerrainParams) -> Result:
         **({"stacked": sum(table.rows for table in more)} if more else {}),
         **({"breaklines": beside_ground(lines, *(t[n][ground] for n in "xyz"))} if lines else {}),
     }
+    return heights, facts, stored
 
 
 def knots_in(here: StageInputs, water: Water | None, box: Box) -> Points | None:

@@ -18,15 +18,7 @@ from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
-from fwclass.graph.classify import (
-    classes_written,
-    codes_of,
-    given_model,
-    model_at,
-    names_that_decide,
-    outside_facts,
-    own_model,
-)
+from fwclass.graph.classify import classes_written, codes_of, given_model, names_that_decide, outside_facts, own_model
 from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
@@ -45,6 +37,7 @@ from fwclass.graph.learn import (
     trains,
     with_feature_parameters,
 )
+from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import RangeCounter

@@ -175,18 +175,22 @@ class Work:
     declares: tuple[Column, ...] = ()
 
     def __call__(self, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
-        declare(self.declares)
         here = self.here(inputs, directory)
-        result = self.function(here, **self.arguments)
-        if isinstance(result, tuple):
-            table, facts = result
-        elif isinstance(result, Table):
-            table, facts = result, {}
-        else:
-            return result
-        _check_columns(table, here)
+        table, facts = self.result(here)
+        if table is None:
+            return facts
         write_table(directory / TABLE, table)
         return {**facts, **(_cell_digests(table, here) if self.cells else {})}
+
+    def result(self, here: StageInputs) -> tuple[Table | None, Mapping[str, Any]]:
+        """The part's table, if the stage gives one, and what its receipt says besides."""
+        declare(self.declares)
+        result = self.function(here, **self.arguments)
+        if isinstance(result, Mapping) and not isinstance(result, Table):
+            return None, result
+        table, facts = (result, {}) if isinstance(result, Table) else result
+        _check_columns(table, here)
+        return table, facts
 
 
 def _check_columns(table: Table, here: StageInputs) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.kept import kept_noise
@@ -137,7 +138,7 @@ def tile_echoes(here: StageInputs, blocks: tuple[float, ...], kept_noise: tuple[
         table = table.with_columns({"fit_flags": flags})
     return table, {
         "rows": table.rows,
-        "blocks": {str(size): _occupied_blocks(table, size) for size in blocks},
+        "blocks": {str(size): occupied_blocks(table["x"], table["y"], size) for size in blocks},
         "bounds": [float(f(table[n])) for f in (np.min, np.max) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _passes(table),
@@ -145,8 +146,9 @@ def tile_echoes(here: StageInputs, blocks: tuple[float, ...], kept_noise: tuple[
     }
 
 
-def _occupied_blocks(table: Table, size: float) -> list[str]:
-    ix, iy = TileGrid(size).indices(table["x"], table["y"])
+def occupied_blocks(x: NDArray[np.float64], y: NDArray[np.float64], size: float) -> list[str]:
+    """Keys of the blocks of edge `size` [m] that own a point (x, y) [m]."""
+    ix, iy = TileGrid(size).indices(x, y)
     return sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))})
 
 

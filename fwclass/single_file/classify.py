@@ -12,18 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.classify.context import whole_shares
-from fwclass.classify.kept import Kept
-from fwclass.classify.stage import classify, count_filled
-from fwclass.classify.unsure import Left, by_percent, unsure_facts
+from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.unsure import by_percent, unsure_facts
 from fwclass.errors import ConfigError, InputError, first_few, visible
-from fwclass.features.dense import Crowd, crowd_facts
+from fwclass.features.dense import Crowd
 from fwclass.features.params import Asked, is_feature
-from fwclass.graph.kept import check_left, check_written, class_remarks, kept_codes, known_codes, other_names, written
+from fwclass.graph.classify import CLASSIFY_ECHOES, OUTSIDE
+from fwclass.graph.context import CLASSIFY_IN_CONTEXT, SHARE_FIRST
+from fwclass.graph.features import COMPUTE_FEATURES
+from fwclass.graph.kept import check_left, check_written, class_remarks, kept_codes, known_codes, other_names
+from fwclass.graph.loaded_models import load_given
 from fwclass.graph.model_fit import check_computed, check_names, ground_notes
 from fwclass.graph.quantities import check_learned
-from fwclass.model import Contextual, Layered, Model, TwoLayer
-from fwclass.model.ranges import RangeCounter
+from fwclass.graph.refine import ANSWER_COARSE, CLASSIFY_REFINED, WIDEN_BOUNDARY
+from fwclass.graph.stage import Stage
+from fwclass.model import Contextual, Layered, Model, TwoLayer, sample_matrix
 from fwclass.publish.strips import LEGACY_MAX, check_records, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
@@ -32,7 +35,6 @@ from fwclass.read.quantities import quantities_of
 from fwclass.read.source import open_source
 from fwclass.report.drift import drift
 from fwclass.schema import Table
-from fwclass.single_file.context import answer_in_context
 from fwclass.single_file.features.echoes import (
     OF_ECHOES,
     FileEchoes,
@@ -43,11 +45,8 @@ from fwclass.single_file.features.echoes import (
     with_radiometry,
 )
 from fwclass.single_file.ground.output import LAS, check_output
-from fwclass.single_file.ground.steps import Tell, quiet
-from fwclass.single_file.refine import refine
-from fwclass.single_file.samples import samples
+from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
 from fwclass.store.installed_models import model_place
-from fwclass.store.models import load_model
 from fwclass.survey.systems import given_crs
 
 SECTIONS = (*OF_ECHOES, "classify", "publish", "tile")
@@ -112,7 +111,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         if text.startswith(OF_TRAINING):
             raise ConfigError("this setting has no effect here", where=f"--set {text}", do=MODELS_OWN)
     source = _checked_source(job)
-    model = load_model(job.model)
+    model, digest = load_given(job.model)
     params = conf.section("classify", job.settings)
     check_left(params.leave, model.classes, "classify.leave")
     check_output(job.source, job.output, job.overwrite)
@@ -121,22 +120,25 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     codes = legal_codes(job, model, source, params.leave)
     asked = Asked.of(n for n in model.features if is_feature(n))
     echoes = _echoes(job, model, asked, tell)
-    first = model.coarse if isinstance(model, Layered) else model
-    outside = RangeCounter.of(first.card, first.features)
-    kept = Kept.of(params)
-    results, without, medians, dense = _classify(echoes.table, model, job.settings, tell, outside, kept)
-    drifted = drift(first.card, [outside.counts()] if outside else [])
-    boundary = None
     if isinstance(model, TwoLayer):
-        check_computed(model.fine, features := conf.section("features", job.settings), job.model)
-        results, more = refine(echoes.table, results, model, features, conf.section("tile", job.settings).size, tell)
-        boundary, medians = more["boundary"], medians + more["filled"]
+        check_computed(model.fine, conf.section("features", job.settings), job.model)
+    kept = Kept.of(params)
+    tiles, walk, without = _classify(echoes.table, model, (job.model, digest), job.settings, tell)
+    results = tiles.columns(walk[-1], walk[-1].columns(tiles.plan))
+    first = model.coarse if isinstance(model, Layered) else model
+    facts = {stage: tiles.facts(stage) for stage in walk}
+    medians = sum(one.get("filled", 0) for some in facts.values() for one in some)
+    drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one])
+    boundary = sum(one["boundary"] for one in facts[WIDEN_BOUNDARY]) if WIDEN_BOUNDARY in facts else None
+    crowd = None
+    if any(is_feature(n) for n in first.features):
+        crowd = Crowd.of_parts(one.get("dense") for one in tiles.facts(COMPUTE_FEATURES))
     tell("writing")
     rows = _row_of_point(echoes, job.source)
     own = classes_of(source) if source.has_waves else echoes.table["source_class"][rows]
     answered = Table({name: values[rows] for name, values in results.items()})
     answered = answered.with_columns({"classification": codes[answered["classification"]]})
-    answered = written(answered, own, kept, Left.of(params))
+    answered = with_kept(answered, own, kept)
     classes = answered["classification"]
     extra = {name: answered[name] for name in answered if name != "classification"}
     wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
@@ -160,7 +162,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         },
         "kept": {str(code): n for code, n in stay.items()},
         "confidence": float(sure.mean()) if len(sure) else None,
-        "without_value": without,
+        "without_value": {n: int(k) for n, k in zip(first.features, without, strict=True) if k},
         "drift": drifted,
         "unsure": unsure,
         "filled": medians,
@@ -168,7 +170,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "waveforms": wrote.get("wdp"),
         "notes": [
             *echoes.notes,
-            *dense,
+            *([crowd.text(conf.section("features", job.settings))] if crowd else []),
             *notes,
             *_drift_notes(drifted),
             *(unsure or {}).get("remarks", ()),
@@ -260,35 +262,30 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
 
 
 def _classify(
-    table: Table, model: Model, settings: tuple[str, ...], tell: Tell, outside: RangeCounter | None, kept: Kept | None
-) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
-    """Columns of `classify` for every echo, of a model of two layers by the first, unless it decides in context;
-    echoes without a value by feature; values that were filled; a remark where echoes are too dense for all of them to
-    count. `outside` counts values that the model has not seen, but of what is `kept`."""
-    first = model.coarse if isinstance(model, Layered) else model
-    params, probabilities = conf.section("features", settings), conf.section("classify", settings).probabilities
-    results: dict[str, NDArray] = {}
-    shares = np.empty((table.rows, len(first.codes)), np.uint8) if isinstance(model, Contextual) else None
-    without, crowds, count, replaced = np.zeros(len(first.features), np.int64), [], 0, 0
-    for block in samples(table, first, settings):
-        tell(f"classes: {count:,} of {table.rows:,} echoes")
-        X = block.X
-        if any(is_feature(n) for n in first.features):
-            crowds.append(crowd_facts(block.chunk, params))
-        if outside is not None:
-            outside.add(X[~kept.rows(block.chunk.table["source_class"][block.chunk.core])] if kept else X)
-        if shares is not None:
-            shares[block.rows] = whole_shares(X, first)
-        else:
-            for name, values in classify(X, first, probabilities).items():
-                results.setdefault(name, np.empty(table.rows, values.dtype))[block.rows] = values
-        without += np.isnan(X).sum(axis=0)
-        count, replaced = count + len(X), replaced + count_filled(X, first)
-    if isinstance(model, Contextual) and shares is not None:
-        results = answer_in_context(table, shares, model, settings, tell)
-    crowd = Crowd.of_parts(crowds)
-    lacking = {n: int(k) for n, k in zip(first.features, without, strict=True) if k}
-    return results, lacking, replaced, [crowd.text(params)] if crowd else []
+    echoes: Table, model: Model, place: tuple[Path, str], settings: tuple[str, ...], tell: Tell
+) -> tuple[FileTiles, tuple[Stage, ...], NDArray[np.int64]]:
+    """The echoes in tiles that are classified, by which stages, and how many lack a value of each of the features."""
+    first: Model = model
+    walk: tuple[Stage, ...] = (CLASSIFY_ECHOES,)
+    if isinstance(model, TwoLayer):
+        first, walk = model.coarse, (ANSWER_COARSE, WIDEN_BOUNDARY, CLASSIFY_REFINED)
+    elif isinstance(model, Contextual):
+        first, walk = model.coarse, (SHARE_FIRST, CLASSIFY_IN_CONTEXT)
+    tiles = FileTiles(
+        echoes,
+        FileConfig(settings, classes=model.classes),
+        (COMPUTE_FEATURES, *walk),
+        tell,
+        {walk[0].name: "classes: tile", **{stage.name: "second layer: tile" for stage in walk[1:]}},
+        names=first.features,
+        computed=first.features,
+        model=place,
+    )
+    without = np.zeros(len(first.features), np.int64)
+    for key in tiles.keys:
+        tiles.make(walk[0], key)
+        without += np.isnan(sample_matrix(tiles.rows(key, first.features), first.features, key)).sum(axis=0)
+    return tiles, walk, without
 
 
 def _row_of_point(echoes: FileEchoes, source: Path) -> NDArray[np.int64]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from fwclass import conf
-from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.plausible import UNKNOWN, add_counts
-from fwclass.decompose.pulse_estimate import PulseParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.sources import (
     DECOMPOSE_RETURNS,
@@ -25,41 +22,18 @@ from fwclass.graph.sources import (
     waveforms_of,
 )
 from fwclass.graph.stage import Plan, Stage
-from fwclass.read.params import ReadParams
 from fwclass.read.source import Source
 from fwclass.report.plausibility import receiver_facts
 from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.part import Task
 from fwclass.schema import Table
+from fwclass.single_file.tiles import FileConfig, Tell, quiet
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
 from fwclass.survey.layout import Strip, Survey
 from fwclass.survey.numbering import assign_numbers
 from fwclass.temporary import temporary_directory
-from fwclass.tile.params import TileParams
 from fwclass.waveforms import Waveforms
-
-Tell = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class StripSections:
-    """The sections of the configuration that the stages of a strip are planned by."""
-
-    read: ReadParams
-    pulse: PulseParams
-    decompose: DecomposeParams
-    tile: TileParams
-
-    @classmethod
-    def of(cls, settings: tuple[str, ...]) -> StripSections:
-        """The sections with `settings`, the defaults otherwise."""
-        return cls(*(conf.section(name, settings) for name in ("read", "pulse", "decompose", "tile")))
-
-
-def silent(text: str) -> None:
-    """Tell nobody."""
-    pass
 
 
 @dataclass
@@ -67,7 +41,7 @@ class FileStrip:
     """A file whose parts are made when they are asked for; all of them as a run makes them, number and bytes alike."""
 
     source: Source
-    sections: StripSections
+    config: FileConfig
     store: Store
     tell: Tell
     _plan: Plan = field(init=False)
@@ -78,8 +52,7 @@ class FileStrip:
         path = self.source.path
         self._strip = Strip(assign_numbers([path.stem])[path.stem], path, (), self.source.point_format)
         files = Survey((self._strip,), (), None, False)
-        sections: Any = self.sections  # the sections of a configuration that these stages ask for
-        self._plan = Plan(sections, files=files)
+        self._plan = Plan(self.config.whole, files=files)
         index = self._make(INDEX, self._strip)
         self._plan = replace(self._plan, indexed={(INDEX.name, self._strip.key): index})
 
@@ -101,7 +74,7 @@ class FileStrip:
     def pulse(self) -> SystemPulse:
         """The system's pulse as the file's own waveforms show it; the fallback where it has none."""
         if not self.source.has_waves:
-            return SystemPulse.gaussian(self.sections.pulse.fallback_width)
+            return SystemPulse.gaussian(self.config.pulse.fallback_width)
         self._measure()
         return pulse_of(self.number, self._inputs())
 
@@ -184,7 +157,7 @@ class FileStrip:
 
 
 @contextmanager
-def strip_of(source: Source, settings: tuple[str, ...], tell: Tell = silent) -> Iterator[FileStrip]:
+def strip_of(source: Source, settings: tuple[str, ...], tell: Tell = quiet) -> Iterator[FileStrip]:
     """The strip that a file is; its parts lie in a scratch directory (``TMPDIR``) for as long as the block lasts."""
     with temporary_directory("strip") as directory:
-        yield FileStrip(source, StripSections.of(settings), Store(directory), tell)
+        yield FileStrip(source, FileConfig(settings), Store(directory), tell)

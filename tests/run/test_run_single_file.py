@@ -6,11 +6,18 @@ import pytest
 from commandline import fwclass
 from runmaker import SETTINGS, walk
 
+from fwclass.decompose.stage import DECOMPOSE
+from fwclass.errors import FwclassError
+from fwclass.graph.classify import CLASSIFY_ECHOES
+from fwclass.graph.features import COMPUTE_FEATURES
+from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT
+from fwclass.graph.loaded_models import load_given
 from fwclass.read.source import open_source
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import Table, canonical_key
 from fwclass.single_file.decompose import decompose_file
 from fwclass.single_file.strip import strip_of
+from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table
 
@@ -119,6 +126,36 @@ def test_classes_of_one_file_are_the_run_s(returns, tmp_path):
     classes = np.asarray(laspy.read(tmp_path / "c.laz").classification)
     run = of_run(root, {"classification": "classify"})
     np.testing.assert_array_equal(classes, run["classification"])
+
+
+def test_what_stages_make_of_one_file_in_memory_are_the_run_s_bytes(returns):
+    """Ground, heights, features and answers of all echoes, by tiles of another size."""
+    _, root = returns
+    names = ("zc", "echo_number", "height_above_ground", "height_std_c100", "echo_ratio_r100")
+    echoes = of_run(root, dict.fromkeys(DECOMPOSE.writes, "tile"))
+    model, digest = load_given(root / "model")
+    config = FileConfig((*(s for s in SETTINGS if ".block=" in s), *WORDS[1::2], "tile.size=37"), classes=model.classes)
+    stages = (FILTER_GROUND, GATHER_GROUND, MAKE_HEIGHTS, GATHER_HEIGHT, COMPUTE_FEATURES, CLASSIFY_ECHOES)
+    said = []
+    tiles = FileTiles(
+        echoes,
+        config,
+        stages,
+        said.append,
+        {FILTER_GROUND.name: "block", CLASSIFY_ECHOES.name: "tile"},
+        held=0,
+        names=names,
+        computed=names,
+        model=(root / "model", digest),
+    )
+    for stage in (CLASSIFY_ECHOES, COMPUTE_FEATURES, GATHER_HEIGHT, GATHER_GROUND):
+        columns = stage.columns(tiles.plan)
+        ours, theirs = tiles.columns(stage, columns), of_run(root, dict.fromkeys(columns, stage.name))
+        for name in columns:
+            assert ours[name].tobytes() == theirs[name].tobytes(), name
+    assert said[-1] == f"tile {len(tiles.keys)} of {len(tiles.keys)}" and len(tiles.keys) > 4
+    with pytest.raises(FwclassError, match="no files"):
+        tiles.inputs().path(CLASSIFY_ECHOES.name, tiles.keys[0], "table.parquet")
 
 
 def test_heights_of_one_file_are_the_run_s(returns, tmp_path):

@@ -16,10 +16,11 @@ from fwclass.errors import InputError
 from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
+from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT
 from fwclass.ground.auto import adapt_filter
-from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.params import GroundParams
-from fwclass.ground.terrain.blocks import terrain_by_blocks
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN, last_of
+from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.cloud import read_point_cloud
 from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_system
@@ -30,8 +31,8 @@ from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
-from fwclass.single_file.ground.steps import Tell
 from fwclass.single_file.strip import strip_of
+from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell
 from fwclass.waveforms import IMPLAUSIBLE
 
 PLACE = (*IDENTITY, "number_of_echoes", "x", "y", "z", "gps_time", "source_class")
@@ -180,42 +181,26 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
         The file has no ground of its own.
     """
     table = echoes.table
-    x, y, z = (table[a] for a in "xyz")
-    sound = (table["fit_flags"] & IMPLAUSIBLE) == 0 if "fit_flags" in table else np.ones(table.rows, bool)
+    whole = {"number_of_echoes": table["echo_number"], "fit_flags": np.zeros(table.rows), **table}
+    points = Table({n: whole[n] for n in GROUND_FILTER.reads})
+    sound = (points["fit_flags"] & IMPLAUSIBLE) == 0
+    stages, words, given = [MAKE_HEIGHTS, GATHER_HEIGHT], {MAKE_HEIGHTS.name: "terrain: block"}, dict[str, Any]()
     if not by.own:
-        last = np.ones(table.rows, bool)
-        if "number_of_echoes" in table:
-            last = table["echo_number"] >= table["number_of_echoes"]
-        rows = np.flatnonzero(sound)
-        adapted = ""
         params = ground_params(by.method, by.preset, () if by.auto else by.assignments, _of_ground(settings))
-        if by.auto and len(rows):
+        adapted = ""
+        if by.auto and sound.any():
             tell("measuring, then trying settings of the filter")
-            rules, given = conf.section("ground_auto", settings), params
-            method = None if params.method == "auto" else params.method
-            params = adapt_filter((x[rows], y[rows], z[rows]), last[rows], params, rules, method).params
-            params = with_assignments(params, by.assignments)
-            adapted = _changes(given, params)
-        flags = ground_by_blocks(
-            x[rows],
-            y[rows],
-            z[rows],
-            last[rows],
-            params,
-            lambda k, of: tell(f"filter {params.method}: block {k} of {of}"),
-        )
-        ground, noise, note = np.zeros(table.rows, bool), ~sound, f"ground by {params.method}{adapted}"
-        ground[rows], noise[rows] = flags.ground, flags.noise
+            before, rules = params, conf.section("ground_auto", settings)
+            params = _adapted(points.take(sound), params, rules, by.assignments)
+            adapted = _changes(before, params)
+        given, note = {"ground": params}, f"ground by {params.method}{adapted}"
+        stages += [FILTER_GROUND, GATHER_GROUND]
+        words[FILTER_GROUND.name] = f"filter {params.method}: block"
     else:
         codes = table["source_class"] if "source_class" in table else np.zeros(table.rows, np.uint8)
-        ground, noise, note = (
-            codes == GROUND,
-            np.isin(codes, (LOW_NOISE, HIGH_NOISE)) | ~sound,
-            "ground by class 2 of the file",
-        )
-        if not ground.any() and by.optional:
+        if not (codes == GROUND).any() and by.optional:
             return echoes
-        if not ground.any():
+        if not (codes == GROUND).any():
             raise InputError(
                 "height_above_ground is asked for, and the input has no ground",
                 where=path,
@@ -224,11 +209,22 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
                 do="leave --own-ground out, so that the ground is looked for; or leave height_above_ground out "
                 "(--skip-missing)",
             )
-    tell("terrain and heights")
-    surface, _ = terrain_by_blocks(x, y, z, ground, noise, conf.section("terrain", settings))
-    without = int(np.isnan(surface.height).sum())
+        noise = np.isin(codes, (LOW_NOISE, HIGH_NOISE)) | ~sound
+        points = points.with_columns({"ground": codes == GROUND, "noise": noise})
+        note = "ground by class 2 of the file"
+    tiles = FileTiles(points, FileConfig(settings, **given), stages, tell, words)
+    heights = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)
+    ground = points["ground"] if by.own else tiles.columns(GATHER_GROUND, ("ground",))["ground"]
+    without = int(np.isnan(heights["height_above_ground"]).sum())
     note = f"{note}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
-    return FileEchoes(table.with_columns({"height_above_ground": surface.height}), echoes.crs, (*echoes.notes, note))
+    return FileEchoes(table.with_columns(heights), echoes.crs, (*echoes.notes, note))
+
+
+def _adapted(sound: Table, params: GroundParams, rules: GroundAutoParams, assignments: tuple[str, ...]) -> GroundParams:
+    """Parameters that suit the `sound` echoes, but for those that are assigned."""
+    method = None if params.method == "auto" else params.method
+    places = sound["x"], sound["y"], sound["z"]
+    return with_assignments(adapt_filter(places, last_of(sound), params, rules, method).params, assignments)
 
 
 def _changes(given: GroundParams, params: GroundParams) -> str:

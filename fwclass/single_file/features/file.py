@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from fwclass import compiling, conf
 from fwclass.errors import ConfigError, first_few
-from fwclass.features.dense import Crowd, crowd_facts
+from fwclass.features.dense import Crowd
 from fwclass.features.params import MAX_REACH, Asked, FeaturesParams, is_feature
-from fwclass.features.stage import features
-from fwclass.ground.blocks import blocks_of
+from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.geoparquet import bounds_of, short_coordinates, write_geoparquet_parts
 from fwclass.radiometry.stage import RADIOMETRY
-from fwclass.schema import Table, column
+from fwclass.schema import IDENTITY, Table, column
 from fwclass.single_file.features.echoes import (
     OF_ECHOES,
     PLACE,
@@ -34,8 +33,7 @@ from fwclass.single_file.features.echoes import (
 )
 from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
-from fwclass.single_file.ground.steps import Tell, quiet
-from fwclass.stage import Chunk
+from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
 from fwclass.survey.systems import given_crs
 from fwclass.temporary import temporary_directory
 from fwclass.tile.stage import morton
@@ -104,7 +102,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     conf.check_settings(job.settings, SECTIONS)
     features = wanted(job.named, job.listed)
     params: FeaturesParams = conf.section("features", job.settings)
-    size, publish = conf.section("tile", job.settings).size, conf.section("publish", job.settings)
+    publish = conf.section("publish", job.settings)
     _check_reach(features, params)
     tell("reading")
     before = compiling.spent()
@@ -112,7 +110,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     features, left_out = available(features, echoes.table, job.source, job.skip_missing)
     table = _sort(echoes.table)
     with temporary_directory("features", job.output.parent) as room:
-        columns, tiles, crowd = _features(table, features, params, size, room, tell)
+        columns, tiles, crowd = _features(table, features, params, job.settings, room, tell)
         tell("writing")
         empty = dict.fromkeys(features.names, 0)
         parts = _row_groups(table, features, columns, publish.row_group, empty)
@@ -181,7 +179,7 @@ def _sort(table: Table) -> Table:
 
 
 def _features(
-    table: Table, wanted: FeatureList, params: FeaturesParams, size: float, room: Path, tell: Tell
+    table: Table, wanted: FeatureList, params: FeaturesParams, settings: tuple[str, ...], room: Path, tell: Tell
 ) -> tuple[dict[str, NDArray[np.float32]], int, Crowd | None]:
     """Features of a neighbourhood of all rows, by name, those of many in files below `room`; how many tiles it took;
     dense places."""
@@ -195,17 +193,18 @@ def _features(
         else np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
         for k, n in enumerate(around.names)
     }
-    reads, count, tiles, crowds = table.select(dict.fromkeys((*around.reads, *PLACE[:3]))), 0, 0, []
-    for tile, rows, own in blocks_of(table["x"], table["y"], size, around.halo(params)):
-        tell(f"features: {count:,} of {table.rows:,} echoes")
-        order = np.lexsort((reads["echo_number"][rows], reads["pulse"][rows]))
-        chunk = Chunk(reads.take(rows[order]), np.flatnonzero(own[order]), tile)
-        for name, values in features(chunk, around.names, params).items():
-            if name in columns:
-                columns[name][rows[order][own[order]]] = values
-        crowds.append(crowd_facts(chunk, params))
-        count, tiles = count + int(own.sum()), tiles + 1
-    return columns, tiles, Crowd.of_parts(crowds)
+    tiles = FileTiles(
+        table.select(dict.fromkeys((*around.reads, *IDENTITY))),
+        FileConfig(settings, features=params),
+        (COMPUTE_FEATURES,),
+        tell,
+        {COMPUTE_FEATURES.name: "features: tile"},
+        held=0,
+        computed=around.names,
+    )
+    tiles.columns(COMPUTE_FEATURES, around.names, columns)
+    crowds = [facts.get("dense") for facts in tiles.facts(COMPUTE_FEATURES)]
+    return columns, len(tiles.keys), Crowd.of_parts(crowds)
 
 
 def _row_groups(

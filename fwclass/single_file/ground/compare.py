@@ -18,16 +18,15 @@ from fwclass.ground.filters import FILTERS, Flags
 from fwclass.ground.measure import measure
 from fwclass.ground.params import GroundParams
 from fwclass.ground.raster.lattice import cells_of, window_over
-from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.publish.figures import relief, tint_range
 from fwclass.publish.ground_page import disagreement_map, render_comparison
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
 from fwclass.single_file.ground.labels import labels_of
 from fwclass.single_file.ground.params import closest, ground_params, used_params
-from fwclass.single_file.ground.rasters import check_extent
+from fwclass.single_file.ground.rasters import check_extent, terrain_of
 from fwclass.single_file.ground.search import check_directory
-from fwclass.single_file.ground.steps import Tell, quiet
+from fwclass.single_file.tiles import Tell, quiet
 from fwclass.store.atomic import write_json
 from fwclass.survey.systems import given_crs
 
@@ -191,14 +190,14 @@ def _pictures(
     tell: Tell,
 ) -> dict[str, bytes]:
     """Shaded relief of every filter's terrain, and the map of disagreement under its own name."""
-    publish, terrain = conf.section("publish", settings), conf.section("terrain", settings)
-    x, y, z, _ = _of(cloud, shown)
+    publish = conf.section("publish", settings)
+    x, y = cloud.x[shown], cloud.y[shown]
     terrains = {}
     for name, f in flags.items():
         tell(f"terrain of {name}")
-        terrains[name] = terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain)
+        terrains[name] = terrain_of(cloud, f, shown, settings)
     tell("pictures")
-    known = {n: (t.dtm, window) for n, (t, window) in terrains.items() if np.isfinite(t.dtm).any()}
+    known = {n: (t["dtm"], window) for n, (t, window) in terrains.items() if np.isfinite(t["dtm"]).any()}
     tints = tint_range(np.concatenate([dtm.reshape(-1) for dtm, _ in known.values()])) if known else None
     pictures = {name: relief(dtm, window, publish, tints) for name, (dtm, window) in known.items()}
     cell = max(0.5, round(2.0 * plain["measured"]["spacing"], 1))

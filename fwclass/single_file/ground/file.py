@@ -15,18 +15,19 @@ from fwclass import compiling, conf
 from fwclass.errors import InputError
 from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
+from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND
 from fwclass.ground.auto import adapt_filter
-from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
+from fwclass.schema import Table
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
-from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.ground.stray import describe_stray, stray_points
+from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
 from fwclass.survey.systems import given_crs
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
@@ -175,16 +176,19 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
             got=f"none among {len(rows):,} points",
             do="let all returns be ground: --param last_returns=false",
         )
-    shown_flags = ground_by_blocks(
-        cloud.x[rows],
-        cloud.y[rows],
-        cloud.z[rows],
-        cloud.last[rows],
-        params,
-        lambda block, of: tell(f"filter {params.method}: block {block} of {of}"),
+    points = Table(
+        {
+            **{axis: getattr(cloud, axis)[rows] for axis in "xyz"},
+            "echo_number": np.ones(len(rows)),
+            "number_of_echoes": np.where(cloud.last[rows], 1, 2),
+            "fit_flags": np.zeros(len(rows)),
+        }
     )
+    words = {FILTER_GROUND.name: f"filter {params.method}: block"}
+    tiles = FileTiles(points, FileConfig((), ground=params), (FILTER_GROUND, GATHER_GROUND), tell, words)
     flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
-    flags.ground[rows], flags.noise[rows] = shown_flags.ground, shown_flags.noise
+    for name, values in tiles.columns(GATHER_GROUND, ("ground", "noise")).items():
+        getattr(flags, name)[rows] = values
     return flags
 
 

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.ground import GATHER_HEIGHT
 from fwclass.ground.filters import Flags
-from fwclass.ground.terrain.blocks import terrain_by_blocks
+from fwclass.ground.stage import TERRAIN
 from fwclass.publish.heights import NO_HEIGHT
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
 from fwclass.single_file.ground.file import GROUND, came_as_noise, classes_of, filter_cloud, shown_points
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params
-from fwclass.single_file.ground.rasters import check_extent
-from fwclass.single_file.ground.steps import Tell, quiet
+from fwclass.single_file.ground.rasters import check_extent, ground_table
+from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, quiet
 from fwclass.survey.systems import given_crs
 
 
@@ -82,11 +83,10 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     flags, method = _ground(cloud, shown, job, tell)
     tell("terrain and heights")
     rows = np.flatnonzero(cloud.usable)
-    surface, _ = terrain_by_blocks(
-        cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], (flags.noise | ~shown)[rows], params
-    )
+    points = ground_table(cloud, rows, flags.ground, flags.noise | ~shown)
+    tiles = FileTiles(points, FileConfig((), terrain=params), (MAKE_HEIGHTS, GATHER_HEIGHT))
     height = np.full(cloud.points, np.nan)
-    height[rows] = surface.height
+    height[rows] = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)["height_above_ground"]
     tell("writing")
     written = _write(cloud, flags, height, job)
     known = height[np.isfinite(height)]

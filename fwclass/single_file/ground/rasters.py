@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass import conf
 from fwclass.errors import InputError
+from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
+from fwclass.graph.stage import Result, StageInputs
 from fwclass.grid import Window
 from fwclass.ground.filters import Flags
 from fwclass.ground.raster.lattice import window_over
-from fwclass.ground.terrain.blocks import terrain_by_blocks
-from fwclass.ground.terrain.terrain import Terrain
+from fwclass.ground.terrain.params import TerrainParams
 from fwclass.publish.cog import write_cog
 from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import hillshade, slope
 from fwclass.read.cloud import PointCloud
+from fwclass.schema import Table
 from fwclass.single_file.ground.stray import describe_stray, stray_points
+from fwclass.single_file.tiles import FileConfig, FileTiles
 
 NO_LIGHT = 0
 """Value of a cell of the relief without terrain; the others have 1 to 255."""
@@ -62,17 +66,43 @@ def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float, tile:
         ) from fault
 
 
-def terrain_of(
-    cloud: PointCloud, flags: Flags, shown: NDArray[np.bool_], settings: tuple[str, ...]
-) -> tuple[Terrain, Window]:
-    """Terrain and surface of the `shown` points."""
-    rows = np.flatnonzero(shown)
-    params = conf.section("terrain", settings)
-    return terrain_by_blocks(cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], flags.noise[rows], params)
+Rasters = tuple[Mapping[str, NDArray[np.float32]], Window]
+"""``dtm, dsm, roughness`` [m], float32 (rows, columns), NaN where there is none, and the cells that they cover."""
+
+
+def ground_table(
+    cloud: PointCloud, rows: NDArray[np.int64], ground: NDArray[np.bool_], noise: NDArray[np.bool_]
+) -> Table:
+    """What terrain is made of: the places of points number `rows`, and their flags of all points."""
+    places = {axis: getattr(cloud, axis)[rows] for axis in "xyz"}
+    return Table({**places, "ground": ground[rows], "noise": noise[rows]})
+
+
+def terrain_of(cloud: PointCloud, flags: Flags, shown: NDArray[np.bool_], settings: tuple[str, ...]) -> Rasters:
+    """Terrain and surface of the `shown` points, over the smallest window that holds them all."""
+    points = ground_table(cloud, np.flatnonzero(shown), flags.ground, flags.noise)
+    config = FileConfig(settings)
+    window = window_over(points["x"], points["y"], config.terrain.cell, "terrain.cell")
+    whole = {name: np.full(window.shape, np.nan, np.float32) for name in ("dtm", "dsm", "roughness")}
+
+    def lay(here: StageInputs, params: TerrainParams) -> Result:
+        heights, facts, rasters = terrain_of_block(here, params)
+        own = Window.covering(here.tile.box, params.cell)
+        if (common := window.common(own)) is not None:
+            for name, raster in whole.items():
+                raster[common.within(window)] = rasters[name][common.within(own)]
+        return heights, facts
+
+    stage = replace(MAKE_TERRAIN, function=lay)
+    tiles = FileTiles(points, config, (stage,))
+    for block in stage.all_parts(tiles.plan):
+        if block.box.touches(window.box):
+            tiles.make(stage, block.key)
+    return whole, window
 
 
 def write_rasters(
-    cloud: PointCloud, terrain_and_window: tuple[Terrain, Window], targets: dict[str, Path], publish: PublishParams
+    cloud: PointCloud, terrain_and_window: Rasters, targets: dict[str, Path], publish: PublishParams
 ) -> dict[str, Any]:
     """Write the GeoTIFFs of `targets` (``dtm, dsm, ndsm, hillshade, slope, roughness``), in the file's units.
 
@@ -86,12 +116,14 @@ def write_rasters(
     return out
 
 
-def _raster(name: str, terrain: Terrain, window: Window, unit: float, publish: PublishParams) -> tuple[NDArray, float]:
+def _raster(
+    name: str, terrain: Mapping[str, NDArray[np.float32]], window: Window, unit: float, publish: PublishParams
+) -> tuple[NDArray, float]:
     """One raster and its value for no data."""
     if name == "slope":
-        return slope(np.pad(terrain.dtm, 1, constant_values=np.nan), window.cell), float("nan")
+        return slope(np.pad(terrain["dtm"], 1, constant_values=np.nan), window.cell), float("nan")
     if name != "hillshade":
-        values = terrain.dsm - terrain.dtm if name == "ndsm" else getattr(terrain, name)
+        values = terrain["dsm"] - terrain["dtm"] if name == "ndsm" else terrain[name]
         return (values / np.float32(unit)).astype(np.float32), float("nan")
-    light = np.rint(1.0 + 254.0 * hillshade(terrain.dtm, window.cell, publish)).astype(np.uint8)
-    return np.where(np.isfinite(terrain.dtm), light, np.uint8(NO_LIGHT)), NO_LIGHT
+    light = np.rint(1.0 + 254.0 * hillshade(terrain["dtm"], window.cell, publish)).astype(np.uint8)
+    return np.where(np.isfinite(terrain["dtm"]), light, np.uint8(NO_LIGHT)), NO_LIGHT

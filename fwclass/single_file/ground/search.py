@@ -22,7 +22,7 @@ from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
 from fwclass.single_file.ground.labels import labels_of
 from fwclass.single_file.ground.params import ground_params
-from fwclass.single_file.ground.steps import Tell, quiet
+from fwclass.single_file.tiles import Tell, quiet
 from fwclass.store.atomic import write_json
 from fwclass.survey.systems import given_crs
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from types import TracebackType
 
 from rich.console import Console
@@ -14,13 +13,6 @@ from fwclass import compiling
 
 EVERY = 10.0
 """Seconds between two lines where no person looks on; a command that is done sooner says nothing."""
-
-Tell = Callable[[str], None]
-"""Told what begins now."""
-
-
-def quiet(text: str) -> None:
-    """A `Tell` that says nothing."""
 
 
 class Steps:

@@ -1,0 +1,191 @@
+"""The echoes of one file in the tiles that they have in a run: its stages work on them, in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.errors import FwclassError
+from fwclass.graph.features import COMPUTE_FEATURES
+from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs, Work
+from fwclass.graph.tiling import occupied_blocks
+from fwclass.grid import Box, TileGrid
+from fwclass.ground.terrain.params import TerrainParams
+from fwclass.run.in_memory import Held, PartsInMemory
+from fwclass.run.inputs import Declared
+from fwclass.run.part import Name
+from fwclass.schema import Table
+from fwclass.survey.layout import Layout
+from fwclass.tile.stage import TILE
+from fwclass.units import QUANTUM
+
+Tell = Callable[[str], None]
+"""Told what begins now."""
+
+HELD = 256 << 20
+"""Bytes of features that are held."""
+
+
+def quiet(text: str) -> None:
+    """A `Tell` that says nothing."""
+
+
+class FileConfig:
+    """Sections of the configuration by name, as stages are planned by: the defaults with `settings`, or those given."""
+
+    def __init__(self, settings: tuple[str, ...], **given: Any) -> None:
+        self._settings = settings
+        vars(self).update(given)
+
+    def __getattr__(self, name: str) -> Any:
+        vars(self)[name] = conf.section(name, self._settings)
+        return vars(self)[name]
+
+    @property
+    def whole(self) -> Any:
+        """It stands for a whole configuration wherever no other section is asked for."""
+        return self
+
+
+class FileTiles:
+    """Echoes of one file by tile, and what stages make of them when it is asked for.
+
+    Parameters
+    ----------
+    table : at least one echo, in any order: x, y [m], and the columns that the first stages read.
+    stages : those that may be asked; what one of them reads of another is made before it.
+    words : what is told before a part of a stage is made, by its name: the words are followed by the part's number.
+    held : bytes of features that are held; those of a tile that is asked again are computed again.
+    planned : fields of the `Plan`.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        config: FileConfig,
+        stages: Iterable[Stage],
+        tell: Tell = quiet,
+        words: Mapping[str, str] | None = None,
+        held: int = HELD,
+        **planned: Any,
+    ) -> None:
+        self._stages = {stage.name: stage for stage in stages}
+        self._tell, self._words, self._held = tell, dict(words or {}), held
+        grid, x, y = TileGrid(config.tile.size), table["x"], table["y"]
+        ix, iy = grid.indices(x, y)
+        self._order = np.lexsort((iy, ix))
+        new = np.r_[True, (np.diff(ix[self._order]) != 0) | (np.diff(iy[self._order]) != 0)]
+        first = np.flatnonzero(new)
+        keys = [f"{ix[r]}_{iy[r]}" for r in self._order[first]]
+        sorted_table = table.take(self._order)
+        self._rows = {key: slice(a, b) for key, a, b in zip(keys, first, [*first[1:], len(new)], strict=True)}
+        self._parts: dict[Name, Held] = {
+            (TILE.name, key): (Table({n: v[rows] for n, v in sorted_table.items()}), {})
+            for key, rows in self._rows.items()
+        }
+        self._facts: dict[Name, Mapping[str, Any]] = {}
+        self._features: list[Name] = []
+        plan = Plan(config.whole, **planned)
+        known = dict.fromkeys(table, TILE.name)
+        for stage in self._stages.values():
+            for column in stage.columns(plan) if stage.over == "tile" else ():
+                known.setdefault(column, stage.name)
+        edges = {stage.edge(plan) for stage in self._stages.values() if stage.edge is not None}
+        layout = Layout(
+            config.whole,
+            tuple(sorted(map(grid.tile, keys))),
+            {edge: frozenset(occupied_blocks(x, y, edge)) for edge in edges},
+            frozenset(),
+            Box(float(x.min()), float(y.min()), float(x.max()) + QUANTUM, float(y.max()) + QUANTUM),
+            (np.nan, np.nan),
+            {},
+            np.nan,
+            table.rows,
+            providers=known,
+        )
+        self.plan = replace(plan, tiled=layout, providers=known)
+        self._numbers = {
+            stage.name: {stage.key(part): k for k, part in enumerate(stage.all_parts(self.plan), 1)}
+            for stage in self._stages.values()
+            if stage.name in self._words
+        }
+
+    @property
+    def keys(self) -> list[str]:
+        """The tiles that own an echo."""
+        return list(self._rows)
+
+    def make(self, stage: Stage, key: str) -> Held:
+        """A part's table, and what is to be said of it; made, after all that it reads, unless it is held."""
+        name = (stage.name, key)
+        if name not in self._parts:
+            size = stage.edge(self.plan) if stage.edge is not None else self.plan.config.tile.size
+            task = stage.task(self.plan, TileGrid(size).tile(key))
+            while lacking := [other for other in task.needs if other not in self._parts]:
+                for of_stage, part in lacking:
+                    self.make(self._stages[of_stage], part)
+            if stage.name in self._words:
+                numbers = self._numbers[stage.name]
+                self._tell(f"{self._words[stage.name]} {numbers[key]} of {len(numbers)}")
+            inputs = self.inputs(Declared(name, frozenset(task.needs), task.within))
+            if not isinstance(task.work, Work):
+                raise FwclassError("a stage of a file has no adapter of tables", where=stage.name)
+            table, facts = task.work.result(task.work.here(inputs, Path()))
+            self._parts[name] = (Table({}) if table is None else table, facts)
+            self._facts[name] = facts
+            if stage.name == COMPUTE_FEATURES.name:
+                self._hold(name)
+        return self._parts[name]
+
+    def inputs(self, declared: Declared | None = None) -> PartsInMemory:
+        """The parts that are held; of them what is `declared`, None for all."""
+        return PartsInMemory(self._parts, declared)
+
+    def _hold(self, name: Name) -> None:
+        """Features of a tile are kept, and those of earlier ones as far as there is room."""
+        self._features.append(name)
+        while len(self._features) > 1 and sum(map(self._bytes, self._features)) > self._held:
+            del self._parts[self._features.pop(0)]
+
+    def _bytes(self, name: Name) -> int:
+        return sum(v.nbytes for v in self._parts[name][0].values())
+
+    def rows(self, key: str, names: Iterable[str]) -> Table:
+        """Columns `names` of a tile's echoes, of the stages that write them."""
+        columns = self.plan.layout.columns(names)
+        for stage in columns.values():
+            if stage != TILE.name:
+                self.make(self._stages[stage], key)
+        return self.inputs().rows(key, columns)
+
+    def columns(
+        self, stage: Stage, names: Iterable[str], out: Mapping[str, NDArray] | None = None
+    ) -> dict[str, NDArray]:
+        """Columns `names` of a stage over tiles for all echoes, in the table's order; in the arrays `out`, if given."""
+        columns = dict(out or {})
+        for key, rows in self._rows.items():
+            table, _ = self.make(stage, key)
+            for name in names:
+                if name not in columns:
+                    columns[name] = np.empty(len(self._order), table[name].dtype)
+                columns[name][self._order[rows]] = table[name]
+        return columns
+
+    def facts(self, stage: Stage) -> list[Mapping[str, Any]]:
+        """What is to be said of all tiles of a stage that is made."""
+        return [self._facts[stage.name, key] for key in self._rows]
+
+
+def heights_of_block(here: StageInputs, params: TerrainParams) -> Result:
+    """As `make_terrain`, without its rasters."""
+    return terrain_of_block(here, params)[:2]
+
+
+MAKE_HEIGHTS = replace(MAKE_TERRAIN, function=heights_of_block)
