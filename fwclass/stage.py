@@ -1,4 +1,4 @@
-"""What rooms and graph share of a stage: its parameters, the chunk that it works on, what it reads and writes."""
+"""What rooms and graph share of a stage: the chunk that it works on, what it reads and writes."""
 
 from __future__ import annotations
 
@@ -8,31 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from fwclass.grid import Tile
 from fwclass.schema import Table
-
-
-class Params(BaseModel):
-    """Base of every stage's parameters: frozen, closed, without defaults (the numbers live in `conf/base.yaml`)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False)
-
-
-class ShapeFileParams(Params):
-    """A file of polygons, or of lines with heights, that a survey names.
-
-    Attributes
-    ----------
-    file : GeoParquet, GeoPackage, GeoJSON or Shapefile, relative to `survey.directory`; null for none.
-    layer : of the file, where it has several.
-    crs : system of the shapes in plan, instead of the one that the file names; heights are the survey's.
-    """
-
-    file: str | None
-    layer: str | None
-    crs: str | None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from fwclass.model import ClassifierMethod
 from fwclass.model.contextual import MOST_CELLS, WIDEST
-from fwclass.stage import Params
+from fwclass.params import Params
 
 FURTHEST = 100.0
 """m, no feature and no boundary reaches further."""

@@ -24,13 +24,13 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.tuning_params import GroundAutoParams, GroundSearchParams
 from fwclass.label.params import LabelParams, SuggestParams
+from fwclass.params import ShapeFileParams
 from fwclass.publish.params import PublishParams
 from fwclass.quality.params import QualityParams
 from fwclass.radiometry.params import RadiometryParams
 from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
-from fwclass.stage import ShapeFileParams
 from fwclass.store.params import StoreParams
 from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.thin.params import ThinParams

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 
 class StageCost(Params):

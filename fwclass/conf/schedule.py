@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 from cronsim import CronSim, CronSimError
 from pydantic import BeforeValidator, Field, SecretStr, field_validator, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 SECRET = ("webhook", "command")
 """Keys whose values are never shown."""

@@ -7,7 +7,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 STEP = 1e-4
 """Heights are whole numbers of this [m]: a tenth of what echoes are stored to."""

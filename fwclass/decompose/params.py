@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 FEWEST = 8
 """Echoes below which not even a width is believed."""

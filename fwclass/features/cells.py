@@ -11,7 +11,6 @@ from fwclass.features.attributes import Attributes, add_attributes, add_spread
 from fwclass.features.eigen import SHAPES
 from fwclass.features.measures import CODE, measure, needs
 from fwclass.features.moments import AREA, HIGH, LOW, MOMENTS, N, Z, add_heights
-from fwclass.features.params import FeaturesParams
 from fwclass.grid import millimetres, whole_millimetres
 from fwclass.kernel import kernel
 from fwclass.schema import Scale
@@ -48,12 +47,12 @@ def cells(chunk: Chunk, scale: Scale, bases: tuple[str, ...]) -> dict[str, NDArr
     return {base: of_echo[base] if base in of_echo else of_cell[base][own[chunk.core]] for base in bases}
 
 
-def height_in_cell(chunk: Chunk, params: FeaturesParams) -> NDArray[np.float64]:
+def height_in_cell(chunk: Chunk, cell_x: float, cell_y: float) -> NDArray[np.float64]:
     """z of the core rows minus the lowest z of all rows in their cell [m].
 
     Cells hang on the global origin; the lowest is the plain minimum, as Fan 2013 has it.
     """
-    edges = (whole_millimetres(params.cell_x, "features.cell_x"), whole_millimetres(params.cell_y, "features.cell_y"))
+    edges = (whole_millimetres(cell_x, "features.cell_x"), whole_millimetres(cell_y, "features.cell_y"))
     order, start, own = _cells(chunk, *edges)
     z = millimetres(chunk.table["z"])
     lowest = np.minimum.reduceat(z[order], start[:-1]) if len(z) else z

@@ -11,7 +11,6 @@ from fwclass.features.attributes import Attributes, add_attributes, add_spread
 from fwclass.features.eigen import NX, NY, NZ, SHAPES, along_normal, shapes
 from fwclass.features.measures import CODE, measure, needs
 from fwclass.features.moments import FAR, HIGH, LOW, MOMENTS, NEAR, REACH, add_places
-from fwclass.features.params import FeaturesParams
 from fwclass.features.percentiles import BUCKETS, percentiles
 from fwclass.features.search import ROWS, Columns, nearest
 from fwclass.grid import whole_millimetres
@@ -24,20 +23,20 @@ BATCH = 1024
 
 
 def nearest_echoes(
-    chunk: Chunk, scale: Scale, bases: tuple[str, ...], params: FeaturesParams
+    chunk: Chunk, scale: Scale, bases: tuple[str, ...], nearest_reach: float
 ) -> dict[str, NDArray[np.float32]]:
     """Features `bases` of the core rows, by base, over the ``scale.size`` nearest rows of the chunk, itself included.
 
     Distances are those of whole millimetres in space. Of rows at the same distance the earlier one is nearer, and as
-    rows stand in canonical order, tiles do not matter. No row beyond ``params.nearest_reach`` is looked for: then there
+    rows stand in canonical order, tiles do not matter. No row beyond `nearest_reach` [m] is looked for: then there
     are fewer.
     """
     features = {base: np.empty(len(chunk.core), np.float32) for base in bases}
     if len(chunk.core) == 0:
         return features
     table, k, needed = chunk.table, scale.size, needs(bases)
-    reach = whole_millimetres(params.nearest_reach, "features.nearest_reach")
-    columns = Columns.build(table["x"], table["y"], table["z"], k, params.nearest_reach)
+    reach = whole_millimetres(nearest_reach, "features.nearest_reach")
+    columns = Columns.build(table["x"], table["y"], table["z"], k, nearest_reach)
     index = columns.index
     attributes = Attributes.of(table, needed).arrays
     places = np.empty((table.rows, 3), np.int64)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.features.params import NORMAL, FeaturesParams
-from fwclass.features.spheres import AT_A_TIME, spheres
+from fwclass.features.spheres import AT_A_TIME
 from fwclass.kernel import kernel
 from fwclass.neighbours import CellIndex
-from fwclass.schema import Scale
 from fwclass.stage import Chunk
 
 SURE = np.cos(np.radians(30.0))
@@ -17,28 +15,6 @@ SURE = np.cos(np.radians(30.0))
 
 STEPS = float(1 << 20)
 """Agreement of two normals is counted in whole parts of 1, so that its sum has no order."""
-
-
-def oriented_inclination(chunk: Chunk, scale: Scale, params: FeaturesParams) -> NDArray[np.float32]:
-    """Angle between consistently oriented normal and vertical [deg], 0 to 180; NaN where there is no normal.
-
-    A normal points up for sure where it is within 30 degrees of the vertical and no echo of the vertical cylinder is
-    higher by more than the radius. In each of ``params.orientation_rounds`` rounds every normal without a side looks
-    at those neighbours in its sphere that have one, and takes the side of sum (n_i . n_j), all at once: so a side goes
-    round edges, where normals turn gradually, and no further than a radius per round. What is not reached points up.
-
-    Every row of the chunk takes part; those of the core are right where the halo holds the rounds and one radius more
-    (`Asked.reach`).
-
-    Source: Fan 2013, 2.2; rounds in place of a spanning tree give it a bounded support.
-    """
-    whole = Chunk(chunk.table, np.arange(chunk.table.rows), chunk.tile)
-    own = params.model_copy(update={"normal_radius": scale.metres})
-    components = spheres(whole, {}, own)
-    normals = np.stack([components[name] for name in NORMAL], axis=1).astype(np.float64)
-    side = sides(whole, normals, scale.metres, params.orientation_rounds)[chunk.core]
-    upward = normals[chunk.core, 2] * np.where(side == 0, 1, side)
-    return np.degrees(np.arccos(np.clip(upward, -1.0, 1.0))).astype(np.float32)
 
 
 def sides(chunk: Chunk, normals: NDArray[np.float64], radius: float, rounds: int) -> NDArray[np.int8]:

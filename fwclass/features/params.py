@@ -12,8 +12,8 @@ from pydantic import Field, field_validator, model_validator
 from fwclass.columns import COLUMNS
 from fwclass.columns import FEATURES as DECLARED
 from fwclass.errors import ConfigError
+from fwclass.params import Params
 from fwclass.schema import Scale, split_known, split_name
-from fwclass.stage import Params
 
 NORMAL = ("normal_x", "normal_y", "normal_z")
 

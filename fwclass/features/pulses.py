@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.features.params import FeaturesParams
 from fwclass.grid import millimetres, whole_millimetres
 from fwclass.kernel import kernel
 from fwclass.schema import Table
@@ -17,10 +16,10 @@ MEASURED = {"pulse_intensity_variance": "intensity", "pulse_amplitude_variance":
 """Feature and the column that it is the variance of."""
 
 
-def pulse_variances(chunk: Chunk, names: tuple[str, ...], params: FeaturesParams) -> dict[str, NDArray[np.float32]]:
+def pulse_variances(chunk: Chunk, names: tuple[str, ...], reach: float) -> dict[str, NDArray[np.float32]]:
     """Features `names` (keys of `MEASURED`) of the core rows.
 
-    The variance (divided by N) over the echoes of the same strip and pulse that lie within ``params.pulse_reach`` in
+    The variance (divided by N) over the echoes of the same strip and pulse that lie within `reach` [m] in
     plan: an oblique beam may leave its tile, and where its echoes end must not depend on the tiles. An echo that
     measured nothing (NaN) is left out; 0 for a single echo, NaN without any value.
 
@@ -31,7 +30,7 @@ def pulse_variances(chunk: Chunk, names: tuple[str, ...], params: FeaturesParams
     """
     order, first = _pulses(chunk.table)
     lone, firsts = _alone(chunk.table, order, first)
-    limit = whole_millimetres(params.pulse_reach, "features.pulse_reach")
+    limit = whole_millimetres(reach, "features.pulse_reach")
     x, y = (millimetres(chunk.table[axis]) for axis in "xy")
     number = chunk.table["echo_number"].astype(np.int64)
     variances = {}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fwclass.features.cells import cells, height_in_cell
 from fwclass.features.dense import thin_dense
 from fwclass.features.nearest import nearest_echoes
-from fwclass.features.orientation import oriented_inclination
+from fwclass.features.orientation import sides
 from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, ORIENTED, Asked, FeaturesParams
 from fwclass.features.pulses import MEASURED, pulse_variances
 from fwclass.features.spheres import optimal, spheres
@@ -49,9 +49,9 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     for scale, bases in request.of_kind("g").items():
         columns |= name_features(cells(chunk, scale, bases), scale)
     if variances := tuple(n for n in request.plain if n in MEASURED):
-        columns |= pulse_variances(chunk, variances, params)
+        columns |= pulse_variances(chunk, variances, params.pulse_reach)
     if "zc" in request.plain:
-        columns["zc"] = height_in_cell(chunk, params)
+        columns["zc"] = height_in_cell(chunk, params.cell_x, params.cell_y)
     line = columns[f"{LINEAR}_r{round(params.normal_radius * 100)}"] > COLLINEAR
     columns |= {name: np.where(line, np.float32(np.nan), columns[name]) for name in NORMAL}
     return Table({name: columns[name] for name in (*request.names, *NORMAL)})
@@ -67,8 +67,30 @@ def _of_neighbours(chunk: Chunk, request: Asked, params: FeaturesParams) -> dict
     if chosen or radius:
         columns |= optimal(chunk, chosen, radius, params)
     for scale, bases in request.of_kind("k").items():
-        columns |= name_features(nearest_echoes(chunk, scale, bases, params), scale)
+        columns |= name_features(nearest_echoes(chunk, scale, bases, params.nearest_reach), scale)
     return columns
+
+
+def oriented_inclination(chunk: Chunk, scale: Scale, params: FeaturesParams) -> NDArray[np.float32]:
+    """Angle between consistently oriented normal and vertical [deg], 0 to 180; NaN where there is no normal.
+
+    A normal points up for sure where it is within 30 degrees of the vertical and no echo of the vertical cylinder is
+    higher by more than the radius. In each of ``params.orientation_rounds`` rounds every normal without a side looks
+    at those neighbours in its sphere that have one, and takes the side of sum (n_i . n_j), all at once: so a side goes
+    round edges, where normals turn gradually, and no further than a radius per round. What is not reached points up.
+
+    Every row of the chunk takes part; those of the core are right where the halo holds the rounds and one radius more
+    (`Asked.reach`).
+
+    Source: Fan 2013, 2.2; rounds in place of a spanning tree give it a bounded support.
+    """
+    whole = Chunk(chunk.table, np.arange(chunk.table.rows), chunk.tile)
+    own = params.model_copy(update={"normal_radius": scale.metres})
+    components = spheres(whole, {}, own)
+    normals = np.stack([components[name] for name in NORMAL], axis=1).astype(np.float64)
+    side = sides(whole, normals, scale.metres, params.orientation_rounds)[chunk.core]
+    upward = normals[chunk.core, 2] * np.where(side == 0, 1, side)
+    return np.degrees(np.arccos(np.clip(upward, -1.0, 1.0))).astype(np.float32)
 
 
 def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, tuple[str, ...]]:

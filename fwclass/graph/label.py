@@ -19,8 +19,9 @@ from fwclass.graph.corrections import (
     reach_here,
 )
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, from_polygons
-from fwclass.label.stage import LABEL, LabelParams, from_cloud, from_source
+from fwclass.label.stage import LABEL, from_cloud, from_source
 from fwclass.label.values import codes_of, groups_of
 from fwclass.model import ClassDef
 from fwclass.read.polygons import open_polygons, read_polygons, reproject
@@ -102,7 +103,7 @@ def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
     order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
     chunk = here.chunk()
-    table = _without_implausible(chunk, from_cloud(chunk, cloud.take(order), params))
+    table = _without_implausible(chunk, from_cloud(chunk, cloud.take(order), params.max_distance))
     return _with_counts(*_correct(here, chunk, table, reach))
 
 

@@ -186,7 +186,7 @@ def permute_features(
 ) -> Result:
     """What some of the forest's trees lose when a feature is permuted."""
     sample, trees = learned_sample(here, names), _load_trees(here.inputs, here.part)
-    lost, judged = drops(sample, trees, int(here.part), params, repeats)
+    lost, judged = drops(sample, trees, int(here.part), params.drawing, repeats)
     write_arrays(here.directory / DROPS, {"drops": lost, "judged": judged})
     return {"rows": int(judged.sum())}
 

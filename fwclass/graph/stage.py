@@ -16,11 +16,12 @@ from fwclass.conf import Config
 from fwclass.conf.sections import Section
 from fwclass.errors import FwclassError
 from fwclass.grid import Box, Tile
+from fwclass.params import Params
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name, Task
 from fwclass.run.tasks import Tasks
 from fwclass.schema import Column, Table
-from fwclass.stage import Chunk, Params
+from fwclass.stage import Chunk
 from fwclass.store.cells import CELLS, Within, by_place
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location

@@ -11,7 +11,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from fwclass.ground.methods import Method
-from fwclass.stage import Params
+from fwclass.params import Params
 
 LEAST_CELL = 0.01
 """No cell or cloth is finer [m]: a tenth of what the densest surveys have between two points."""

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from fwclass.ground.methods import Method
 from fwclass.ground.params import LEAST_CELL, GroundParams, section_of
-from fwclass.stage import Params
+from fwclass.params import Params
 
 MOST_TRIED = 10_000
 """Combinations of parameters."""

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.kernel import kernel
-from fwclass.label.params import LabelParams
 from fwclass.label.polygons import from_polygons
 from fwclass.neighbours import nearest_within
 from fwclass.schema import Table
 from fwclass.stage import Chunk, Computation
 
 
-def from_cloud(chunk: Chunk, cloud: Table, params: LabelParams) -> Table:
+def from_cloud(chunk: Chunk, cloud: Table, max_distance: float) -> Table:
     """Class of the nearest reference point: of the same pulse if the cloud has one within reach, else of any.
 
     Parameters
@@ -26,11 +25,11 @@ def from_cloud(chunk: Chunk, cloud: Table, params: LabelParams) -> Table:
     echoes = chunk.table.take(chunk.core)
     at = (echoes["x"], echoes["y"], echoes["z"])
     among = (cloud["x"], cloud["y"], cloud["z"])
-    nearest = _same_pulse(echoes, cloud, params.max_distance)
+    nearest = _same_pulse(echoes, cloud, max_distance)
     lacking = nearest < 0
     if lacking.any():
         rest = (at[0][lacking], at[1][lacking], at[2][lacking])
-        nearest[lacking], _ = nearest_within(rest, among, params.max_distance)
+        nearest[lacking], _ = nearest_within(rest, among, max_distance)
     reference = np.zeros(echoes.rows, np.uint8)
     hit = nearest >= 0
     reference[hit] = cloud["source_class"][nearest[hit]]
@@ -63,7 +62,7 @@ def _nearest_in_range(px, py, pz, x, y, z, order, low, high, limit, nearest):  #
                 nearest[i] = j
 
 
-__all__ = ["LABEL", "LabelParams", "from_cloud", "from_polygons", "from_source"]
+__all__ = ["LABEL", "from_cloud", "from_polygons", "from_source"]
 
 
 def from_source(chunk: Chunk) -> Table:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 
 class PublishParams(Params):

@@ -6,7 +6,7 @@ import math
 
 from pydantic import Field, field_validator, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 RADIOMETRIC = ("range", "incidence", "cross_section", "backscatter", "reflectance", "radiometry_flags")
 """Columns that the radiometry gives to echoes."""

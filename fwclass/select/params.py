@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 
 class SelectParams(Params):

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.kernel import kernel
-from fwclass.simulate.noise import CLOCK_STREAM, NORMAL_SHIFT, draw, normal_table, pulse_key
+from fwclass.simulate.noise import clock_errors, normal_table
 from fwclass.simulate.params import Recording, SimulateParams
 from fwclass.units import METRES_PER_NS
 
@@ -171,14 +170,6 @@ class Pulses:
     scan_angle: NDArray[np.float64]
 
 
-@kernel
-def _clock(normal, seed, strip, first, out):  # type: ignore[no-untyped-def]
-    """One standard normal number per pulse: the jitter of its clock."""
-    for p in range(len(out)):
-        bits = draw(pulse_key(seed, strip, first + p), CLOCK_STREAM)
-        out[p] = normal[bits >> NORMAL_SHIFT]
-
-
 def _beam(at: Pose, scan: NDArray[np.float64]) -> NDArray[np.float64]:
     angle = scan + at.roll
     c, s = np.cos(at.heading), np.sin(at.heading)
@@ -198,7 +189,7 @@ def fire(params: SimulateParams, strip: StripPlan, first: int, count: int) -> Pu
     scan = to_east if strip.north else -to_east
     direction = _beam(measured, scan)
     late = np.empty(count)
-    _clock(normal_table(), params.seed, strip.number, first, late)
+    clock_errors(normal_table(), params.seed, strip.number, first, late)
     late *= params.sensor.clock_jitter * METRES_PER_NS
     return Pulses(
         time=time,

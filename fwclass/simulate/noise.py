@@ -54,3 +54,11 @@ def normal_table() -> NDArray[np.float64]:
     count = 1 << NORMAL_BITS
     values = scipy.special.ndtri((np.arange(count) + 0.5) / count)
     return np.ascontiguousarray(values / values.std())
+
+
+@kernel
+def clock_errors(normal, seed, strip, first, out):  # type: ignore[no-untyped-def]
+    """One standard normal number per pulse: the jitter of its clock."""
+    for p in range(len(out)):
+        bits = draw(pulse_key(seed, strip, first + p), CLOCK_STREAM)
+        out[p] = normal[bits >> NORMAL_SHIFT]

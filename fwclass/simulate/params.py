@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 MOST_NODES = 16_384
 """Of the terrain, along an edge of the survey: 2 GiB of float64."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 LARGEST_RADIUS = 1.2
 """m; the sums of the sphere kernel fit into 31 bits up to here."""

@@ -15,6 +15,7 @@ from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labe
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
+from fwclass.params import ShapeFileParams
 from fwclass.read.polygons import (
     check_field,
     open_polygons,
@@ -25,7 +26,6 @@ from fwclass.read.polygons import (
     values_of,
 )
 from fwclass.read.source import open_source
-from fwclass.stage import ShapeFileParams
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, find_remote, local

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.hashing import below, seed_for
 from fwclass.kernel import kernel
-from fwclass.train.params import TrainParams
+
+
+class Drawing(NamedTuple):
+    """How a tree's rows are drawn: what `share` of the sample, 0 to 1, with or without `replacement`."""
+
+    seed: int
+    share: float
+    replacement: bool
 
 
 @kernel
@@ -27,10 +36,10 @@ def draw_share(state, draws, weight):  # type: ignore[no-untyped-def]
         wanted -= weight[i]
 
 
-def bag(rows: int, tree: int, params: TrainParams) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
-    """How often every row was drawn for `tree`, and the generator's state after that."""
-    state = np.array([seed_for(params.seed, tree + 1)], np.uint64)
+def bag(rows: int, tree: int, drawing: Drawing) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
+    """int32 (rows,): how often every row was drawn for `tree`; uint64 (1,): the generator's state after that."""
+    state = np.array([seed_for(drawing.seed, tree + 1)], np.uint64)
     weight = np.zeros(rows, np.int32)
-    draws = max(1, round(rows * params.bagging))
-    (draw_bag if params.replacement else draw_share)(state, draws, weight)
+    draws = max(1, round(rows * drawing.share))
+    (draw_bag if drawing.replacement else draw_share)(state, draws, weight)
     return weight, state

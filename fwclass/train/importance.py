@@ -17,8 +17,7 @@ from fwclass.errors import ConfigError
 from fwclass.hashing import below, seed_for
 from fwclass.kernel import inlined, kernel
 from fwclass.model import LEAF, Tree
-from fwclass.train.bag import bag
-from fwclass.train.params import TrainParams
+from fwclass.train.bag import Drawing, bag
 from fwclass.train.sample import Sample
 
 _PURPOSE = 0x1357
@@ -115,7 +114,7 @@ def _of_tree(
 
 
 def drops(
-    sample: Sample, trees: Sequence[Tree], first: int, params: TrainParams, repeats: int
+    sample: Sample, trees: Sequence[Tree], first: int, drawing: Drawing, repeats: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Right answers that permuting a feature takes from each of `trees`, number `first` and on.
 
@@ -129,16 +128,16 @@ def drops(
     judged = np.zeros(len(trees), np.int64)
     X = np.ascontiguousarray(sample.X, np.float32)
     for t, tree in enumerate(trees):
-        outside = np.flatnonzero(bag(sample.rows, first + t, params)[0] == 0)
+        outside = np.flatnonzero(bag(sample.rows, first + t, drawing)[0] == 0)
         judged[t] = len(outside)
-        start = seed_for(params.seed, _PURPOSE, first + t)
+        start = seed_for(drawing.seed, _PURPOSE, first + t)
         seeds = np.array([[seed_for(start, f, r) for r in range(repeats)] for f in range(n_features)], np.uint64)
         drop_counts[t] = _of_tree(X, sample.y, tree, outside, seeds.reshape(n_features, repeats))
     return drop_counts, judged
 
 
 def importance(
-    sample: Sample, trees: Sequence[Tree], n_classes: int, params: TrainParams, repeats: int
+    sample: Sample, trees: Sequence[Tree], n_classes: int, drawing: Drawing, repeats: int
 ) -> NDArray[np.float64]:
     """float64 (features, repeats): mean over all trees of the drop of out-of-bag accuracy, as fractions.
 
@@ -146,7 +145,7 @@ def importance(
     """
     if sample.rows and int(sample.y.max()) >= n_classes:
         raise ValueError("unknown classes in the sample")
-    return mean_drop(*drops(sample, trees, 0, params, repeats))
+    return mean_drop(*drops(sample, trees, 0, drawing, repeats))
 
 
 def mean_drop(drop_counts: NDArray[np.int64], judged: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -8,7 +8,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from fwclass.model import ClassifierMethod
-from fwclass.stage import Params
+from fwclass.params import Params
+from fwclass.train.bag import Drawing
 
 
 class TrainParams(Params):
@@ -49,6 +50,11 @@ class TrainParams(Params):
         if self.importance_repeats and self.bagging == 1 and not self.replacement:
             raise ValueError("importance needs rows that a tree did not see: bagging below 1, or importance_repeats 0")
         return self
+
+    @property
+    def drawing(self) -> Drawing:
+        """How the rows of a tree are drawn."""
+        return Drawing(self.seed, self.bagging, self.replacement)
 
     def per_split(self, features: int) -> int:
         """Features drawn at a node of a forest of so many."""

@@ -90,7 +90,7 @@ class Grower:
     def tree(self, number: int) -> Tree:
         """(feature, threshold, child) as in `Forest`; the same for the same sample, seed and number."""
         params = self.params
-        drawn, state = bag(len(self.y), number, params)
+        drawn, state = bag(len(self.y), number, params.drawing)
         table = GINI
         if params.criterion == "entropy":
             table = entropy_table(int((drawn * self.class_weight[self.y]).sum()))
@@ -135,7 +135,7 @@ def out_of_bag(sample: Sample, trees: Sequence[Tree], n_classes: int, params: Tr
     """
     votes = np.zeros((sample.rows, n_classes), np.uint16)
     for number, (feature, threshold, child) in enumerate(trees):
-        weight, _ = bag(sample.rows, number, params)
+        weight, _ = bag(sample.rows, number, params.drawing)
         count_out_of_bag(sample.X, feature, threshold, child, weight, votes)
     judged = votes.any(axis=1)
     right = votes.argmax(axis=1)[judged] == sample.y[judged]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 Code = Annotated[int, Field(ge=1, le=255)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 
 class ViewParams(Params):

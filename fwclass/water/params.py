@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from fwclass.stage import ShapeFileParams
+from fwclass.params import ShapeFileParams
 
 
 class WaterParams(ShapeFileParams):

@@ -187,8 +187,8 @@ def weighing(X, y, forest):
     sample = Sample(NAMES, X, y, key, key, np.bincount(y))
     o = forest.offsets
     trees = [tuple(getattr(forest, n)[o[t] : o[t + 1]] for n in ("feature", "threshold", "child")) for t in range(20)]
-    drops(sample, trees[:1], 0, BASE, 1)
-    took, _ = timed(lambda: drops(sample, trees, 0, BASE, 10))
+    drops(sample, trees[:1], 0, BASE.drawing, 1)
+    took, _ = timed(lambda: drops(sample, trees, 0, BASE.drawing, 10))
     print(f"\nimportance, 10 repeats, per 100 trees: {took * 5:.1f} CPU s (no peer: scikit-learn has none out of bag)")
 
 

@@ -91,7 +91,7 @@ def compare(table: Table, per_m2: float) -> None:
         print("pgeof is not installed: left out")
 
     def ours() -> object:
-        return nearest_echoes(chunk, Scale("k", K), BASES, params)
+        return nearest_echoes(chunk, Scale("k", K), BASES, params.nearest_reach)
 
     ours()
     pairs = {name: [(seconds(ours), seconds(work)) for _ in range(ROUNDS)] for name, work in peers.items()}

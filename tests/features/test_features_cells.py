@@ -119,7 +119,7 @@ def test_zc_hangs_on_the_global_cells():
     y = np.array([5.0, 5.0, 9.999, 9.999, 5.0])
     z = np.array([4.0, 1.0, 7.5, 3.0, 0.5])
     table = Table({"x": x, "y": y, "z": z})
-    got = height_in_cell(Chunk(table, np.array([4, 0, 1, 2, 3]), Tile(0, 0, 100.0)), PARAMS)
+    got = height_in_cell(Chunk(table, np.array([4, 0, 1, 2, 3]), Tile(0, 0, 100.0)), PARAMS.cell_x, PARAMS.cell_y)
     np.testing.assert_allclose(got, [0.0, 1.0, 0.0, 6.5, 0.0])
 
 
@@ -130,4 +130,4 @@ def test_no_rows():
         Chunk(table.take(np.empty(0, np.int64)), np.empty(0, np.int64), WHOLE),
     ):
         assert all(len(v) == 0 for v in cells(chunk, Scale("g", 100), BASES).values())
-        assert len(height_in_cell(chunk, PARAMS)) == 0
+        assert len(height_in_cell(chunk, PARAMS.cell_x, PARAMS.cell_y)) == 0

@@ -213,7 +213,7 @@ def shape(near):
 def test_features_are_numpys(k, reach):
     table = table_of(np.concatenate([random_cloud(np.random.default_rng(8), 200), [[40, 40, 0], [40.1, 40, 0]]]))
     params = PARAMS.model_copy(update={"nearest_reach": reach})
-    got = nearest_echoes(chunk_of(table), Scale("k", k), BASES, params)
+    got = nearest_echoes(chunk_of(table), Scale("k", k), BASES, params.nearest_reach)
     expected = reference(table, k, reach)
     assert set(got) == set(BASES) == set(expected)
     for base in BASES:
@@ -229,12 +229,12 @@ def test_tiles_of_any_size_give_the_same_bits():
     points = np.concatenate([lattice(rng, 0) * 2, rng.uniform(0, 30, (250, 3))])
     table = table_of(points.round(1))
     params = PARAMS.model_copy(update={"nearest_reach": 3.0})
-    whole = nearest_echoes(chunk_of(table), Scale("k", 12), BASES, params)
+    whole = nearest_echoes(chunk_of(table), Scale("k", 12), BASES, params.nearest_reach)
     for size in (20.0, 7.0):
         for tile in TileGrid(size).touching(Box(0, 0, 30.001, 30.001)):
             near = np.flatnonzero(tile.box.grown(3.0).contains(table["x"], table["y"]))
             core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
-            got = nearest_echoes(Chunk(table.take(near), core, tile), Scale("k", 12), BASES, params)
+            got = nearest_echoes(Chunk(table.take(near), core, tile), Scale("k", 12), BASES, params.nearest_reach)
             for base in BASES:
                 np.testing.assert_array_equal(got[base], whole[base][near[core]], err_msg=base)
 
@@ -242,18 +242,18 @@ def test_tiles_of_any_size_give_the_same_bits():
 def test_without_the_reach_a_tile_would_see_other_neighbours():
     """The test above can fail: with half the halo the border differs."""
     table = table_of(np.random.default_rng(9).uniform(0, 30, (250, 3)))
-    whole = nearest_echoes(chunk_of(table), Scale("k", 12), ("reach",), PARAMS)["reach"]
+    whole = nearest_echoes(chunk_of(table), Scale("k", 12), ("reach",), PARAMS.nearest_reach)["reach"]
     tile = Tile(0, 0, 10.0)
     near = np.flatnonzero(tile.box.grown(1.0).contains(table["x"], table["y"]))
     core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
-    got = nearest_echoes(Chunk(table.take(near), core, tile), Scale("k", 12), ("reach",), PARAMS)["reach"]
+    got = nearest_echoes(Chunk(table.take(near), core, tile), Scale("k", 12), ("reach",), PARAMS.nearest_reach)["reach"]
     assert (got != whole[near[core]]).any()
 
 
 def test_alone_and_no_rows():
     lone = table_of(np.array([[0.0, 0, 0], [50, 0, 0]]))
-    got = nearest_echoes(chunk_of(lone), Scale("k", 20), BASES, PARAMS)
+    got = nearest_echoes(chunk_of(lone), Scale("k", 20), BASES, PARAMS.nearest_reach)
     assert (got["reach"] == 0).all() and (got["height_std"] == 0).all() and (got["height_skewness"] == 0).all()
     assert np.isnan(got["planarity"]).all() and np.isnan(got["plane_range"]).all()
-    none = nearest_echoes(chunk_of(lone, np.empty(0, np.int64)), Scale("k", 20), BASES, PARAMS)
+    none = nearest_echoes(chunk_of(lone, np.empty(0, np.int64)), Scale("k", 20), BASES, PARAMS.nearest_reach)
     assert all(len(v) == 0 for v in none.values())

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from fwclass import conf
-from fwclass.features.orientation import oriented_inclination, sides
+from fwclass.features.orientation import sides
 from fwclass.features.params import NORMAL
 from fwclass.features.spheres import spheres
+from fwclass.features.stage import oriented_inclination
 from fwclass.grid import Tile, TileGrid
 from fwclass.schema import Scale, Table
 from fwclass.stage import Chunk

@@ -31,7 +31,9 @@ def table_of(**columns):
 
 
 def variances(table, core=None, params=PARAMS):
-    return pulse_variances(Chunk(table, np.arange(table.rows) if core is None else core, Tile(0, 0, 1e6)), BOTH, params)
+    return pulse_variances(
+        Chunk(table, np.arange(table.rows) if core is None else core, Tile(0, 0, 1e6)), BOTH, params.pulse_reach
+    )
 
 
 def test_variance_of_the_echoes_of_one_strip_and_pulse():

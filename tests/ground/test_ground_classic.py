@@ -8,8 +8,9 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from fwclass.ground.filters import ground_points
-from fwclass.ground.methods.moving_surface import _fit, cells, moving_surface
+from fwclass.ground.methods.moving_surface import cells, moving_surface
 from fwclass.ground.methods.pmf import pmf, windows
+from fwclass.ground.methods.quadratic_fit import fit_surfaces
 from fwclass.ground.methods.slope import slope
 from fwclass.ground.params import GroundParams, MovingSurfaceParams, PmfParams, SlopeParams, section_of
 
@@ -106,7 +107,7 @@ def test_moving_surface_goes_through_a_quadratic_surface():
     low = height(col + u, row + v)
     low[3:5, 4:7] = np.nan
     found = np.full(low.shape, np.nan)
-    _fit(u, v, low, 2, 1.0, 4, 0.0, found)
+    fit_surfaces(u, v, low, 2, 1.0, 4, 0.0, found)
     np.testing.assert_allclose(found, height(col, row), atol=1e-8)
 
 
@@ -114,7 +115,7 @@ def test_moving_surface_lets_a_seed_on_a_roof_go():
     flat, high = np.zeros((9, 9)), np.zeros((9, 9))
     high[4, 4] = 6.0
     found = np.full(flat.shape, np.nan)
-    _fit(flat, flat, high, 2, 1.0, 4, 0.1, found)
+    fit_surfaces(flat, flat, high, 2, 1.0, 4, 0.1, found)
     assert abs(found).max() < 0.05
 
 

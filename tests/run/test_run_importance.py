@@ -43,7 +43,7 @@ def test_importance_in_parts(tmp_path):
     needs = tuple((stage, part) for stage in ("trees", "importance") for part in ("00000", "00003"))
     here = StageInputs(inputs, path("train", "model"), "model", needs)
     made = learn.deliver_forest(here, NAMES, params, CLASSES, {})
-    expected = importance(sample, grow_trees(sample, CLASSES, 0, 4, params), 2, params, 3)
+    expected = importance(sample, grow_trees(sample, CLASSES, 0, 4, params), 2, params.drawing, 3)
     for card in (made["card"], load_model(path("train", "model", learn.MODEL)).card):
         told = card["importance"]
         assert told["repeats"] == 3

@@ -53,8 +53,8 @@ def test_it_is_what_breiman_defines():
     """Mean over permutations, against as many drawn by numpy: the same within their standard error."""
     sample, trees, p = grown(250, 1, trees=1)
     repeats = 400
-    ours, judged = drops(sample, trees, 0, p, repeats)
-    outside = np.flatnonzero(bag(sample.rows, 0, p)[0] == 0)
+    ours, judged = drops(sample, trees, 0, p.drawing, repeats)
+    outside = np.flatnonzero(bag(sample.rows, 0, p.drawing)[0] == 0)
     X, y = sample.X[outside], sample.y[outside]
     assert judged.tolist() == [len(outside)]
     right = (answers(trees[0], X) == y).sum()
@@ -73,7 +73,7 @@ def test_it_is_what_breiman_defines():
 
 def test_useful_features_are_told_from_useless_ones():
     sample, trees, p = grown(3000, 2)
-    worth = importance(sample, trees, 3, p, 10).mean(axis=1)
+    worth = importance(sample, trees, 3, p.drawing, 10).mean(axis=1)
     assert worth[0] > worth[1] > abs(worth[3])
     assert worth[0] > 0.2
     assert abs(worth[3]) < 0.01
@@ -87,35 +87,35 @@ def test_useful_features_are_told_from_useless_ones():
 @pytest.mark.parametrize("values", [{}, {"bagging": 0.9, "replacement": False, "split": "exact", "criterion": "gini"}])
 def test_parts_do_not_change_it(values):
     sample, trees, p = grown(600, 3, trees=6, **values)
-    whole = drops(sample, trees, 0, p, 3)
-    parts = [drops(sample, trees[a:b], a, p, 3) for a, b in ((0, 1), (1, 4), (4, 6))]
+    whole = drops(sample, trees, 0, p.drawing, 3)
+    parts = [drops(sample, trees[a:b], a, p.drawing, 3) for a, b in ((0, 1), (1, 4), (4, 6))]
     np.testing.assert_array_equal(np.concatenate([d for d, _ in parts]), whole[0])
     np.testing.assert_array_equal(np.concatenate([n for _, n in parts]), whole[1])
-    few = drops(sample, trees, 0, p, 2)[0]
+    few = drops(sample, trees, 0, p.drawing, 2)[0]
     np.testing.assert_array_equal(few, whole[0][:, :, :2])  # another repeat does not move the first ones
-    np.testing.assert_array_equal(importance(sample, trees, 3, p, 3), mean_drop(*whole))
+    np.testing.assert_array_equal(importance(sample, trees, 3, p.drawing, 3), mean_drop(*whole))
 
 
 def test_repeats_differ_and_another_seed_too():
     sample, trees, p = grown(600, 4, trees=2)
-    made = drops(sample, trees, 0, p, 5)[0]
+    made = drops(sample, trees, 0, p.drawing, 5)[0]
     assert len(np.unique(made[0, 0])) > 1
-    other = drops(sample, trees, 0, p.model_copy(update={"seed": 99}), 5)[0]
+    other = drops(sample, trees, 0, p.model_copy(update={"seed": 99}).drawing, 5)[0]
     assert (made != other).any()
 
 
 def test_the_card_says_mean_and_spread():
     sample, trees, p = grown(600, 5, trees=3)
-    told = summary(sample.features, *drops(sample, trees, 0, p, 4))
-    worth = importance(sample, trees, 3, p, 4)
+    told = summary(sample.features, *drops(sample, trees, 0, p.drawing, 4))
+    worth = importance(sample, trees, 3, p.drawing, 4)
     assert told["repeats"] == 4
     assert list(told["drop"]) == list("abcde")
     assert told["drop"]["b"]["mean"] == pytest.approx(worth[1].mean())
     assert told["drop"]["b"]["std"] == pytest.approx(worth[1].std(ddof=1))
-    assert summary(sample.features, *drops(sample, trees, 0, p, 1))["drop"]["a"]["std"] is None
+    assert summary(sample.features, *drops(sample, trees, 0, p.drawing, 1))["drop"]["a"]["std"] is None
 
 
 def test_no_row_out_of_bag_is_refused():
     sample, trees, p = grown(100, 6, trees=1, bagging=1.0, replacement=False, importance_repeats=0)
     with pytest.raises(ConfigError, match="every tree saw all"):
-        importance(sample, trees, 3, p, 2)
+        importance(sample, trees, 3, p.drawing, 2)

@@ -71,7 +71,7 @@ def test_every_node_takes_the_best_threshold_there_is(rule, criterion, weights):
     X, y = problem(120, 3, 3, seed=2, gaps=0.1)
     p = params(split=rule, criterion=criterion, features_per_split="all", bins=7, class_weights=weights)
     feature, limit, child = grow_tree(X, y, 3, 0, p)
-    counts = bag(120, 0, p)[0]
+    counts = bag(120, 0, p.drawing)[0]
     class_weight = whole_weights(p.class_weights, np.bincount(y), ["0", "1", "2"])
     w = (counts * class_weight[y]).astype(float)
     columns = np.ascontiguousarray(X.T)
@@ -135,7 +135,7 @@ def test_a_tree_answers_its_own_rows(rule):
     X, y = problem(2000, 4, 3, seed=5)
     p = params(split=rule, bins=255)
     feature, limit, child = grow_tree(X, y, 3, 1, p)
-    inside = np.flatnonzero(bag(2000, 1, p)[0])
+    inside = np.flatnonzero(bag(2000, 1, p.drawing)[0])
     right = 0
     for i in inside:
         k = 0
@@ -157,14 +157,14 @@ def test_missing_can_be_told_from_known(rule):
 
 
 def test_bags():
-    with_, _ = bag(1000, 3, params(bagging=0.9))
-    without, _ = bag(1000, 3, params(bagging=0.9, replacement=False))
+    with_, _ = bag(1000, 3, params(bagging=0.9).drawing)
+    without, _ = bag(1000, 3, params(bagging=0.9, replacement=False).drawing)
     assert with_.sum() == without.sum() == 900
     assert with_.max() > 1
     assert without.max() == 1
-    hits = np.mean([bag(50, t, params(bagging=0.3, replacement=False))[0] for t in range(3000)], axis=0)
+    hits = np.mean([bag(50, t, params(bagging=0.3, replacement=False).drawing)[0] for t in range(3000)], axis=0)
     assert np.abs(hits - 0.3).max() < 5 * np.sqrt(0.21 / 3000)  # every row as often as another
-    every, _ = bag(20, 0, params(bagging=1.0, replacement=False))
+    every, _ = bag(20, 0, params(bagging=1.0, replacement=False).drawing)
     assert (every == 1).all()
 
 

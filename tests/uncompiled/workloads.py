@@ -239,7 +239,7 @@ def work_bags_and_trees(_: Path) -> Any:
             params = TrainParams(**section("train", split=split, criterion=criterion, steps=20, **share, **weights))
             made.append(grow_tree(sample.X, sample.y, 3, 1, params))
             trees = grow_trees(sample, CLASSES, 0, 2, params)
-            made.append((trees, out_of_bag(sample, trees, 3, params), drops(sample, trees, 0, params, 3)))
+            made.append((trees, out_of_bag(sample, trees, 3, params), drops(sample, trees, 0, params.drawing, 3)))
     return made
 
 

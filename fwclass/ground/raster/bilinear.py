@@ -54,3 +54,20 @@ def _bilinear(raster, x, y, cell, out):  # type: ignore[no-untyped-def]
             total += raster[side_r, side_c] * fx * fy
             weight += fx * fy
         out[i] = total / weight
+
+
+@kernel
+def near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, near):  # type: ignore[no-untyped-def]
+    """Whether each point is within threshold + scalar × slope of the terrain, both bilinear between cell centres."""
+    last_r, last_c = heights.shape[0] - 1, heights.shape[1] - 1
+    for i in range(len(x)):
+        u, v = x[i] / cell - 0.5, y[i] / cell - 0.5
+        c, r = np.floor(u), np.floor(v)
+        fx, fy = u - c, v - r
+        left, low = np.int64(c) - col, np.int64(r) - row
+        c0, c1 = min(max(left, 0), last_c), min(max(left + 1, 0), last_c)
+        r0, r1 = min(max(low, 0), last_r), min(max(low + 1, 0), last_r)
+        a, b, d, e = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+        height = a * heights[r0, c0] + b * heights[r0, c1] + d * heights[r1, c0] + e * heights[r1, c1]
+        slope = a * slopes[r0, c0] + b * slopes[r0, c1] + d * slopes[r1, c0] + e * slopes[r1, c1]
+        near[i] = abs(z[i] - height) <= threshold + scalar * slope

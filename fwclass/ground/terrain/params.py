@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 MOST_CELLS = 16_384
 """Along the edge of a raster that a part holds: 2 GiB of float64."""

@@ -280,7 +280,9 @@ def measure_drops(
     model = _model(inputs, one.name)
     if not isinstance(model, Forest):
         raise TypeError(f"{one.name} is no forest")
-    losses, rows = drops(sample_for(inputs, names, one), trees_of(model, first, count), first, one.train, repeats)
+    losses, rows = drops(
+        sample_for(inputs, names, one), trees_of(model, first, count), first, one.train.drawing, repeats
+    )
     write_arrays(directory / DROPS, {"drops": losses, "rows": rows})
     return {"trees": count}
 

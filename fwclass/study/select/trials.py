@@ -97,7 +97,7 @@ def try_features(
     matrix = np.bincount(sample.y[judged].astype(np.int64) * n + answers, minlength=n * n).reshape(n, n)
     plain: dict[str, Any] = {"matrix": matrix.tolist()}
     if repeats:
-        lost = importance(training, trees, n, params, repeats)
+        lost = importance(training, trees, n, params.drawing, repeats)
         plain["importance"] = np.asarray(lost, np.float64).mean(axis=1).tolist()
     return plain
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from fwclass.stage import Params
+from fwclass.params import Params
 
 Positive = Annotated[float, Field(gt=0)]
 

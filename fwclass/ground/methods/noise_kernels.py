@@ -1,0 +1,149 @@
+"""Marks of points below gaps, and of those far from the mean of others around."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fwclass.kernel import kernel
+
+
+@kernel
+def mark_below_gaps(z, start, ncols, nrows, size, cell, col0, row0, most, gap, steepest, shape, around, noise):  # type: ignore[no-untyped-def]
+    """Mark points below gaps: `size` is the edge of a cell in cells of the index, heights and edges are in mm."""
+    lowest = np.empty(most + 1)
+    area = 9.0 * (size * cell) ** 2
+    for big_r in range(row0 // size, (row0 + nrows - 1) // size + 1):
+        for big_c in range(col0 // size, (col0 + ncols - 1) // size + 1):
+            r0, c0 = big_r * size - row0, big_c * size - col0
+            bottom = _bottom(z, start, ncols, nrows, r0, c0, size, noise)
+            if bottom == np.inf or _has_company(
+                z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, bottom, most, gap, steepest, area, around
+            ):
+                continue
+            total, kept = _lowest_of(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, noise, lowest)
+            density = total / area
+            level = _level(lowest, kept, total, density, gap + steepest / np.sqrt(density), shape, around)
+            if level >= bottom:
+                _mark(z, start, ncols, nrows, r0, c0, size, level, noise)
+
+
+@kernel
+def _bottom(z, start, ncols, nrows, r0, c0, edge, skipped):  # type: ignore[no-untyped-def]
+    """Lowest point of a square of cells, inf where there is none."""
+    low = np.inf
+    left, right = max(c0, 0), min(c0 + edge, ncols)
+    for r in range(max(r0, 0), min(r0 + edge, nrows)):
+        for i in range(start[r * ncols + left], start[r * ncols + right]):
+            if z[i] < low and not skipped[i]:
+                low = z[i]
+    return low
+
+
+@kernel
+def _has_company(z, start, ncols, nrows, r0, c0, edge, bottom, most, gap, steepest, area, around):  # type: ignore[no-untyped-def]
+    """Are more points within one gap above `bottom` than a group may have? Then no gap above it counts.
+
+    A shortcut: points already found are not left out, so that it is true less often than it could be, never more.
+    """
+    left, right = max(c0, 0), min(c0 + edge, ncols)
+    bottom_r, top_r = max(r0, 0), min(r0 + edge, nrows)
+    total = 0
+    for r in range(bottom_r, top_r):
+        total += start[r * ncols + right] - start[r * ncols + left]
+    limit = min(most, total // around)
+    top = bottom + gap + steepest * np.sqrt(area / total)
+    n = 0
+    for r in range(bottom_r, top_r):
+        for i in range(start[r * ncols + left], start[r * ncols + right]):
+            n += bottom <= z[i] <= top
+        if n > limit:
+            return True
+    return False
+
+
+@kernel
+def _lowest_of(z, start, ncols, nrows, r0, c0, edge, skipped, lowest):  # type: ignore[no-untyped-def]
+    """Number of points in a square of `edge` cells, and how many of their lowest are in `lowest`, in order."""
+    total, kept, room = 0, 0, len(lowest)
+    left, right = max(c0, 0), min(c0 + edge, ncols)
+    for r in range(max(r0, 0), min(r0 + edge, nrows)):
+        for i in range(start[r * ncols + left], start[r * ncols + right]):
+            if skipped[i]:
+                continue
+            total += 1
+            if kept == room and z[i] >= lowest[room - 1]:
+                continue
+            j = kept if kept < room else room - 1
+            while j > 0 and lowest[j - 1] > z[i]:
+                lowest[j] = lowest[j - 1]
+                j -= 1
+            lowest[j] = z[i]
+            kept = kept + 1 if kept < room else room
+    return total, kept
+
+
+@kernel
+def _level(lowest, kept, total, density, gap, shape, around):  # type: ignore[no-untyped-def]
+    """Height of the highest point that lies below a gap, −inf if none does; groups above one another count apart."""
+    level, since = -np.inf, 0
+    for k in range(1, kept):
+        step = lowest[k] - lowest[k - 1]
+        few = (k - since) * around <= total - k and k - since <= max(1.0, density * (shape * step) ** 2)
+        if step > gap and few:
+            level, since = lowest[k - 1], k
+    return level
+
+
+@kernel
+def _mark(z, start, ncols, nrows, r0, c0, edge, level, noise):  # type: ignore[no-untyped-def]
+    left, right = max(c0, 0), min(c0 + edge, ncols)
+    for r in range(max(r0, 0), min(r0 + edge, nrows)):
+        for i in range(start[r * ncols + left], start[r * ncols + right]):
+            noise[i] |= z[i] <= level
+
+
+@kernel
+def mark_beyond_sigma(x, y, z, start, ncols, nrows, radius, sigma, least, fewest, above, noise):  # type: ignore[no-untyped-def]
+    """Whole numbers are added up, so that the sums do not depend on the order of the points.
+
+    `noise` starts false; heights and lengths are in mm.
+    """
+    for r in range(nrows):
+        r0, r1 = max(r - 1, 0), min(r + 2, nrows)
+        for c in range(ncols):
+            c0, c1 = max(c - 1, 0), min(c + 2, ncols)
+            first, last = start[r * ncols + c], start[r * ncols + c + 1]
+            if first == last:
+                continue
+            low, high = z[first], z[first]
+            for row in range(r0, r1):
+                for j in range(start[row * ncols + c0], start[row * ncols + c1]):
+                    low = z[j] if z[j] < low else low
+                    high = z[j] if z[j] > high else high
+            for i in range(first, last):
+                if high - z[i] <= least and not (above and z[i] - low > least):
+                    continue
+                n, total, square, lonely = -1, 0, 0, True
+                # the points beside it in its cell, near it in most files, tell soonest that it is not alone
+                for j in range(max(i - 1, first), min(i + 2, last)):
+                    dx, dy = x[j] - x[i], y[j] - y[i]
+                    lonely &= j == i or abs(z[j] - z[i]) > least or dx * dx + dy * dy > radius * radius
+                if not lonely:
+                    continue
+                for row in range(r0, r1):
+                    for j in range(start[row * ncols + c0], start[row * ncols + c1]):
+                        dx, dy, dz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+                        if dx * dx + dy * dy <= radius * radius:
+                            n += 1
+                            total += dz
+                            square += dz * dz
+                            lonely &= j == i or abs(dz) > least
+                            if not lonely:
+                                break
+                    if not lonely:
+                        break
+                if n < fewest or not lonely:
+                    continue
+                mean = total / n
+                deviation = np.sqrt(max(square / n - mean * mean, 0.0))
+                noise[i] = (abs(mean) if above else mean) > sigma * deviation
