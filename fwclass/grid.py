@@ -143,6 +143,11 @@ class TileGrid:
         ox, oy = (round(v / QUANTUM) for v in self.origin)
         return (millimetres(x) - ox) // mm, (millimetres(y) - oy) // mm
 
+    def keys(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> set[str]:
+        """Keys of the tiles that own a point (x, y) [m]."""
+        ix, iy = self.indices(x, y)
+        return {f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))}
+
     def tile(self, key: str) -> Tile:
         """The tile of a key (``<column>_<row>``); `ConfigError` for what is no key."""
         match = _KEY.match(key)

@@ -14,6 +14,7 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
+from fwclass.classes import GROUND
 from fwclass.decompose.params import StackParams
 from fwclass.decompose.stack_candidates import STEP, Candidates, Floats
 from fwclass.decompose.stack_kernels import stack_groups
@@ -43,8 +44,6 @@ STACK_COLUMNS = (
     "classification",
 )
 
-GROUND, ROOF, WATER = 2, 6, 9
-"""Class codes of the surfaces' echoes."""
 NEIGHBOURS, LOOKED_AT = 8, 20_000
 """Echoes around one that tell what the surface is like; echoes that are held against theirs, about."""
 HIGHEST = 8.0

@@ -21,7 +21,7 @@ from fwclass.assess.stage import (
     unclassified,
     unpack,
 )
-from fwclass.classes import counts_of
+from fwclass.classes import GROUND, counts_of
 from fwclass.classify.kept import Kept
 from fwclass.classify.unsure import PERCENT, percent_of
 from fwclass.conf.sections import AreasSection
@@ -34,8 +34,6 @@ from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 
 COUNTS = "counts"
-GROUND = 2
-"""Class code."""
 
 FAN_2013 = ("echo_number", "amplitude", "backscatter", "width")
 """Of the seven features of Fan 2013 those that no neighbourhood is needed for; the report sets their distribution

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.stacking import GROUND
+from fwclass.classes import GROUND
 from fwclass.errors import StoreError
 from fwclass.graph.breaklines import BREAKLINES, beside_ground, breaklines_in, breaklines_needed
 from fwclass.graph.ground_auto import AUTO, halo_of, parameters_at, parts_for

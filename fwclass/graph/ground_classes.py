@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classes import STANDARD
+from fwclass.classes import GROUND, HIGH_NOISE, LOW_NOISE, STANDARD, UNCLASSIFIED
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
@@ -16,7 +16,6 @@ from fwclass.graph.kept import kept_argument
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.schema import Table
 
-UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
 CODES = (UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.assess.confusion import figures
+from fwclass.classes import GROUND
 from fwclass.errors import ConfigError
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.params import GroundParams, section_of
@@ -19,7 +20,6 @@ from fwclass.ground.tuning_params import GroundSearchParams, Values
 NAMES = ("ground", "other")
 """Classes of the confusion matrices."""
 
-GROUND = 2
 UNSCORED = (0, 7, 18, 65, 66)
 """Class codes that are no reference: never classified, noise, artefacts, synthetic points."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classes import STANDARD, ClassDef, standard_name
+from fwclass.classes import HIGH_NOISE, LOW_NOISE, STANDARD, UNCLASSIFIED, ClassDef, standard_name
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.params import ClassifyParams
 from fwclass.classify.unsure import Left, with_left
@@ -17,11 +17,10 @@ from fwclass.graph.stage import Plan, StageInputs
 from fwclass.publish.strips import LEGACY_MAX
 from fwclass.schema import Table
 
-UNNAMED = frozenset({0, 1})
+UNNAMED = frozenset({0, UNCLASSIFIED})
 """Codes that say nothing: never classified, unclassified."""
 
-NOISE = (7, 18)
-"""Low and high noise."""
+NOISE = (LOW_NOISE, HIGH_NOISE)
 
 SHOWN = 6
 """Codes that are named."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.classes import BUILDING, GROUND, WATER
 from fwclass.decompose.params import DecomposeParams, StackParams
 from fwclass.decompose.plane_surface import planar, plane_surface
 from fwclass.decompose.stack_candidates import Candidates, Surface, candidates
-from fwclass.decompose.stacking import GROUND, ROOF, STACK, STACK_COLUMNS, WATER, roughness_of, stack
+from fwclass.decompose.stacking import STACK, STACK_COLUMNS, roughness_of, stack
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.rasters import Mosaic, write_rasters
@@ -104,7 +105,7 @@ def _surfaces(here: StageInputs, params: StackParams, cell: float, block: float)
         high = last.take(last["z"] - terrain.at(last["x"], last["y"]) > params.clear)
         roofs = high.take(planar(_places(high), params))
         heights = plane_surface(_places(roofs), window, params)
-        out["roof"] = Searched(ROOF, heights, _plan(_along(heights, high, params)), roughness_of(*_places(roofs).T))
+        out["roof"] = Searched(BUILDING, heights, _plan(_along(heights, high, params)), roughness_of(*_places(roofs).T))
     water = water_of(here) if "water" in params.surfaces else None
     if water is not None:
         heights = Surface(water.of_cells(window).astype(np.float32), window)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.kept import kept_noise
@@ -138,18 +137,12 @@ def tile_echoes(here: StageInputs, blocks: tuple[float, ...], kept_noise: tuple[
         table = table.with_columns({"fit_flags": flags})
     return table, {
         "rows": table.rows,
-        "blocks": {str(size): occupied_blocks(table["x"], table["y"], size) for size in blocks},
+        "blocks": {str(size): sorted(TileGrid(size).keys(table["x"], table["y"])) for size in blocks},
         "bounds": [float(f(table[n])) for f in (np.min, np.max) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _passes(table),
         "repeated": repeats(table),
     }
-
-
-def occupied_blocks(x: NDArray[np.float64], y: NDArray[np.float64], size: float) -> list[str]:
-    """Keys of the blocks of edge `size` [m] that own a point (x, y) [m]."""
-    ix, iy = TileGrid(size).indices(x, y)
-    return sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))})
 
 
 def _passes(table: Table) -> list[list[float]]:

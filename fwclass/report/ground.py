@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.classes import BUILDING, GROUND
 from fwclass.errors import refuse_unsound
 from fwclass.ground.params import GroundParams
 
@@ -19,8 +20,6 @@ WORTH = 1000
 SEEN_FROM = 0.001
 """Share of a survey's echoes in such blocks from which on it is told."""
 
-
-GROUND, BUILDING = 2, 6
 
 MOST_BUILDING = 0.05
 """Share of the echoes that the sources call building which a filter may make ground: 0.010 to 0.025 on four public

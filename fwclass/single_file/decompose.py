@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fwclass import conf
+from fwclass.classes import LOW_NOISE
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.stage import VENDOR_KEPT
@@ -37,9 +38,6 @@ from fwclass.waveforms import IMPLAUSIBLE
 
 SECTIONS = ("read", "pulse", "decompose", "plausibility", "features", "radiometry", "publish")
 """Sections of the configuration that the command obeys."""
-
-LOW_NOISE = 7
-"""Class code of LAS 1.4."""
 
 DOUBTFUL = 1.0
 """Angle between beams and trajectory [deg] that is told as a fault."""

@@ -15,7 +15,6 @@ from fwclass.errors import FwclassError
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs, Work
-from fwclass.graph.tiling import occupied_blocks
 from fwclass.grid import Box, TileGrid
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.run.in_memory import Held, PartsInMemory
@@ -101,7 +100,7 @@ class FileTiles:
         layout = Layout(
             config.whole,
             tuple(sorted(map(grid.tile, keys))),
-            {edge: frozenset(occupied_blocks(x, y, edge)) for edge in edges},
+            {edge: frozenset(TileGrid(edge).keys(x, y)) for edge in edges},
             frozenset(),
             Box(float(x.min()), float(y.min()), float(x.max()) + QUANTUM, float(y.max()) + QUANTUM),
             (np.nan, np.nan),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.classes import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.decompose.params import DecomposeParams
 from fwclass.errors import InputError
 from fwclass.formats.area_of_use import place_faults
@@ -29,7 +30,6 @@ from fwclass.read.text import is_text
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
-from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import compiling, conf
+from fwclass.classes import GROUND, HIGH_NOISE, LOW_NOISE, UNCLASSIFIED
 from fwclass.errors import InputError
 from fwclass.formats.area_of_use import place_faults
 from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
@@ -29,9 +30,6 @@ from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_r
 from fwclass.single_file.ground.stray import describe_stray, stray_points
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
 from fwclass.survey.systems import given_crs
-
-UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
-"""Class codes of LAS 1.4."""
 
 MANY = 100
 """So many points within a metre are no survey."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.classes import GROUND
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.ground import GATHER_HEIGHT
 from fwclass.ground.filters import Flags
@@ -18,7 +19,7 @@ from fwclass.ground.stage import TERRAIN
 from fwclass.publish.heights import NO_HEIGHT
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
-from fwclass.single_file.ground.file import GROUND, came_as_noise, classes_of, filter_cloud, shown_points
+from fwclass.single_file.ground.file import came_as_noise, classes_of, filter_cloud, shown_points
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.rasters import check_extent, ground_table

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from fwclass.assess.intervals import caution, class_gains, difference, intervals
 from fwclass.assess.stage import figures
+from fwclass.classes import GROUND
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import rows_to_test
-from fwclass.graph.assess import GROUND
 from fwclass.graph.learn import SAMPLE
 from fwclass.graph.refine import ANSWERED
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from fwclass.graph.assess import GROUND
+from fwclass.classes import GROUND
 from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Verdict, of_gain, percent, points, spanned, verdict
 
 Facts = Mapping[str, Any]
