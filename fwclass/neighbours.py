@@ -125,7 +125,8 @@ def _relative(values: NDArray[np.float64], order: NDArray[np.int64], origin: int
 
 @kernel
 def sort_by_cell(cell, n_cells):  # type: ignore[no-untyped-def]
-    """Stable counting sort of points by cell number: (rows in order of cells, first of every cell and one more)."""
+    """Stable counting sort of points by cell number, `cell` int64 (points,) from 0: int64 (points,), the rows in order
+    of cells, and int64 (n_cells + 1,), where each cell begins."""
     start = np.zeros(n_cells + 2, np.int64)
     for c in cell:
         start[c + 2] += 1

@@ -36,14 +36,15 @@ def unclassified(
 def figures(
     matrix: NDArray[np.int64], names: Sequence[str], unclassified: NDArray[np.int64] | None = None
 ) -> dict[str, Any]:
-    """Figures of a confusion matrix, fractions, plain data for JSON; None where a figure is 0 / 0.
+    """Figures of a confusion matrix int64 (reference classes, classes) of the classes `names`: fractions, plain data
+    for JSON; None where a figure is 0 / 0.
 
     With N counts, r_i rows, c_i columns and d_i the diagonal: overall accuracy sum d / N, producer's d_i /
     r_i, user's d_i / c_i, IoU d_i / (r_i + c_i - d_i), mean IoU over the classes that the reference has, and kappa (P_a
     - P_c) / (1 - P_c) with P_a = sum d / N and P_c = sum r_i c_i / N^2. For two classes, the first being
     ground, also the errors of He 2023: type I = ground lost, type II = other taken for ground, total.
 
-    Rows that got none of the classes (`unclassified`, per reference class) belong to r_i and N: they are
+    Rows that got none of the classes (`unclassified`, int64 (reference classes,)) belong to r_i and N: they are
     wrong in every figure but the user's accuracy. They are listed under ``unclassified`` where there are
     any.
     """

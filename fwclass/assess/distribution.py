@@ -45,7 +45,8 @@ def distribution(
 def pack(
     features: Table, reference: NDArray[np.uint8], classes: Sequence[ClassDef]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The histograms of `distribution`, one after another, without their empty bins: places and counts.
+    """The histograms of `distribution`, one after another, without their empty bins: places and counts, int64 (bins
+    with an echo,) each. `reference` is uint8 (echoes,).
 
     A tile fills few of the bins: 127 features in five classes have 8.5 million.
     """

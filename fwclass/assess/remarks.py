@@ -36,7 +36,8 @@ class Extent:
 
 
 def pure_share(blocks: NDArray[np.int64]) -> float | None:
-    """Share of the echoes in blocks of one class; `blocks` are the counts of `BlockCounts`. None without any."""
+    """Share of the echoes, 0 to 1, that lie in blocks of one class; `blocks` int64 (blocks, classes, classes) are the
+    counts of `BlockCounts`. None without any."""
     reference = blocks.sum(axis=2)
     whole = reference.sum(axis=1)
     if not whole.sum():

@@ -42,11 +42,12 @@ def _places(table: Table, rows: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def refine_boundary(table: Table, X: NDArray[np.float32], model: TwoLayer, coarse: Table | None = None) -> Table:
-    """Class, confidence and entropy of rows that have `COARSE` and `BOUNDARY`; X are the fine features (boundary rows,
-    features) of those at the boundary. Elsewhere the first layer's answers stay as they are.
+    """Class, confidence and entropy of rows that have `COARSE` and `BOUNDARY`; X, float32 (boundary rows, features),
+    are the fine features of those at the boundary. Elsewhere the first layer's answers stay as they are.
 
-    With `coarse`, what `classify` says by the first layer with probabilities, the share of every class too: at the
-    boundary that of the second layer for the pair, 0 for the others.
+    The table has (rows,) of each, confidence and entropy from 0 to 1. With `coarse`, what `classify` says by the first
+    layer with probabilities, the share of every class too: at the boundary that of the second layer for the pair, 0 for
+    the others.
     """
     rows = np.flatnonzero(table[BOUNDARY])
     names = ("classification", "confidence", "entropy")

@@ -65,7 +65,7 @@ class Autoregression:
 
     @property
     def innovation(self) -> float:
-        """Variance of the innovations, as a share of the noise's."""
+        """Variance of the innovations, as a share of the noise's, 0 to 1."""
         return float(np.prod([1.0 - step[-1] ** 2 for step in self._steps]))
 
     @property
@@ -86,8 +86,8 @@ WHITE = Autoregression()
 
 
 def output_gain(correlation: Floats, filter: Sequence[float] | Floats) -> float:
-    """Variance of the output of `filter` on noise of unit variance with these correlations at lags 0, 1, …; beyond the
-    last it counts as uncorrelated."""
+    """Variance of the output of `filter` (taps,) on noise of unit variance with the `correlation` float64 (lags,) at
+    lags 0, 1, …; beyond the last it counts as uncorrelated."""
     overlap = np.correlate(filter, filter, "full")[len(filter) - 1 :]
     n = min(len(overlap), len(correlation))
     return float(overlap[0] * correlation[0] + 2.0 * (overlap[1:n] @ correlation[1:n]))

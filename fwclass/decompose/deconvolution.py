@@ -72,7 +72,8 @@ def backscatter_samples(
 
 
 def pulse_at_samples(pulse: SystemPulse, spacing: float) -> tuple[Floats, int]:
-    """Heights of the pulse at whole samples around its peak, and how many come before it."""
+    """float64 (samples,): heights of the pulse, 1 at its peak, every `spacing` [ns] around it, and how many come before
+    it."""
     profiles = Profiles(pulse)
     begin, end = (math.floor(v / spacing) for v in profiles.reach(profiles.s0))
     begin, end = min(begin, -1), max(end + 1, 1)

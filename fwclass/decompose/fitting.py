@@ -253,7 +253,7 @@ def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: Decompos
 
 
 def pulses_of(waves: Waveforms, pulse: SystemPulse) -> tuple[list[SystemPulse], NDArray[np.int64]]:
-    """The pulses of the channels, the strip's last, and which of them every row is fitted with."""
+    """The pulses of the channels, the strip's last, and int64 (waveforms,): which of them each is fitted with."""
     spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
     known, _, channel_of = _channels(pulse, spacing, np.where(np.isnan(top), np.inf, top))
     return [pulse.of(channel) for channel in (*known, None)], channel_of

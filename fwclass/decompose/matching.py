@@ -11,7 +11,8 @@ from fwclass.kernel import kernel
 def nearest_of_pulse(from_pulse, from_xyz, to_pulse, to_xyz, nearest):  # type: ignore[no-untyped-def]
     """For every row the nearest row of the other list in the same pulse, the first on a tie; -1 if the pulse has none.
 
-    Both lists are sorted by pulse. Distances are in space, which along one beam is the distance along the beam.
+    Both lists are sorted by pulse: `from_pulse`, `to_pulse` int64 (rows,), places (rows, 3) [m]. `nearest` int64
+    (rows,) is filled in. Distances are in space, which along one beam is the distance along the beam.
     """
     start = 0
     m = len(to_pulse)
@@ -32,7 +33,8 @@ def nearest_of_pulse(from_pulse, from_xyz, to_pulse, to_xyz, nearest):  # type: 
 
 @kernel
 def rank_in_pulse(pulse, rank, size):  # type: ignore[no-untyped-def]
-    """Place (from 1) of every row in its pulse and rows of that pulse, for rows sorted by pulse."""
+    """Fills in `rank` (rows,), the place of every row in its pulse, from 1, and `size` (rows,), how many rows the pulse
+    has; `pulse` int64 (rows,) rises."""
     n = len(pulse)
     a = 0
     while a < n:

@@ -126,8 +126,9 @@ def add_counts(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
 
 
 def renumber(echoes: Mapping[str, NDArray], implausible: NDArray[np.bool_]) -> dict[str, NDArray]:
-    """The flag set, the class of a return taken away, and the echoes of a pulse numbered so that implausible ones come
-    after the others, which do not count them: the last plausible echo of a pulse is its last."""
+    """Columns of `echoes`, (echoes,) each, for those that are `implausible`, bool (echoes,): the flag set, the class of
+    a return taken away, and all echoes of a pulse numbered so that implausible ones come after the others, which do not
+    count them: the last plausible echo of a pulse is its last."""
     if not implausible.any():
         return dict(echoes)
     flags = echoes["fit_flags"] | np.where(implausible, IMPLAUSIBLE, 0).astype(np.uint8)

@@ -49,7 +49,8 @@ def join_samples(parts: Iterable[Waveforms]) -> Waveforms:
 
 
 def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
-    """Waveforms `rows` (indices or mask) of `waves`, in that order, without returns and outgoing pulses."""
+    """Waveforms `rows`, int64 (some,) or bool (waveforms,), of `waves`, in that order, without returns and outgoing
+    pulses."""
     length = np.diff(waves.offsets)[rows]
     offsets = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
     at = np.arange(offsets[-1]) + np.repeat(waves.offsets[rows] - offsets[:-1], length)
@@ -57,7 +58,7 @@ def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
 
 
 def outgoing_of(waves: Waveforms, rows: NDArray) -> Waveforms:
-    """The recorded outgoing pulses of `rows` (indices) of `waves`, in that order, as if they were waveforms."""
+    """The recorded outgoing pulses of `rows`, int64 (some,), of `waves`, in that order, as if they were waveforms."""
     return rows_of(Waveforms(waves.pulses, waves.returns, waves.outgoing, waves.outgoing_offsets), rows)
 
 

@@ -75,7 +75,8 @@ class QuietNoise:
 
     @property
     def facts(self) -> dict[str, float | int | None]:
-        """What a receipt says of the noise, by name: correlation, growth, number of samples; None where unknown."""
+        """What a receipt says of the noise, by name: correlation, growth [DN], number of samples; None where
+        unknown."""
         return {
             "lag1": self.lag1,
             "inflation": self.inflation,
@@ -139,7 +140,10 @@ def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: Decompos
 
 
 def correlations(value: Floats, quiet: NDArray[np.bool_], row: NDArray[np.int64]) -> tuple[Floats, int]:
-    """(correlation at lags 0, 1, … up to half of those that enough pairs of quiet samples reach, quiet samples).
+    """Correlation float64 (lags,) at lags 0, 1, … up to half of those that enough pairs of quiet samples reach; quiet
+    samples.
+
+    `value` float64 (samples,) [DN], `quiet` bool (samples,) and `row` int64 (samples,), the waveform of each.
 
     From the differences of pairs of a waveform, over those of the farther half of the lags: no level is needed, and
     what drifts more slowly than that counts as level.

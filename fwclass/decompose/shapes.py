@@ -108,7 +108,7 @@ class Profiles:
             self.spline = scipy.interpolate.CubicSpline(times, pulse.values, bc_type="natural", extrapolate=False)
 
     def reach(self, s: float) -> tuple[float, float]:
-        """First and last time at which an echo of width `s` counts."""
+        """First and last time [ns] at which an echo of width `s` [ns] counts, its own being 0."""
         if self.gaussian:
             return -REACH * s, REACH * s
         if s <= self.s0:
@@ -300,7 +300,7 @@ def _template(
 
 
 def height_error(pulse: SystemPulse, channel: Channel) -> float:
-    """Standard deviation of the matched filter's output, as a share of the channel's noise."""
+    """Standard deviation of the matched filter's output, as a share of the channel's noise [DN per DN]."""
     if not channel.phi:
         return math.sqrt(channel.sample_spacing / pulse.energy)
     energy = _template(Profiles(pulse), channel.sample_spacing, channel.autoregression)[4]

@@ -89,8 +89,9 @@ def stack(
 
 
 def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
-    """The least threshold, from `params.threshold` on, that at most `params.max_false` of the heights above it owe to
-    noise, as the decoys show it (target and decoy; Elias and Gygi 2007); infinite where there is none.
+    """The least threshold [standard deviations], from `params.threshold` on, that at most `params.max_false` of the
+    `heights` (candidates,) above it owe to noise, as the `decoys` (places,) show it (target and decoy; Elias and Gygi
+    2007); infinite where there is none.
 
     One decoy more than is seen counts: of none seen nothing follows for a single echo.
     """

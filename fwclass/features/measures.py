@@ -265,7 +265,7 @@ def _eigen(code, l1, l2, l3, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def entropy(l1, l2, l3):  # type: ignore[no-untyped-def]
-    """−Σ s ln s of the shares of three eigenvalues; 0 ln 0 is 0."""
+    """−Σ s ln s [nat] of the shares of three eigenvalues [m²], of which the first is above 0; 0 ln 0 is 0."""
     total = l1 + l2 + l3
     entropy = -(l1 / total) * math.log(l1 / total)
     if l2 > 0.0:

@@ -18,7 +18,10 @@ STEPS = float(1 << 20)
 
 
 def sides(chunk: Chunk, normals: NDArray[np.float64], radius: float, rounds: int) -> NDArray[np.int8]:
-    """1 where the upward normal is the oriented one, -1 where its opposite is, 0 where no round came; of every row."""
+    """int8 (rows,): 1 where the upward normal is the oriented one, -1 where its opposite is, 0 where no round came.
+
+    `normals` float64 (rows, 3) of unit length, NaN where there is none; `radius` of the neighbourhoods [m].
+    """
     table = chunk.table
     if table.rows == 0:
         return np.empty(0, np.int8)

@@ -44,7 +44,8 @@ def ground_by_blocks(
 ) -> Flags:
     """`ground_points` of a whole cloud, block by block: what a survey in tiles would get.
 
-    `tell` is called before every block with its number, from 1, and the number of blocks.
+    x, y, z (n,) [m] and `last` (n,) as in `ground_points`; none of them is NaN. `tell` is called before every block
+    with its number, from 1, and the number of blocks.
     """
     flags = Flags(np.zeros(len(x), bool), np.zeros(len(x), bool))
     blocks = 0 if tell is None else _number_of_blocks(x, y, params.block)

@@ -76,7 +76,7 @@ def outside(labels: Table, boxes: Sequence[Box]) -> NDArray[np.bool_]:
 
 
 def reference_codes(code: NDArray[np.int16], classes: Sequence[ClassDef], where: object) -> NDArray[np.int16]:
-    """Delivered class codes as codes of the reference; 0, no class, stays.
+    """int16 (echoes,): delivered class codes `code` (echoes,) as codes of the reference; 0, no class, stays.
 
     `ConfigError` for codes that no class is delivered as, or counts.
     """

@@ -89,7 +89,8 @@ class RangeCounter:
 
 
 def shares(counts: Sequence[Mapping[str, Sequence[int]]]) -> dict[str, float]:
-    """The share of the values outside, by feature, over all `counts` (`RangeCounter.counts`); the largest first."""
+    """The share of the values outside, 0 to 1, by feature, over all `counts` (`RangeCounter.counts`); the largest
+    first."""
     total: dict[str, NDArray[np.int64]] = {}
     for one in counts:
         for name, pair in one.items():

@@ -104,8 +104,8 @@ class Strip:
 
 
 def lines(file: NDArray[np.int64], span: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of the line of every piece: spans that follow one another without a gap are one, whatever the files;
-    pieces without times are one for each file."""
+    """int64 (pieces,): number of the line of every piece, of `file` and `span` int64 (pieces,): spans that follow one
+    another without a gap are one, whatever the files; pieces without times are one for each file."""
     spans = np.unique(span[span != NO_TIME])
     starts = spans[np.flatnonzero(np.diff(spans, prepend=spans[:1] - 2) > 1)] if len(spans) else spans
     number = np.searchsorted(starts, span, side="right") - 1
@@ -120,7 +120,8 @@ def strips_of(
 ) -> list[Strip]:
     """The strips, in order of the `number`, int64 (pieces,), that each block's pieces have.
 
-    `corners`: (x, y) of every block [m]. `gap`: what a span of time lasts [s]."""
+    `corners`: (x, y) of every block [m]. `gap`: what a span of time lasts [s].
+    """
     strips = 1 + max((int(n.max()) for n in number if len(n)), default=-1)
     middle = np.mean(corners, axis=0) if len(corners) else np.zeros(2)
     first = np.full(strips, np.iinfo(np.int64).max)
@@ -199,6 +200,7 @@ def _strip(
 
 
 def groups_of(strips: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Number of the group of every strip: those that pairs hang together."""
+    """int64 (strips,): number of the group of every strip: those that the pairs `first`, `second` (pairs,) hang
+    together."""
     graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(strips, strips))
     return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1], np.int64)

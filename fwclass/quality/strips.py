@@ -27,7 +27,7 @@ def strips_by(wanted: str, between_files: int, between_lines: int) -> By:
 
 
 def numbers_of(pieces: Sequence[Pieces], by: By) -> list[NDArray[np.int64]]:
-    """The number of the strip of every piece, for each of the blocks."""
+    """int64 (pieces,) for each of the blocks: the number of the strip of every piece."""
     file, span = (np.concatenate([np.empty(0, np.int64), *(getattr(p, n) for p in pieces)]) for n in ("file", "span"))
     number = lines(file, span) if by == "times" else np.unique(file, return_inverse=True)[1].astype(np.int64)
     return np.split(number, np.cumsum([len(p.file) for p in pieces])[:-1])

@@ -21,7 +21,7 @@ def scale_of(name: str) -> Scale | None:
 
 
 def work(scale: Scale) -> float:
-    """Number of neighbours that a neighbourhood is made of, about."""
+    """Number of neighbours that a neighbourhood is made of, about [echoes]."""
     if scale.kind == "k":
         return float(scale.size)
     if scale.kind == "o":
@@ -31,7 +31,8 @@ def work(scale: Scale) -> float:
 
 
 def extra_work(name: str, chosen: Iterable[str]) -> float:
-    """Number of neighbours that `name` adds to what `chosen` needs anyway; 0 where it needs no more neighbourhoods."""
+    """Number of neighbours [echoes] that `name` adds to what `chosen` needs anyway; 0 where it needs no more
+    neighbourhoods."""
     scale = scale_of(name)
     if scale is None or any(scale_of(c) == scale for c in chosen):
         return 0.0
@@ -39,5 +40,5 @@ def extra_work(name: str, chosen: Iterable[str]) -> float:
 
 
 def nominal(names: Iterable[str]) -> float:
-    """Number of neighbours that all of `names` need together."""
+    """Number of neighbours [echoes] that all of `names` need together."""
     return sum(work(s) for s in sorted({s for s in map(scale_of, names) if s is not None}))

@@ -58,7 +58,8 @@ def normal_table() -> NDArray[np.float64]:
 
 @kernel
 def clock_errors(normal, seed, strip, first, out):  # type: ignore[no-untyped-def]
-    """One standard normal number per pulse: the jitter of its clock."""
+    """Fills in `out` float (pulses,): one standard normal number for each pulse from number `first` on, the jitter of
+    its clock in units of its deviation; `normal` is the table of `normal_table`."""
     for p in range(len(out)):
         bits = draw(pulse_key(seed, strip, first + p), CLOCK_STREAM)
         out[p] = normal[bits >> NORMAL_SHIFT]

@@ -29,7 +29,8 @@ def draw_bag(state, draws, weight):  # type: ignore[no-untyped-def]
 
 @kernel
 def draw_share(state, draws, weight):  # type: ignore[no-untyped-def]
-    """Draw rows without replacement: every row by the odds that the rest must still be filled (Knuth 1997, 3.4.2 S)."""
+    """Draw rows without replacement: every row by the odds that the rest must still be filled (Knuth 1997, 3.4.2 S).
+    `weight` (rows,) int32 becomes 1 for those that are drawn, 0 for the others."""
     wanted = draws
     for i in range(len(weight)):
         weight[i] = 1 if below(state, len(weight) - i) < wanted else 0

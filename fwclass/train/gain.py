@@ -26,7 +26,8 @@ GINI = np.empty(0, np.int64)
 
 @inlined
 def term(table, k):  # type: ignore[no-untyped-def]
-    """What weight k (a count of rows) of one class adds to a child's sum: k lb k in 2^-20, or k² for Gini."""
+    """int64: what weight k (int64, a count of rows) of one class adds to a child's sum: k lb k in 2^-20, or k² for
+    Gini. `table` int64 (n,) has the first terms; it is empty for Gini."""
     if k < len(table):
         return table[k]
     if len(table) == 0:
@@ -36,10 +37,11 @@ def term(table, k):  # type: ignore[no-untyped-def]
 
 @inlined
 def score(table, left, right, n_left, n_right):  # type: ignore[no-untyped-def]
-    """Worth of a division into children of weights `n_left` and `n_right`, whose classes' terms sum to `left`, `right`.
+    """int64: worth of a division into children of weights `n_left` and `n_right`, whose classes' terms sum to `left`,
+    `right`.
 
     Entropy: -n H(c|t). Gini: the sum of n p² over classes and children, rounded to 2^-20 so that equals tie.
-    Both are multiples of 2^-20, short of what all divisions of a node have in common; weights are counts of rows.
+    Both are multiples [2^-20], short of what all divisions of a node have in common; weights are counts of rows.
     """
     if len(table) == 0:
         return np.int64(np.rint((left / n_left + right / n_right) * FIXED))

@@ -161,7 +161,8 @@ def mean_drop(drop_counts: NDArray[np.int64], judged: NDArray[np.int64]) -> NDAr
 
 
 def summary(features: Sequence[str], drop_counts: NDArray[np.int64], judged: NDArray[np.int64]) -> Mapping[str, Any]:
-    """What a card says: per feature the mean and the standard deviation (N - 1) over the repeats, and how many."""
+    """What a card says: per feature the mean and the standard deviation (N - 1) [share of right answers] over the
+    repeats, and how many; of `drop_counts` and `judged` as `drops` gives them. None for a deviation of one repeat."""
     values = mean_drop(drop_counts, judged)
     repeats = values.shape[1]
     spread = values.std(axis=1, ddof=1) if repeats > 1 else np.full(len(values), np.nan)

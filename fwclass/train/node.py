@@ -30,7 +30,8 @@ class Node(NamedTuple):
 
 
 def workspace(rows: int, features: int, class_weight: NDArray[np.int64], steps: int, codes: int) -> Node:
-    """Buffers for trees of up to that number of `rows`, whose features have up to `codes` codes in a histogram."""
+    """Buffers for trees of up to that number of `rows`, whose features have up to `codes` codes in a histogram;
+    `class_weight` int64 (classes,)."""
     n_classes = len(class_weight)
     return Node(
         np.empty(rows, np.float32),
@@ -52,7 +53,9 @@ def workspace(rows: int, features: int, class_weight: NDArray[np.int64], steps: 
 
 @inlined
 def gather(node, rows, classes, bag):  # type: ignore[no-untyped-def]
-    """Fill in the labels, weights and totals of a node; its number of draws, its weight, its heaviest class (index)."""
+    """Fill in the labels, weights and totals of a node; its number of draws, its weight, its heaviest class (index).
+    `rows` int64 (node's,), `classes` uint8 and `bag` int32 (sample's,): class of every row, and how often it was
+    drawn."""
     return _gather(node.label, node.weight, node.class_weight, node.total, rows, classes, bag)
 
 

@@ -71,8 +71,8 @@ def rank(columns: NDArray[np.float32], bins: int | None) -> tuple[NDArray, Ranks
 
 @kernel
 def threshold(ranks, feature, low, high):  # type: ignore[no-untyped-def]
-    """float32 threshold between codes (index of a bin) `low` < `high` that follow each other in a node; infinite before
-    "missing"."""
+    """float32 (), a threshold in the feature's own unit between codes (index of a bin) `low` < `high` that follow each
+    other in a node; infinite before "missing"."""
     if high == ranks.missing[feature]:
         return np.float32(np.inf)
     a = ranks.edge[ranks.offsets[feature] + low]

@@ -78,7 +78,7 @@ class Sample:
         return replace(self, features=(), X=self.X[:, :0], place=self.place[:0])
 
     def take(self, rows: NDArray) -> Sample:
-        """The same sample with only `rows` (index or mask)."""
+        """The same sample with only `rows`, int64 (some,) or bool (rows,)."""
         drawn = (self.X[rows], self.y[rows], self.key[rows], self.hash[rows])
         place = self.place[rows] if len(self.place) else self.place
         return Sample(self.features, *drawn, self.eligible, self.bare, place)

@@ -157,7 +157,8 @@ def train(
 ) -> Forest:
     """The forest of all `trees` (in order of their number), with its card and its out-of-bag accuracy.
 
-    `drops` of all trees, as `importance.drops` counts them, become the card's ``importance``.
+    `drops` of all trees, int64 (trees, features, repeats) and (trees,) as `importance.drops` counts them, become the
+    card's ``importance``.
     """
     facts = card(sample, classes, params)
     per_split = params.features_per_split

@@ -116,8 +116,8 @@ def _disc(radius: int) -> NDArray[np.bool_]:
 
 
 def crowns(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, params: TreeParams) -> NDArray[np.int32]:
-    """Number (from 1) of the tree that each cell belongs to, 0 for none: that of the nearest top, the first of equal
-    ones (Silva et al. 2016).
+    """int32 (rows, columns): number, from 1, of the tree that each cell of `cell` [m] belongs to, 0 for none: that of
+    the nearest of the `tree_tops` int64 (trees, 2), row and column, the first of equal ones (Silva et al. 2016).
 
     A crown has no cell lower than `params.share` of its top, and none further from it than `params.spread` of its
     height and `params.reach`.

@@ -26,7 +26,8 @@ LONGEST = 4.0e7
 def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
     """Indices of the points from which an edge leads to the next point of the same line.
 
-    `ring_start`: int64 (lines + 1,), the first point of every line, and the number of all `points`."""
+    `ring_start`: int64 (lines + 1,), the first point of every line, and the number of all `points`.
+    """
     last = np.zeros(points, bool)
     last[ring_start[1:] - 1] = True
     return np.flatnonzero(~last)
@@ -35,11 +36,11 @@ def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
 def divide(
     x: Ends, y: Ends, length: NDArray[np.float64], step: float, box: Bounds | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Places at the beginning of every edge and `step` at most apart on it: the number of its edge, and the share of
-    its length that lies before the place.
+    """Places at the beginning of every edge and `step` [m] at most apart on it: int64 (places,), the number of its
+    edge, and float64 (places,), the share of its length that lies before the place, 0 to 1.
 
-    `x`, `y`: where edges begin and end. Of edges that leave the `box` the places in it are made, and one or two beside.
-    `InputError` where these are more than `MOST`, and for an edge beyond `LONGEST`.
+    `x`, `y` (edges,) [m]: where edges begin and end; `length` (edges,) [m]. Of edges that leave the `box` the places in
+    it are made, and one or two beside. `InputError` where these are more than `MOST`, and for an edge beyond `LONGEST`.
     """
     whole = np.maximum(1, np.ceil(length / step))
     first, last = np.zeros(len(whole)), whole

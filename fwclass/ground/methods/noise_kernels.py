@@ -9,7 +9,8 @@ from fwclass.kernel import kernel
 
 @kernel
 def mark_below_gaps(z, start, ncols, nrows, size, cell, col0, row0, most, gap, steepest, shape, around, noise):  # type: ignore[no-untyped-def]
-    """Mark points below gaps: `size` is the edge of a cell in cells of the index, heights and edges are in mm."""
+    """Mark in `noise` bool (points,) points below gaps: `size` is the edge of a cell in cells of the index, heights z
+    (points,) and edges are in millimetres."""
     lowest = np.empty(most + 1)
     area = 9.0 * (size * cell) ** 2
     for big_r in range(row0 // size, (row0 + nrows - 1) // size + 1):
@@ -104,9 +105,11 @@ def _mark(z, start, ncols, nrows, r0, c0, edge, level, noise):  # type: ignore[n
 
 @kernel
 def mark_beyond_sigma(x, y, z, start, ncols, nrows, radius, sigma, least, fewest, above, noise):  # type: ignore[no-untyped-def]
-    """Whole numbers are added up, so that the sums do not depend on the order of the points.
+    """Mark in `noise` bool (points,), false before, points that are further from the mean height of the others within
+    `radius` than `sigma` of their standard deviations; x, y, z int64 (points,), sorted into cells, and lengths in
+    millimetres.
 
-    `noise` starts false; heights and lengths are in mm.
+    Whole numbers are added up, so that the sums do not depend on the order of the points.
     """
     for r in range(nrows):
         r0, r1 = max(r - 1, 0), min(r + 2, nrows)

@@ -9,6 +9,8 @@ from fwclass.kernel import kernel
 
 @kernel
 def choose_seeds(flat, x, y, z, seed):  # type: ignore[no-untyped-def]
+    """Fills in `seed` int64 (cells,), -1 before: the lowest of the points x, y, z (points,) [m] in each cell, of
+    several the most western, then southern one; `flat` int64 (points,) is the cell of each."""
     for i in range(len(flat)):
         j = seed[flat[i]]
         if j < 0 or z[i] < z[j] or (z[i] == z[j] and (x[i] < x[j] or (x[i] == x[j] and y[i] < y[j]))):

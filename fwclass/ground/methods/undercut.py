@@ -9,7 +9,11 @@ from fwclass.kernel import inlined, kernel
 
 @kernel
 def not_undercut(x, y, z, start, values, firsts, rows, cols, cell, radius, slope, tolerance, kept):  # type: ignore[no-untyped-def]
-    """Walk down the pyramid of minima from the cells around each point; all lengths in mm.
+    """Fills in `kept` bool (points,): no point within `radius` lies lower than slope × distance + tolerance below it.
+
+    x, y, z int64 (points,) are sorted into cells, of which `start` has the first point of each; the pyramid of minima
+    `values`, whose levels begin at `firsts` and have `rows` and `cols`, is walked down from the cells around each
+    point. All lengths are in millimetres.
 
     A cell is left out with all below it if it is too far, or its lowest point too high where the cell is nearest.
     """

@@ -58,7 +58,9 @@ def _bilinear(raster, x, y, cell, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, near):  # type: ignore[no-untyped-def]
-    """Whether each point is within threshold + scalar × slope of the terrain, both bilinear between cell centres."""
+    """Fills in `near` bool (points,): z is within threshold + scalar × slope [m] of the terrain, both bilinear between
+    cell centres; x, y, z (points,) [m], `heights` [m] and `slopes` (rows, columns) of cells of `cell` [m] from (row,
+    col) on."""
     last_r, last_c = heights.shape[0] - 1, heights.shape[1] - 1
     for i in range(len(x)):
         u, v = x[i] / cell - 0.5, y[i] / cell - 0.5

@@ -102,7 +102,8 @@ def _lowest_points(x, y, z, col, row, mm, quantum, floors, low, east, north):  #
 def cells_of(
     x: NDArray[np.float64], y: NDArray[np.float64], window: Window
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Flat cell index of the points inside `window`, and the mask of these points."""
+    """int64 (points inside,): flat cell index of the points (x, y) [m] inside `window`; bool (points,): which these
+    are."""
     mm = whole_millimetres(window.cell, "cell")
     col = millimetres(x) // mm - window.col
     row = millimetres(y) // mm - window.row

@@ -153,7 +153,7 @@ def _begin(x, y, vertex, twin, changed, state, a, b, c):  # type: ignore[no-unty
 
 @kernel
 def is_ghost(vertex, t):  # type: ignore[no-untyped-def]
-    """True where triangle t of `vertex` (3 triangles,) is outside the hull."""
+    """bool: triangle number t of `vertex`, int64 of shape (3 × triangles,), is outside the hull."""
     return vertex[3 * t] < 0 or vertex[3 * t + 1] < 0 or vertex[3 * t + 2] < 0
 
 

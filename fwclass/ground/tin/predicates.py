@@ -67,7 +67,8 @@ def _after(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 @kernel
 def in_circle(ax, ay, bx, by, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """True where p lies in the circle of the left-turning a, b, c; four points on one circle are decided too.
+    """bool: p lies in the circle of the left-turning a, b, c; four points on one circle are decided too.
+    Coordinates are whole millimetres.
 
     As if every point were lifted from the paraboloid by an amount that grows beyond all bounds with its
     place in the order by x, then y (Devillers and Teillaud 2011): the triangulation is unique, and the same

@@ -65,7 +65,8 @@ def rbf_svm(
 ) -> dict[str, NDArray]:
     """Fit a support vector machine with a Gaussian kernel; the arrays of `KernelMachine` by name, of its shapes.
 
-    X is (rows, features), prepared."""
+    X is (rows, features), prepared.
+    """
     with _one_thread():
         svm = _svc(c, gamma, weights).fit(X, y)
     sign = -1.0 if len(svm.classes_) == 2 else 1.0  # scikit-learn turns the one pair round
@@ -93,7 +94,8 @@ def count_right(
     gamma: float,
     weights: dict[int, float] | None,
 ) -> int:
-    """How many of the rows `judged` the machine of the rows `learns` answers right; 0 where these are of one class."""
+    """How many of the rows `judged` the machine of the rows `learns`, bool (rows,) both, answers right; 0 where these
+    are of one class. X is float64 (rows, features), without NaN."""
     if len(np.unique(y[learns])) < 2 or not judged.any():
         return 0
     known = {k: w for k, w in weights.items() if (y[learns] == k).any()} if weights else None

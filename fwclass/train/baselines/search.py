@@ -80,7 +80,8 @@ def search_rows(sample: Sample, svm: RbfSvmParams, edge: float) -> Sample:
 def search_summary(
     rows: int, folding: Folding, pairs: Sequence[tuple[float, float]], counts: Sequence[Sequence[dict[str, int]]]
 ) -> dict[str, Any]:
-    """What the card says of a search: `counts` as `right` gives them, for every pair and fold."""
+    """What the card says of a search: `counts` as `right` gives them, for every one of `pairs` (C, gamma) and
+    fold; accuracies are shares, 0 to 1."""
     share = [sum(f["right"] for f in of) / max(1, sum(f["judged"] for f in of)) for of in counts]
     tried = [{"c": a, "gamma": b, "accuracy": s} for (a, b), s in zip(pairs, share, strict=True)]
     c, gamma = smoothest((a, b, s) for (a, b), s in zip(pairs, share, strict=True))

@@ -91,7 +91,7 @@ def _card(
 
 
 def machine_weights(sample: Sample, params: TrainParams, classes: Sequence[ClassDef]) -> dict[int, float] | None:
-    """Weight of every class by its index, None where all weigh the same; the mean row weighs 1."""
+    """Weight of every class by its index [that of the mean row], None where all weigh the same."""
     whole = whole_weights(params.class_weights, sample.counts, [c.name for c in classes])
     if len(set(whole.tolist())) == 1:
         return None
