@@ -12,7 +12,7 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 from fwclass.schema import Table
-from fwclass.tile.repeated import repeats
+from fwclass.tile.stage import repeats
 
 CUT, RIM = 500_040.0, 2.0
 

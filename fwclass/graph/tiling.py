@@ -26,8 +26,7 @@ from fwclass.survey.bounds import CLOUD_ROWS
 from fwclass.survey.layout import FileDigests
 from fwclass.survey.numbering import assign_numbers
 from fwclass.tile.params import TileParams
-from fwclass.tile.repeated import repeats
-from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, split
+from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, repeats, split
 from fwclass.waveforms import IMPLAUSIBLE
 
 CLOUD_COLUMNS = ("x", "y", "z", "gps_time", "source_class")

@@ -25,8 +25,19 @@ from fwclass.schema import Table
 from fwclass.store.tables import write_table
 from fwclass.vectors.buildings import COLUMNS as BUILDING_COLUMNS
 from fwclass.vectors.buildings import OUTLINES, footprints
-from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, Counts, by_piece, count_cells, join_cells, pieces, roofs
-from fwclass.vectors.density import cell_of, median_density, pulses_by_square
+from fwclass.vectors.cells import (
+    CELL_COLUMNS,
+    MARGIN,
+    Counts,
+    by_piece,
+    cell_of,
+    count_cells,
+    join_cells,
+    median_density,
+    pieces,
+    pulses_by_square,
+    roofs,
+)
 from fwclass.vectors.params import VectorParams
 from fwclass.vectors.shapes import CORNERS, Shapes
 from fwclass.vectors.trees import COLUMNS as TREE_COLUMNS

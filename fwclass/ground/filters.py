@@ -11,18 +11,36 @@ from numpy.typing import NDArray
 
 from fwclass.grid import millimetres
 from fwclass.ground.methods.csf import csf
-from fwclass.ground.methods.csf_smrf import csf_smrf
 from fwclass.ground.methods.moving_surface import moving_surface
 from fwclass.ground.methods.noise import noise
 from fwclass.ground.methods.pmf import pmf
 from fwclass.ground.methods.ptd import iptd, ptd
 from fwclass.ground.methods.slope import slope
 from fwclass.ground.methods.smrf import smrf
-from fwclass.ground.params import GroundParams
+from fwclass.ground.params import CsfSmrfParams, GroundParams
 from fwclass.units import QUANTUM
 
 Filter = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Any], NDArray[np.bool_]]
 """``filter(x, y, z, params)``: finite coordinates [m] in any order, which must not matter; True is ground."""
+
+
+def csf_smrf(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: CsfSmrfParams
+) -> NDArray[np.bool_]:
+    """Ground among points: what both filters call ground; SMRF sees only what the cloth kept.
+
+    Parameters
+    ----------
+    x, y, z : (n,) finite coordinates [m], in any order.
+    params : sized; the cloth's should keep all ground, for what it drops is not asked again.
+
+    Source: He et al. 2023.
+    """
+    ground = csf(x, y, z, params.csf)
+    if ground.any():
+        ground[ground] = smrf(x[ground], y[ground], z[ground], params.smrf)
+    return ground
+
 
 FILTERS: dict[str, Filter] = {
     "slope": slope,

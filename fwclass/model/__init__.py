@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from fwclass.classes import ClassDef, class_index, code_index
-from fwclass.model.base import FORMAT, LEAF, ClassifierMethod, Model
+from fwclass.model.base import FORMAT, LEAF, ClassifierMethod, Model, sample_matrix
 from fwclass.model.boosted import Boosted, scores_of
 from fwclass.model.contextual import Contextual
 from fwclass.model.forest import Forest, Tree, assemble
 from fwclass.model.layered import LAYERS, Layered
 from fwclass.model.machines import KernelMachine, LinearMachine, Machine, Preparation
-from fwclass.model.matrix import sample_matrix
 from fwclass.model.two_layer import TwoLayer
 
 __all__ = [

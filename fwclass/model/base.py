@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.classes import MOST_LETTERS, ClassDef
 from fwclass.errors import InputError, visible
+from fwclass.schema import Table, require
 
 LEAF = 65535
 """Value of `feature` in a leaf; no model has so many features."""
@@ -101,3 +102,17 @@ class Model:
     def _fault(self) -> str:
         """What is wrong beyond card and layout; "" if nothing is."""
         raise NotImplementedError
+
+
+def sample_matrix(features: Table, names: Iterable[str], where: object = "features") -> NDArray[np.float32]:
+    """Columns `names` of `features` as float32 (rows, names), in C order; infinite values become NaN.
+
+    `InputError` naming the first column that is missing.
+    """
+    names = tuple(names)
+    require(features, names, where)
+    out = np.empty((features.rows, len(names)), np.float32)
+    for k, name in enumerate(names):
+        out[:, k] = features[name]
+    out[np.isinf(out)] = np.nan
+    return out

@@ -22,7 +22,7 @@ CAUSE = (
 
 
 def repeated_facts(tiles: Iterable[Mapping[str, Any]], strips: Iterable[Strip]) -> dict[str, Any] | None:
-    """Echoes with place and time of another, by what `tile.repeated.repeats` counted in `tiles`; None for none.
+    """Echoes with place and time of another, by what `tile.stage.repeats` counted in `tiles`; None for none.
 
     ``echoes``, their ``share``, ``files`` with [name, name, echoes], most first, and ``remarks`` from `SAID_FROM` on.
     """

@@ -1,4 +1,4 @@
-"""Scatter echoes to the tiles that own them, and bring each tile into its final row order."""
+"""Scatter echoes to the tiles that own them, bring each tile into its final row order, and tell what it has twice."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.grid import TileGrid, millimetres
+from fwclass.hashing import mix
 from fwclass.schema import Table, canonical_key
 from fwclass.stage import Computation
 
@@ -86,6 +87,37 @@ def assemble_points(fragments: list[Table]) -> Table:
         (table["source_class"], table["gps_time"], table["z"], table["y"], table["x"], morton(table["x"], table["y"]))
     )
     return table.take(order)
+
+
+def repeats(table: Table) -> list[list[int]]:
+    """How many echoes have place (to the millimetre) and GPS time of another, by pairs of strips: of files with a
+    common rim, or of one file under two names.
+
+    Parameters
+    ----------
+    table : x, y, z [m], gps_time [s] (NaN: one that is not known is like another) and strip.
+
+    Returns
+    -------
+    [strip, strip of the repetition, echoes] in rising order; of n echoes in one place n - 1 are repetitions, in the
+    order of their strips.
+    """
+    key = np.zeros(table.rows, np.uint64)
+    time = np.where(np.isfinite(table["gps_time"]), table["gps_time"], -1.0)
+    for values in (*(millimetres(table[n]).astype(np.int64) for n in "xyz"), time.astype(np.float64)):
+        key = mix(key ^ values.view(np.uint64))
+    again = np.sort(key)
+    again = again[1:][again[1:] == again[:-1]]
+    if not len(again):
+        return []
+    rows = np.flatnonzero(np.isin(key, again))
+    rows = rows[np.lexsort((table["strip"][rows], key[rows]))]
+    same = key[rows[1:]] == key[rows[:-1]]
+    strips = table["strip"][rows].astype(np.int64)
+    first = np.maximum.accumulate(np.where(np.append(False, same), 0, np.arange(len(rows))))
+    pairs = np.stack([strips[first[1:]], strips[1:]], axis=1)[same]
+    kinds, counts = np.unique(pairs, axis=0, return_counts=True)
+    return [[int(a), int(b), int(n)] for (a, b), n in zip(kinds, counts, strict=True)]
 
 
 SPLIT = Computation("split", 1)

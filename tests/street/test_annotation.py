@@ -5,10 +5,10 @@ import pytest
 from streetmaker import config, directory
 
 from fwclass.errors import InputError
+from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street.annotate import annotate
 from fwclass.street.annotation import read_boxes
 from fwclass.street.frames import Scan
-from fwclass.street.recordings import open_recording
 
 HEAD = "begin,end,y0,y1,z0,z1,kind,class\n"
 SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)

@@ -11,10 +11,10 @@ import pytest
 from streetmaker import config, drive
 
 from fwclass.errors import InputError
+from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street.info import info
 from fwclass.street.frames import Scan, Track
 from fwclass.street.recording_parquet import write_recording
-from fwclass.street.recordings import open_recording
 
 SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
 

@@ -10,8 +10,17 @@ from fwclass import conf
 from fwclass.grid import Window
 from fwclass.schema import Table
 from fwclass.vectors.buildings import OF_CELLS, RIGHT_ANGLED, SIMPLIFIED, footprints
-from fwclass.vectors.cells import MARGIN, by_piece, count_cells, join_cells, pieces, roofs
-from fwclass.vectors.density import cell_of, median_density, pulses_by_square
+from fwclass.vectors.cells import (
+    MARGIN,
+    by_piece,
+    cell_of,
+    count_cells,
+    join_cells,
+    median_density,
+    pieces,
+    pulses_by_square,
+    roofs,
+)
 
 CELL = 0.5
 
