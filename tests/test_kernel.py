@@ -81,3 +81,11 @@ def test_what_is_unchanged_is_not_compiled_again(tmp_path: Path) -> None:
 def test_stamps_are_the_same_in_every_process(tmp_path: Path) -> None:
     one, other = (json.loads(run(STAMPS, tmp_path, PYTHONHASHSEED=seed)) for seed in ("1", "2"))
     assert len(one) > 200 and one == other
+
+
+def test_kernels_that_are_compiled_ahead_exist() -> None:
+    """A kernel that moved would be compiled by the first who needs it, and nobody be told."""
+    root = Path(__file__).parents[1]
+    for name, *_ in json.loads((root / "conf" / "kernels.json").read_text()):
+        module, _, kernel = name.rpartition(".")
+        assert f"\ndef {kernel}(" in (root / f"{module.replace('.', '/')}.py").read_text(), name
