@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.least_squares import factorise, fit, lay, less, moments, normal_equations, variances
+from fwclass.decompose.least_squares import fit, lay, less, moments
+from fwclass.decompose.normal_equations import factorise, normal_equations, variances
 from fwclass.decompose.peaks import BINS, first_echoes, level_and_noise, match_filter, surer
+from fwclass.decompose.sample_weights import highest_sample, load_samples, weigh_samples, whiten
 from fwclass.decompose.second_look import posterior, second_look
 from fwclass.kernel import inlined, kernel, vectorised
 from fwclass.units import FWHM_PER_SIGMA
@@ -64,73 +66,6 @@ class Echoes(NamedTuple):
     width_sigma: NDArray[np.float64]
     deviation: NDArray[np.float64]
     flags: NDArray[np.uint8]
-
-
-@vectorised
-def _load(samples, first, n, base, pad, after, top, y, weight):  # type: ignore[no-untyped-def]
-    """Samples less `base` into the padded buffer `y`, weights 1, or 0 where saturated; samples that count."""
-    used = 0
-    part = samples[first : first + n]
-    into, weigh = y[pad : pad + n + after], weight[pad : pad + n + after]
-    for i in range(n):
-        value = float(part[i])
-        into[i] = value - base
-        good = value < top
-        weigh[i] = 1.0 if good else 0.0
-        used += good
-    for i in range(n, n + after):
-        into[i], weigh[i] = 0.0, 0.0
-    return used
-
-
-@vectorised
-def _highest(y, pad, n):  # type: ignore[no-untyped-def]
-    high = y[pad]
-    for i in range(pad + 1, pad + n):
-        high = y[i] if y[i] > high else high
-    return high
-
-
-@vectorised
-def _foretell(y, n, phi, white):  # type: ignore[no-untyped-def]
-    """``white[:n]`` = samples `y` less what those before each foretell of it."""
-    for i in range(n):
-        white[i] = y[i]
-    for k in range(min(len(phi), n - 1)):
-        share, later = phi[k], white[k + 1 :]
-        for i in range(n - 1 - k):
-            later[i] -= share * y[i]
-
-
-@inlined
-def _whiten(y, weight, pad, n, after, used, phi, white):  # type: ignore[no-untyped-def]
-    """``white`` = what is left of the samples `y` when each is foretold from those before it; weight 1 where all of
-    them count, else 0. Samples that count, of `used` before."""
-    _foretell(y[pad:], n, phi, white[pad:])
-    white[pad + n : pad + n + after] = 0.0
-    if used == n:
-        weight[pad : pad + min(len(phi), n)] = 0.0
-        return max(n - len(phi), 0)
-    used, good = 0, 0
-    for i in range(pad, pad + n):
-        good = good + 1 if weight[i] > 0.0 else 0
-        weight[i] = 1.0 if good > len(phi) else 0.0
-        used += good > len(phi)
-    return used
-
-
-@vectorised
-def _weigh(y, n, level, variance, shape_error, growth, weight):  # type: ignore[no-untyped-def]
-    """Less weight where echoes are high: the pulse's own shape is known to `shape_error` of its height, and noise
-    grows with the signal, by `growth` a DN. Neighbours of the first and the last of the `n` samples are these."""
-    square = shape_error * shape_error
-    for i in (0, n - 1):
-        high = max(0.5 * y[i] + 0.25 * (y[i] + y[1 if i == 0 else n - 2]) - level, 0.0)
-        weight[i] *= variance / (variance + growth * high + square * high * high)
-    before, at, after, weigh = y[: n - 2], y[1 : n - 1], y[2:n], weight[1 : n - 1]
-    for i in range(n - 2):
-        high = max(0.25 * before[i] + 0.5 * at[i] + 0.25 * after[i] - level, 0.0)
-        weigh[i] *= variance / (variance + growth * high + square * high * high)
 
 
 @vectorised
@@ -240,9 +175,9 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     level -= base
     p[0] = level * kind.level
     pad = look.before + 2
-    used = _load(samples, first, n, base, pad, look.after + 2, top, y, weight)
+    used = load_samples(samples, first, n, base, pad, look.after + 2, top, y, weight)
     if len(kind.phi) > 0:
-        used = _whiten(y, weight, pad, n, look.after + 2, used, kind.phi, white)
+        used = whiten(y, weight, pad, n, look.after + 2, used, kind.phi, white)
     longer = math.log(max(n * look.chances / USUAL, 1.0))
     detection = surer(math.sqrt(settings.detection**2 + 2.0 * longer), quiet)
     threshold = detection * noise / math.sqrt(look.energy)
@@ -265,9 +200,9 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     if count == 0:
         return 0, base, marginal, np.nan
     if settings.shape_error > 0.0 or kind.growth > 0.0:
-        _weigh(y[pad:], n, level, variance, settings.shape_error, kind.growth * kind.innovation, weight[pad:])
+        weigh_samples(y[pad:], n, level, variance, settings.shape_error, kind.growth * kind.innovation, weight[pad:])
     sums = moments(white, weight, pad, n)
-    highest = _highest(y, pad, n) - level
+    highest = highest_sample(y, pad, n) - level
     highest = HIGHEST_SATURATED * (top - base) if used < n else settings.between * highest + 5.0 * marginal
     prior = ((prior_level - base) * kind.level, information)
     limits = (settings.narrowest, settings.widest, settings.iterations, settings.tolerance * variance, highest)

@@ -16,8 +16,8 @@ from fwclass.delivery.explain import deciding_values
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import FwclassError, InputError
 from fwclass.graph.context_training import MERGED as CONTEXT_TRAINING
-from fwclass.graph.learn import load_sample
 from fwclass.graph.sources import chunk_name, pulse_of, strip_of, waveforms_of
+from fwclass.graph.training_rows import load_sample
 from fwclass.model import Contextual
 from fwclass.run.inputs import PartInputs
 from fwclass.store.models import load_model

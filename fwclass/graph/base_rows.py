@@ -10,8 +10,9 @@ import numpy as np
 from fwclass.classify.context import with_context
 from fwclass.graph.base_model import base_has_context, base_layer, base_remarks
 from fwclass.graph.context_layer import ContextLayer, context_layer
-from fwclass.graph.learn import BASE_ROWS, SAMPLE, forest_learns, learning_arguments, survey_sample
+from fwclass.graph.learn import forest_learns
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.training_rows import BASE_ROWS, SAMPLE, learning_arguments, survey_sample
 from fwclass.model import ClassDef, Contextual
 from fwclass.store.arrays import write_arrays
 from fwclass.store.external_file import ExternalFile

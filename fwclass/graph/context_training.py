@@ -21,25 +21,21 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
-from fwclass.graph.learn import (
+from fwclass.graph.learn import MODEL, TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
+from fwclass.graph.loaded_models import model_at
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.training_rows import (
     BASE_ROWS,
-    MODEL,
     NOT_OF_THE_SAMPLE,
     SAMPLE,
-    TRAIN_COARSE,
     base_rows_part,
-    fit_layer,
     learning_arguments,
     load_sample,
-    parameters_of,
     rows_of,
     survey_sample,
     trains,
     with_base_rows,
-    with_feature_parameters,
 )
-from fwclass.graph.loaded_models import model_at
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Tile, millimetres, whole_millimetres
 from fwclass.model import ClassDef, Contextual, sample_matrix
 from fwclass.schema import IDENTITY, Table, canonical_key

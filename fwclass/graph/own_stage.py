@@ -17,7 +17,8 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.features.params import MAX_REACH
 from fwclass.graph.classify import CLASSIFY_ECHOES
 from fwclass.graph.ground import FILTER_GROUND, around_block, flags_of_block
-from fwclass.graph.stage import Result, Stage, StageInputs, always, plain_values
+from fwclass.graph.key_values import plain_values
+from fwclass.graph.stage import Result, Stage, StageInputs, always
 from fwclass.ground.filters import Flags
 from fwclass.schema import Column, Table, column
 

@@ -23,22 +23,18 @@ from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
-from fwclass.graph.learn import (
-    MODEL,
+from fwclass.graph.learn import MODEL, TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
+from fwclass.graph.loaded_models import model_at
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.training_rows import (
     NOT_OF_THE_SAMPLE,
     SAMPLE,
-    TRAIN_COARSE,
-    fit_layer,
     load_sample,
-    parameters_of,
     places,
     taught_argument,
     taught_rows,
     trains,
-    with_feature_parameters,
 )
-from fwclass.graph.loaded_models import model_at
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import RangeCounter
 from fwclass.schema import Table, canonical_key

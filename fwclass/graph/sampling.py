@@ -20,8 +20,8 @@ from fwclass.graph.corrections import (
     reach_around,
     untaught_rows,
 )
-from fwclass.graph.learn import SAMPLE, trains
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.training_rows import SAMPLE, trains
 from fwclass.label.counts import count_labelled, count_training, lacking, total
 from fwclass.model import ClassDef
 from fwclass.run.part import Name

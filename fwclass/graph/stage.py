@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from fwclass.columns import declare
 from fwclass.conf import Config
-from fwclass.conf.sections import Section
 from fwclass.errors import FwclassError
+from fwclass.graph.key_values import disjoint, plain_values
 from fwclass.grid import Box, Tile
-from fwclass.params import Params
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name, Task
 from fwclass.run.tasks import Tasks
@@ -337,7 +336,7 @@ class _Maker:
         self.reads, self.own = names_under(stage.reads, plan), names_under(stage.own, plan)
         self.of_reads, self.of_own = self._stages(self.reads), self._stages(self.own)
         self.arguments = stage.arguments(plan)
-        self.params = _disjoint(
+        self.params = disjoint(
             plain_values(self.arguments, stage.silent), plain_values(stage.keyed(plan), stage.silent)
         )
         self.writes = stage.columns(plan)
@@ -365,7 +364,7 @@ class _Maker:
                 )
         needs = tuple(dict.fromkeys((*read, *mine, *more_needs)))
         more = stage.each(plan, part)
-        params = _disjoint(self.params, plain_values(more, stage.silent))
+        params = disjoint(self.params, plain_values(more, stage.silent))
         location, external = stage.source(plan, part) or (None, ())
         here = partial(
             StageInputs,
@@ -395,41 +394,3 @@ class _Maker:
             return (key,), None
         box = self.stage.area(self.plan, place).grown(self.halo)
         return (self.plan.layout.around(box, self.plan.layout.keys) if self.reads else (key,)), box
-
-
-def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()) -> dict[str, Any]:
-    """Arguments as plain data for a key, those named `params` (a section of the configuration) field by field.
-
-    `TypeError` for one that has no plain form: what is used is in the key.
-    """
-    result: dict[str, Any] = {}
-    for name, value in values.items():
-        if name in silent:
-            continue
-        plain = _plain(value, silent)
-        result = _disjoint(result, plain if name == "params" else {name: plain})
-    return result
-
-
-def _disjoint(values: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
-    """Both together; `TypeError` where one would hide a value of the other from the key."""
-    both = values.keys() & others.keys()
-    if both:
-        raise TypeError(f"two arguments of a stage enter its key as {', '.join(sorted(both))}: give one another name")
-    return {**values, **others}
-
-
-def _plain(value: Any, silent: frozenset[str] = frozenset()) -> Any:
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, (Params, Section)):
-        return value.model_dump(mode="json", exclude=set(silent) & set(type(value).model_fields))
-    if isinstance(value, (Box, Tile)):
-        return list(value.bounds) if isinstance(value, Box) else value.key
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_plain(v) for v in value]
-    raise TypeError(f"{type(value).__name__} cannot enter a key: give a stage plain data, or a section of settings")

@@ -41,9 +41,7 @@ from fwclass.graph.ground_classes import CLASSIFY_GROUND
 from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_ECHOES, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
 from fwclass.graph.learn import (
-    DRAW_SAMPLE,
     GROW_TREES,
-    MERGE_SAMPLE,
     TRAIN_BASELINE,
     TRAIN_COARSE_BASELINE,
     TRAIN_COARSE_FOREST,
@@ -77,6 +75,7 @@ from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULS
 from fwclass.graph.stage import Plan, Stage, names_under
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
+from fwclass.graph.training_rows import DRAW_SAMPLE, MERGE_SAMPLE
 from fwclass.graph.vectors import CHOOSE_CELL, COUNT_PULSES, DELIVER_VECTORS, FIND_BUILDINGS, FIND_TREES
 from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.radiometry.stage import RADIOMETRY

@@ -17,8 +17,8 @@ from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.graph.corrections import corrections_in
 from fwclass.graph.corrections import untaught_rows as judged_rows
-from fwclass.graph.learn import survey_sample
 from fwclass.graph.machine_search import folds_of_squares
+from fwclass.graph.training_rows import survey_sample
 from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
 from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.run.inputs import PartInputs

@@ -14,10 +14,11 @@ from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.learn import fit_layer, load_sample
+from fwclass.graph.learn import fit_layer
 from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.refine import MERGED
 from fwclass.graph.stages import LEARNING
+from fwclass.graph.training_rows import load_sample
 from fwclass.model import ClassDef
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task

@@ -12,9 +12,9 @@ from fwclass.classify.unsure import MEASURED_BELOW, share_below
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.context_training import MERGED
-from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
+from fwclass.graph.training_rows import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks

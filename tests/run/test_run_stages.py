@@ -13,7 +13,8 @@ from fwclass.graph import stages
 from fwclass.graph.assess import ASSESS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
-from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
+from fwclass.graph.key_values import plain_values
+from fwclass.graph.stage import Plan, StageInputs, Work
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_TILES, graph_of, providers
 from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.publish.stage_graph import drop_implied, stage_graph

@@ -20,7 +20,7 @@ from fwclass.delivery.opened import Delivery, open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_pair import same_echo
 from fwclass.delivery.viewing import scenes_of
-from fwclass.graph.learn import survey_sample
+from fwclass.graph.training_rows import survey_sample
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import IDENTITY
 from fwclass.store.models import load_model

@@ -17,8 +17,8 @@ from fwclass.classes import GROUND
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import rows_to_test
-from fwclass.graph.learn import SAMPLE
 from fwclass.graph.refine import ANSWERED
+from fwclass.graph.training_rows import SAMPLE
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.model import ClassDef, class_index
 from fwclass.run.inputs import PartInputs

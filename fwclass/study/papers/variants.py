@@ -10,8 +10,9 @@ from typing import Any
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.graph.areas import IDENTITY_AND_PLACE
-from fwclass.graph.learn import DRAW_SAMPLE, TREES_PER_PART
+from fwclass.graph.learn import TREES_PER_PART
 from fwclass.graph.stage import Plan, always
+from fwclass.graph.training_rows import DRAW_SAMPLE
 from fwclass.model import ClassDef
 from fwclass.run.part import Task
 from fwclass.study.papers import work

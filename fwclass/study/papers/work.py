@@ -15,8 +15,8 @@ from fwclass.assess.intervals import FIGURES, class_gains, difference, intervals
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import rows_to_test
-from fwclass.graph.learn import SAMPLE, merged_sample
 from fwclass.graph.machine_search import folds_of_squares
+from fwclass.graph.training_rows import SAMPLE, merged_sample
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Forest, KernelMachine, Model, Tree, class_index, sample_matrix
