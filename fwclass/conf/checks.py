@@ -8,7 +8,7 @@ from typing import Any
 
 from fwclass.conf.model import Config
 from fwclass.errors import ConfigError, nearest
-from fwclass.ground.params import MAX_HALO
+from fwclass.ground.methods.params import MAX_HALO
 from fwclass.ground.terrain.params import MOST_CELLS
 from fwclass.ground.tuning_params import largest_halo
 

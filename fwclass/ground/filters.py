@@ -13,11 +13,12 @@ from fwclass.grid import millimetres
 from fwclass.ground.methods.csf import csf
 from fwclass.ground.methods.moving_surface import moving_surface
 from fwclass.ground.methods.noise import noise
+from fwclass.ground.methods.params import CsfSmrfParams
 from fwclass.ground.methods.pmf import pmf
 from fwclass.ground.methods.ptd import iptd, ptd
 from fwclass.ground.methods.slope import slope
 from fwclass.ground.methods.smrf import smrf
-from fwclass.ground.params import CsfSmrfParams, GroundParams
+from fwclass.ground.params import GroundParams
 from fwclass.units import QUANTUM
 
 Filter = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Any], NDArray[np.bool_]]

@@ -9,7 +9,8 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from fwclass.ground.methods import Method
-from fwclass.ground.params import LEAST_CELL, GroundParams, section_of
+from fwclass.ground.methods.params import LEAST_CELL
+from fwclass.ground.params import GroundParams, section_of
 from fwclass.params import Params
 
 MOST_TRIED = 10_000

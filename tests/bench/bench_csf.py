@@ -29,7 +29,8 @@ from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import ground_points
 from fwclass.ground.methods import Method
 from fwclass.ground.methods.csf import csf
-from fwclass.ground.params import CsfParams, GroundParams
+from fwclass.ground.methods.params import CsfParams
+from fwclass.ground.params import GroundParams
 
 try:
     import CSF

@@ -9,10 +9,11 @@ from scipy.spatial import cKDTree
 
 from fwclass.ground.filters import ground_points
 from fwclass.ground.methods.moving_surface import cells, moving_surface
+from fwclass.ground.methods.params import MovingSurfaceParams, PmfParams, SlopeParams
 from fwclass.ground.methods.pmf import pmf, windows
 from fwclass.ground.methods.quadratic_fit import fit_surfaces
 from fwclass.ground.methods.slope import slope
-from fwclass.ground.params import GroundParams, MovingSurfaceParams, PmfParams, SlopeParams, section_of
+from fwclass.ground.params import GroundParams, section_of
 
 
 def section(base, name, **more):

@@ -9,7 +9,7 @@ from fwclass.errors import InputError
 from fwclass.ground.blocks import blocks_of
 from fwclass.ground.methods.cloth import fallen, without_holes
 from fwclass.ground.methods.csf import csf
-from fwclass.ground.params import CsfParams
+from fwclass.ground.methods.params import CsfParams
 
 PARAMS = CsfParams(
     cloth_resolution=1.0,

@@ -7,7 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from fwclass.ground.filters import FILTERS, ground_points
-from fwclass.ground.params import ConsensusParams, GroundParams
+from fwclass.ground.methods.params import ConsensusParams
+from fwclass.ground.params import GroundParams
 
 EAST, NORTH = 512_000.0, 5_403_200.0
 """South-west corner of a block of 256 m."""

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fwclass.ground.methods.noise import noise
-from fwclass.ground.params import GroundParams, NoiseParams
+from fwclass.ground.methods.params import NoiseParams
+from fwclass.ground.params import GroundParams
 
 RULES = {"low": False, "high": False, "sigma_rule": False}
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.ground.methods.cloth import START, TILE, fallen, nearest_heights, without_holes
-from fwclass.ground.params import CsfParams
+from fwclass.ground.methods.params import CsfParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.lattice import window_over
 from fwclass.ground.raster.surface import gradient

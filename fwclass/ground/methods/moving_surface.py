@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
+from fwclass.ground.methods.params import MovingSurfaceParams
 from fwclass.ground.methods.quadratic_fit import choose_seeds, fit_surfaces
-from fwclass.ground.params import MovingSurfaceParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import cells_of, window_over

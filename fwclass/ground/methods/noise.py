@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.ground.methods.noise_kernels import mark_below_gaps, mark_beyond_sigma
-from fwclass.ground.params import NoiseParams
+from fwclass.ground.methods.params import NoiseParams
 from fwclass.neighbours import CellIndex, sort_by_cell
 
 LEVELS = 3

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.ground.params import PmfParams
+from fwclass.ground.methods.params import PmfParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import lowest, window_over

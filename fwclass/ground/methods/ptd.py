@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.ground.methods.densify import Limits, densify
+from fwclass.ground.methods.params import IptdParams, PtdParams
 from fwclass.ground.methods.seeds import Cloud, find_opened_seeds, lowest_of_cells, plausible, sliding_seeds, stand_ins
-from fwclass.ground.params import IptdParams, PtdParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.lattice import window_over
 from fwclass.ground.raster.surface import gradient

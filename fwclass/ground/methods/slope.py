@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.ground.methods.params import SlopeParams
 from fwclass.ground.methods.undercut import not_undercut
-from fwclass.ground.params import SlopeParams
 from fwclass.neighbours import CellIndex
 
 LEAF = 1.0

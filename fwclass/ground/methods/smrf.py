@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window
+from fwclass.ground.methods.params import SmrfParams
 from fwclass.ground.methods.refine import restore_edges, without_company
-from fwclass.ground.params import SmrfParams
 from fwclass.ground.raster.bilinear import near_terrain
 from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import LowestPoints, lowest_points, window_over

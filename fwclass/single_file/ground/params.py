@@ -12,7 +12,8 @@ from fwclass import conf
 from fwclass.conf.files import plain
 from fwclass.errors import ConfigError, nearest
 from fwclass.ground.filters import FILTERS
-from fwclass.ground.params import FilterParams, GroundParams, section_of
+from fwclass.ground.methods.params import FilterParams
+from fwclass.ground.params import GroundParams, section_of
 
 SHARED = ("max_building_size", "last_returns", "block", "block_halo")
 """Parameters that all filters have in common."""
