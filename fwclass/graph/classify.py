@@ -14,11 +14,10 @@ from fwclass.classify.unsure import Left
 from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, source_classes, written
-from fwclass.graph.learn import MODEL
-from fwclass.graph.loaded_models import model_at
+from fwclass.graph.loaded_models import used_model
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import thins
-from fwclass.model import Model, sample_matrix
+from fwclass.model import sample_matrix
 from fwclass.model.ranges import RangeCounter
 from fwclass.run.part import Name
 from fwclass.schema import Table
@@ -32,13 +31,6 @@ _PLACE = ("x", "y", "z")
 OUTSIDE = "outside"
 
 
-def _model(here: StageInputs, digest: str | None) -> Model:
-    """The model that is given, by its digest; None: the run's own."""
-    if digest is None:
-        return model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
-    return model_at(here.file(), digest, True)
-
-
 def classify_tile(
     here: StageInputs, probabilities: bool, model: str | None, kept: Kept | None = None, left: Left | None = None
 ) -> Result:
@@ -47,7 +39,7 @@ def classify_tile(
     `model`: digest of a given one, None for the run's own; `kept`: which echoes
     have the class of their source instead, `left`: which have none.
     """
-    used = _model(here, model)
+    used = used_model(here, model)
     tables, missing = [], 0
     outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
@@ -74,7 +66,7 @@ def classify_thinned_tile(
     chunk = here.chunk()
     rows = np.flatnonzero(chunk.table["sampled"])
     some = chunk.table.take(rows)
-    used = _model(here, model)
+    used = used_model(here, model)
     X = sample_matrix(some, used.features, here.part)
     answer = classify(X, used, probabilities)
     outside = RangeCounter.of(used.card, used.features)

@@ -12,8 +12,8 @@ from fwclass.errors import InputError
 from fwclass.graph.classify import classes_written, codes_of, given_model, names_that_decide, outside_facts, own_model
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
-from fwclass.graph.learn import MODEL, TRAIN_COARSE
-from fwclass.graph.loaded_models import model_at
+from fwclass.graph.learn import TRAIN_COARSE
+from fwclass.graph.loaded_models import used_model
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.model import Contextual, sample_matrix
 from fwclass.model.ranges import RangeCounter
@@ -25,12 +25,7 @@ _PLACE = ("x", "y", "z")
 
 def share_first(here: StageInputs, layer: ContextLayer, model: str | None) -> Result:
     """The first layer's shares of a tile's echoes."""
-    if model is None:
-        used = model_at(
-            here.inputs.path(TRAIN_COARSE, "model", MODEL), here.inputs.digest(TRAIN_COARSE, "model"), False
-        )
-    else:
-        used = _contextual(here, model).coarse
+    used = used_model(here, None, TRAIN_COARSE) if model is None else _contextual(here, model).coarse
     tables = []
     outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
@@ -70,10 +65,7 @@ def classify_tile_in_context(
 
 def _contextual(here: StageInputs, model: str | None) -> Contextual:
     """The model of both layers that is given, by its digest; None: the run's own."""
-    if model is None:
-        used = model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
-    else:
-        used = model_at(here.file(), model, True)
+    used = used_model(here, model)
     if not isinstance(used, Contextual):
         raise InputError("the model has no context", where=here.part, do="run the same again: it was changed")
     return used

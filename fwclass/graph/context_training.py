@@ -21,8 +21,8 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
-from fwclass.graph.learn import MODEL, TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
-from fwclass.graph.loaded_models import model_at
+from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
+from fwclass.graph.loaded_models import MODEL, model_at, used_model
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.training_rows import (
     BASE_ROWS,
@@ -119,7 +119,7 @@ def share_folds(
         for k in range(folds)
         if here.inputs.meta(FOLDS, str(k))["model"]
     }
-    whole = model_at(here.inputs.path(TRAIN_COARSE, "model", MODEL), here.inputs.digest(TRAIN_COARSE, "model"), False)
+    whole = used_model(here, None, TRAIN_COARSE)
     tables = []
     for rows in here.cuts():
         X = sample_matrix(rows, names, here.part)

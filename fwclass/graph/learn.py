@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
+from fwclass.graph.loaded_models import MODEL
 from fwclass.graph.machine_search import MACHINE_SEARCH, folds_of_squares, gather_trials, judge, searches, trials
 from fwclass.graph.model_fit import feature_parameters
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -34,7 +35,7 @@ from fwclass.train.importance import drops
 from fwclass.train.sample import Sample, review
 from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_TREES, TrainParams, grow_trees, train
 
-TREES, DROPS, MODEL = "trees", "drops", "model"
+TREES, DROPS = "trees", "drops"
 TRAIN_COARSE = "train-coarse"
 
 TREES_PER_PART = 5

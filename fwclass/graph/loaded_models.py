@@ -5,8 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from fwclass.errors import InputError
+from fwclass.graph.stage import StageInputs
 from fwclass.model import Model
 from fwclass.store.models import load_model, model_digest
+
+MODEL = "model"
+"""Directory of a model in the part that made it."""
 
 _loaded: dict[tuple[str, str], Model] = {}
 
@@ -28,6 +32,13 @@ def model_at(path: Path, digest: str, foreign: bool) -> Model:
             )
         _loaded[key] = model
     return _loaded[key]
+
+
+def used_model(here: StageInputs, digest: str | None, stage: str = "train") -> Model:
+    """The model that is given, by its digest; None: the run's own, which `stage` made."""
+    if digest is not None:
+        return model_at(here.file(), digest, True)
+    return model_at(here.inputs.path(stage, "model", MODEL), here.inputs.digest(stage, "model"), False)
 
 
 def load_given(path: Path) -> tuple[Model, str]:

@@ -23,8 +23,8 @@ from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
-from fwclass.graph.learn import MODEL, TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
-from fwclass.graph.loaded_models import model_at
+from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
+from fwclass.graph.loaded_models import MODEL, used_model
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.training_rows import (
     NOT_OF_THE_SAMPLE,
@@ -54,13 +54,8 @@ _PLACE = ("x", "y", "z")
 
 def answer_coarse(here: StageInputs, model: str | None) -> Result:
     """The first layer's answers of a tile."""
-    if model is None:
-        used = model_at(
-            here.inputs.path(TRAIN_COARSE, "model", MODEL), here.inputs.digest(TRAIN_COARSE, "model"), False
-        )
-    else:
-        both = model_at(here.file(), model, True)
-        used = both.coarse if isinstance(both, TwoLayer) else both
+    used = used_model(here, model, TRAIN_COARSE)
+    used = used.coarse if isinstance(used, TwoLayer) else used
     missing, tables = 0, []
     outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
@@ -187,10 +182,7 @@ def classify_refined(
     here: StageInputs, probabilities: bool, model: str | None, kept: Kept | None = None, left: Left | None = None
 ) -> Result:
     """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none."""
-    if model is None:
-        used = model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
-    else:
-        used = model_at(here.file(), model, True)
+    used = used_model(here, model)
     if not isinstance(used, TwoLayer):
         raise InputError("the model has one layer", where=here.part, do="run the same again: it was changed")
     tables, missing = [], 0
