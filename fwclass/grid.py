@@ -146,7 +146,9 @@ class TileGrid:
     def keys(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> set[str]:
         """Keys of the tiles that own a point (x, y) [m]."""
         ix, iy = self.indices(x, y)
-        return {f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))}
+        both = np.unique((ix << 32) + iy)
+        column = (both + (1 << 31)) >> 32
+        return {f"{a}_{b}" for a, b in zip(column.tolist(), (both - (column << 32)).tolist(), strict=True)}
 
     def tile(self, key: str) -> Tile:
         """The tile of a key (``<column>_<row>``); `ConfigError` for what is no key."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,23 +40,13 @@ def ground_by_blocks(
     z: NDArray[np.float64],
     last: NDArray[np.bool_],
     params: GroundParams,
-    tell: Callable[[int, int], None] | None = None,
 ) -> Flags:
     """`ground_points` of a whole cloud, block by block: what a survey in tiles would get.
 
-    x, y, z (n,) [m] and `last` (n,) as in `ground_points`; none of them is NaN. `tell` is called before every block
-    with its number, from 1, and the number of blocks.
+    x, y, z (n,) [m] and `last` (n,) as in `ground_points`; none of them is NaN.
     """
     flags = Flags(np.zeros(len(x), bool), np.zeros(len(x), bool))
-    blocks = 0 if tell is None else _number_of_blocks(x, y, params.block)
-    for k, (_, rows, own) in enumerate(blocks_of(x, y, params.block, params.halo), 1):
-        if tell is not None:
-            tell(k, blocks)
+    for _, rows, own in blocks_of(x, y, params.block, params.halo):
         block_flags = ground_points(x[rows], y[rows], z[rows], last[rows], params)
         flags.ground[rows[own]], flags.noise[rows[own]] = block_flags.ground[own], block_flags.noise[own]
     return flags
-
-
-def _number_of_blocks(x: NDArray[np.float64], y: NDArray[np.float64], size: float) -> int:
-    ix, iy = TileGrid(size).indices(x, y)
-    return len(np.unique(ix * (1 << 32) + iy))

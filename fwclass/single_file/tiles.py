@@ -60,7 +60,7 @@ class FileTiles:
     ----------
     table : at least one echo, in any order: x, y [m], and the columns that the first stages read.
     stages : those that may be asked; what one of them reads of another is made before it.
-    words : what is told before a part of a stage is made, by its name: the words are followed by the part's number.
+    words : what is told before a part of a stage is made, by its name: the words, and how many are begun of how many.
     held : bytes of features that are held; those of a tile that is asked again are computed again.
     planned : fields of the `Plan`.
     """
@@ -110,11 +110,8 @@ class FileTiles:
             providers=known,
         )
         self.plan = replace(plan, tiled=layout, providers=known)
-        self._numbers = {
-            stage.name: {stage.key(part): k for k, part in enumerate(stage.all_parts(self.plan), 1)}
-            for stage in self._stages.values()
-            if stage.name in self._words
-        }
+        named = (stage for stage in self._stages.values() if stage.name in self._words)
+        self._numbers = {stage.name: [0, len(stage.all_parts(self.plan))] for stage in named}
 
     @property
     def keys(self) -> list[str]:
@@ -131,8 +128,8 @@ class FileTiles:
                 for of_stage, part in lacking:
                     self.make(self._stages[of_stage], part)
             if stage.name in self._words:
-                numbers = self._numbers[stage.name]
-                self._tell(f"{self._words[stage.name]} {numbers[key]} of {len(numbers)}")
+                self._numbers[stage.name][0] += 1
+                self._tell("{} {} of {}".format(self._words[stage.name], *self._numbers[stage.name]))
             inputs = self.inputs(Declared(name, frozenset(task.needs), task.within))
             if not isinstance(task.work, Work):
                 raise FwclassError("a stage of a file has no adapter of tables", where=stage.name)
@@ -187,4 +184,5 @@ def heights_of_block(here: StageInputs, params: TerrainParams) -> Result:
     return terrain_of_block(here, params)[:2]
 
 
-MAKE_HEIGHTS = replace(MAKE_TERRAIN, function=heights_of_block)
+MAKE_HEIGHTS = replace(MAKE_TERRAIN, function=heights_of_block, margin=0)
+"""Of the blocks that own an echo alone: no other has a height."""

@@ -10,10 +10,8 @@ import pytest
 from rich.console import Console
 
 from fwclass import compiling
-from fwclass.ground.blocks import ground_by_blocks
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import GroundJob, ground_file
-from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.steps import Steps
 from fwclass.single_file.ground.stray import describe_stray, stray_points
 
@@ -57,16 +55,6 @@ def test_compiling_is_named_and_timed(monkeypatch, terminal):
     shown = file.getvalue()
     assert compiling.ONCE in shown if terminal else shown == f"filter smrf ({compiling.ONCE})\n"
     assert compiling.spent() >= 0.5
-
-
-def test_every_block_is_told():
-    r = np.random.default_rng(0)
-    x, y = r.uniform(0, 500, (2, 3000))
-    heard = []
-    params = ground_params("slope")
-    some = ground_by_blocks(x, y, 0.1 * x, np.ones(3000, bool), params, lambda *block: heard.append(block))
-    assert heard == [(k, 4) for k in range(1, 5)]
-    np.testing.assert_array_equal(some.ground, ground_by_blocks(x, y, 0.1 * x, np.ones(3000, bool), params).ground)
 
 
 def test_a_file_tells_its_steps(tmp_path):

@@ -174,16 +174,20 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
             got=f"none among {len(rows):,} points",
             do="let all returns be ground: --param last_returns=false",
         )
-    points = Table(
-        {
-            **{axis: getattr(cloud, axis)[rows] for axis in "xyz"},
-            "echo_number": np.ones(len(rows)),
-            "number_of_echoes": np.where(cloud.last[rows], 1, 2),
-            "fit_flags": np.zeros(len(rows)),
-        }
+    tiles = FileTiles(
+        Table(
+            {
+                **{axis: getattr(cloud, axis)[rows] for axis in "xyz"},
+                "echo_number": np.ones(len(rows)),
+                "number_of_echoes": np.where(cloud.last[rows], 1, 2),
+                "fit_flags": np.zeros(len(rows)),
+            }
+        ),
+        FileConfig((), ground=params),
+        (FILTER_GROUND, GATHER_GROUND),
+        tell,
+        {FILTER_GROUND.name: f"filter {params.method}: block"},
     )
-    words = {FILTER_GROUND.name: f"filter {params.method}: block"}
-    tiles = FileTiles(points, FileConfig((), ground=params), (FILTER_GROUND, GATHER_GROUND), tell, words)
     flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
     for name, values in tiles.columns(GATHER_GROUND, ("ground", "noise")).items():
         getattr(flags, name)[rows] = values

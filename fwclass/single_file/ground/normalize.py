@@ -84,8 +84,11 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     flags, method = _ground(cloud, shown, job, tell)
     tell("terrain and heights")
     rows = np.flatnonzero(cloud.usable)
-    points = ground_table(cloud, rows, flags.ground, flags.noise | ~shown)
-    tiles = FileTiles(points, FileConfig((), terrain=params), (MAKE_HEIGHTS, GATHER_HEIGHT))
+    tiles = FileTiles(
+        ground_table(cloud, rows, flags.ground, flags.noise | ~shown),
+        FileConfig((), terrain=params),
+        (MAKE_HEIGHTS, GATHER_HEIGHT),
+    )
     height = np.full(cloud.points, np.nan)
     height[rows] = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)["height_above_ground"]
     tell("writing")
