@@ -45,7 +45,7 @@ from fwclass.single_file.features.echoes import (
     with_radiometry,
 )
 from fwclass.single_file.ground.output import LAS, check_output
-from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
+from fwclass.single_file.tiles import HELD, FileConfig, FileTiles, Tell, quiet
 from fwclass.store.installed_models import model_place
 from fwclass.survey.systems import given_crs
 
@@ -277,6 +277,7 @@ def _classify(
         (COMPUTE_FEATURES, *walk),
         tell,
         {walk[0].name: "classes: tile", **{stage.name: "second layer: tile" for stage in walk[1:]}},
+        held=HELD if len(walk) > 1 else 0,
         names=first.features,
         computed=first.features,
         model=place,

@@ -14,13 +14,13 @@ from fwclass import conf
 from fwclass.errors import FwclassError
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs, Work
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs, Work, names_under
 from fwclass.grid import Box, TileGrid
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.run.in_memory import Held, PartsInMemory
 from fwclass.run.inputs import Declared
 from fwclass.run.part import Name
-from fwclass.schema import Table
+from fwclass.schema import IDENTITY, Table
 from fwclass.survey.layout import Layout
 from fwclass.tile.stage import TILE
 from fwclass.units import QUANTUM
@@ -77,6 +77,11 @@ class FileTiles:
     ) -> None:
         self._stages = {stage.name: stage for stage in stages}
         self._tell, self._words, self._held = tell, dict(words or {}), held
+        plan = Plan(config.whole, **planned)
+        every = [*IDENTITY, "x", "y"]
+        for stage in self._stages.values():
+            every += [*names_under(stage.reads, plan), *names_under(stage.own, plan)]
+        table = table.select(n for n in dict.fromkeys(every) if n in table)
         grid, x, y = TileGrid(config.tile.size), table["x"], table["y"]
         ix, iy = grid.indices(x, y)
         self._order = np.lexsort((iy, ix))
@@ -91,7 +96,6 @@ class FileTiles:
         }
         self._facts: dict[Name, Mapping[str, Any]] = {}
         self._features: list[Name] = []
-        plan = Plan(config.whole, **planned)
         known = dict.fromkeys(table, TILE.name)
         for stage in self._stages.values():
             for column in stage.columns(plan) if stage.over == "tile" else ():

@@ -19,7 +19,7 @@ from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.geoparquet import bounds_of, short_coordinates, write_geoparquet_parts
 from fwclass.radiometry.stage import RADIOMETRY
-from fwclass.schema import IDENTITY, Table, column
+from fwclass.schema import Table, column
 from fwclass.single_file.features.echoes import (
     OF_ECHOES,
     PLACE,
@@ -194,7 +194,7 @@ def _features(
         for k, n in enumerate(around.names)
     }
     tiles = FileTiles(
-        table.select(dict.fromkeys((*around.reads, *IDENTITY))),
+        table,
         FileConfig(settings, features=params),
         (COMPUTE_FEATURES,),
         tell,
