@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,11 +73,15 @@ def check_altitude(layout: Layout) -> None:
 
 def read_flight(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Result:
     """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
-    path = here.file()
-    table = in_survey_time(thin_trajectory(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
+    table = flight_of(here.file(), crs, undulation, times)
     write_table(here.directory / TABLE, table, FIXES)
     at = table["gps_time"]
     return {"fixes": table.rows, "begins": at[::FIXES].tolist(), "ends": float(at[-1])}
+
+
+def flight_of(path: Path, crs: Any, undulation: float, times: tuple[float, float]) -> Table:
+    """The trajectory in the file at `path`, thinned to `SPACING`, on the time scale of a survey of `times` [s]."""
+    return in_survey_time(thin_trajectory(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
 
 
 def flown_by(plan: Plan, receipts: Mapping[Name, Receipt]) -> Flown:

@@ -15,10 +15,11 @@ from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.stage import VENDOR_KEPT
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError, visible
-from fwclass.features.params import NORMAL, FeaturesParams
-from fwclass.features.stage import features
+from fwclass.features.params import NORMAL
 from fwclass.formats.area_of_use import elsewhere, place_faults
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
+from fwclass.graph.features import COMPUTE_FEATURES
+from fwclass.graph.radiometry import flight_of
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.radiometry import soundness
@@ -28,10 +29,10 @@ from fwclass.read.beams import sensor_height
 from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
-from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
+from fwclass.single_file.tiles import FileConfig, FileTiles
 from fwclass.stage import Chunk
 from fwclass.survey.systems import given_crs
 from fwclass.waveforms import IMPLAUSIBLE
@@ -174,9 +175,9 @@ def add_radiometry(
     known = np.isfinite(table["beam_range"]).any()
     if flown is None and settings.platform_altitude is None and not known:
         return table, ["no radiometry: give --trajectory, or --set radiometry.platform_altitude=…, for ranges"], []
-    chunk = Chunk(table, np.arange(table.rows), Tile(0, 0, EVERYTHING))
-    shape: FeaturesParams = params["features"]
-    chunk = Chunk(table.with_columns(features(chunk, (), shape).select(NORMAL)), chunk.core, chunk.tile)
+    tiles = FileTiles(table, FileConfig((), features=params["features"]), (COMPUTE_FEATURES,), held=0)
+    whole = table.with_columns(tiles.columns(COMPUTE_FEATURES, NORMAL))
+    chunk = Chunk(whole, np.arange(table.rows), Tile(0, 0, EVERYTHING))
     compared = [overlap(chunk, flown, settings)] if settings.target is not None else []
     calibration = calibrate(compared, settings)
     columns = radiometry(chunk, flown, calibration, settings)
@@ -212,4 +213,4 @@ def read_flight(table: Table, path: Path, crs: Any, undulation: float) -> Table:
     """The trajectory in the file at `path`, in the time of the pulses of `table`."""
     times = table["gps_time"][np.isfinite(table["gps_time"])]
     ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)
-    return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)
+    return flight_of(path, crs, undulation, ends)

@@ -6,16 +6,18 @@ import pytest
 from commandline import fwclass
 from runmaker import SETTINGS, walk
 
+from fwclass import conf
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.errors import FwclassError
 from fwclass.graph.classify import CLASSIFY_ECHOES
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT
 from fwclass.graph.loaded_models import load_given
+from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.source import open_source
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import Table, canonical_key
-from fwclass.single_file.decompose import decompose_file
+from fwclass.single_file.decompose import add_radiometry, decompose_file, read_flight
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles
 from fwclass.store.run_store import Store
@@ -73,6 +75,18 @@ def test_decompose_writes_the_run_s_echoes(whole, strip, tmp_path):
     for axis in "xyz":
         np.testing.assert_allclose(np.asarray(las[axis])[ours], run[axis][theirs], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(np.asarray(las["fit flags"])[ours], run["fit_flags"][theirs])
+
+
+def test_radiometry_of_one_file_is_the_run_s_bytes(whole, survey):
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}"))
+    echoes = of_run(whole, dict.fromkeys(DECOMPOSE.writes, "tile"))
+    (path,) = (survey / name for name in config.survey.trajectory.files)
+    flown = read_flight(echoes, path, None, config.survey.trajectory.undulation)
+    params = {"features": config.features, "radiometry": config.radiometry}
+    ours, _, _ = add_radiometry(echoes, flown, params, path)
+    theirs = of_run(whole, dict.fromkeys(RADIOMETRY.writes, "radiometry"))
+    for name in RADIOMETRY.writes:
+        assert ours[name].tobytes() == theirs[name].tobytes(), name
 
 
 @pytest.fixture(scope="module")
