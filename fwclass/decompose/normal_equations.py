@@ -114,7 +114,8 @@ def factorise(hessian, frozen, damping, size, upper):  # type: ignore[no-untyped
 
 @inlined
 def solve(upper, right, size, x):  # type: ignore[no-untyped-def]
-    """Solve R^T R x = right; the squared length of R^-T right."""
+    """Solve R^T R x = right into `x` (size,), R in the upper triangle of `upper` as `factorise` leaves it; the squared
+    length of R^-T right."""
     expected = 0.0
     for i in range(size):
         s = right[i]

@@ -24,6 +24,7 @@ def load_samples(samples, first, n, base, pad, after, top, y, weight):  # type: 
 
 @vectorised
 def highest_sample(y, pad, n):  # type: ignore[no-untyped-def]
+    """The highest of the `n` samples [DN] of the padded buffer `y` float64 (samples,)."""
     high = y[pad]
     for i in range(pad + 1, pad + n):
         high = y[i] if y[i] > high else high
@@ -43,8 +44,8 @@ def _foretell(y, n, phi, white):  # type: ignore[no-untyped-def]
 
 @inlined
 def whiten(y, weight, pad, n, after, used, phi, white):  # type: ignore[no-untyped-def]
-    """``white`` = what is left of the samples `y` when each is foretold from those before it; weight 1 where all of
-    them count, else 0. Samples that count, of `used` before."""
+    """``white`` float64 (samples,) = what is left of the samples `y` [DN] when each is foretold from those before it;
+    weight 1 where all of them count, else 0. Samples that count, of `used` before."""
     _foretell(y[pad:], n, phi, white[pad:])
     white[pad + n : pad + n + after] = 0.0
     if used == n:
