@@ -278,7 +278,7 @@ FIND_BUILDINGS = Stage(
 FIND_TREES = replace(
     FIND_BUILDINGS,
     name="tree-tops",
-    version=2,
+    version=3,
     function=find_trees,
     when=lambda plan: "trees" in vector_layers(plan),
     halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),

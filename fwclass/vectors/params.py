@@ -54,6 +54,10 @@ class TreeParams(Params):
     pit : radius of the ball that closes pits of the surface [m].
     scale, widest : standard deviation that crowns are looked for at: share of the height, and at most [m].
     narrowest, widening : width of a crown at no height [m], and more of it for a square metre of height [1/m].
+    round : share of the directions from a top in which the surface is no higher than its round crown.
+    blur : standard deviation that what sticks out of round crowns is smoothed by: share of the height.
+    beside : that a tree sticks out of round crowns beside it, at least [m].
+    apart : of such a tree from the top of the nearest: share of that one's height.
     share : of a tree's height that its crown is not lower than.
     spread : from a tree's top to the end of its crown, share of the height.
     reach : from a tree's top to the end of its crown, at most [m].
@@ -69,14 +73,19 @@ class TreeParams(Params):
     widest: float = Field(ge=0.1, le=10)
     narrowest: float = Field(gt=0, le=20)
     widening: float = Field(ge=0, le=1)
+    round: float = Field(ge=0, le=1)
+    blur: float = Field(gt=0, le=1)
+    beside: float = Field(ge=0.5, le=1000)
+    apart: float = Field(ge=0, le=1)
     share: float = Field(gt=0, le=1)
     spread: float = Field(gt=0, le=10)
     reach: float = Field(ge=1, le=50)
 
     def halo(self, cell: float) -> float:
         """What is read around cells of `cell` [m] for the trees whose tops lie in them [m]: their crowns, those beside,
-        and what their surface comes from."""
-        return 2.0 * self.reach + 3.0 * (self.widest + self.smooth) + 2.0 * self.pit + 6.0 * cell
+        the round crowns that these stick out of, and what their surface comes from."""
+        beside = 2.0 * self.reach + 3.0 * self.widest + self.narrowest
+        return 2.0 * self.reach + beside + 3.0 * (self.widest + self.smooth) + 2.0 * self.pit + 6.0 * cell
 
     def width(self, height: NDArray[np.float64]) -> NDArray[np.float64]:
         """Width of the crown of a tree of some height [m] (Popescu and Wynne 2004, equation 1)."""

@@ -1,9 +1,10 @@
-"""Trees from the heights of vegetation: tops where their surface bulges most at the scale of a crown of its height,
-and the cells nearest to them."""
+"""Trees from the heights of vegetation: tops where their surface bulges most at the scale of a crown of its height, or
+sticks out of the round crowns of these, and the cells nearest to them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ _LEVELS = 8
 
 _TRUNCATE = 3.0
 """Deviations after which a Gaussian ends."""
+
+_WAYS = 16
+"""Directions from a top that the surface is looked at in."""
 
 _ASIDE = 2
 """Cells that the highest echo of a tree may lie beside the middle of its crown."""
@@ -73,14 +77,17 @@ def bulge(
     The scale is the deviation of the Gaussian that it is taken after: `params.scale` of the `smooth` height,
     `params.widest` at most; between `_LEVELS` scales values are linear.
     """
-    scales = np.linspace(min(cell, params.widest), params.widest, _LEVELS)
-    at = np.minimum(params.scale * smooth, params.widest)
-    level = np.interp(at, scales, np.arange(_LEVELS))
     out = np.zeros_like(surface)
-    for k, scale in enumerate(scales):
-        weight = np.maximum(0.0, 1.0 - np.abs(level - k))
+    for scale, weight in _scales(params.scale * smooth, cell, params.widest):
         out -= weight * (scale / cell) ** 2 * scipy.ndimage.laplace(_smoothed(surface, scale / cell), mode="constant")
     return out
+
+
+def _scales(wanted: NDArray[np.float64], cell: float, widest: float) -> Iterator[tuple[float, NDArray[np.float64]]]:
+    """Scales [m] up to `widest`, and the weight of each in cells that want some scale [m]: linear between two."""
+    scales = np.linspace(min(cell, widest), widest, _LEVELS)
+    level = np.interp(wanted, scales, np.arange(_LEVELS))
+    return ((float(scale), np.maximum(0.0, 1.0 - np.abs(level - k))) for k, scale in enumerate(scales))
 
 
 def _smoothed(surface: NDArray[np.float64], deviation: float) -> NDArray[np.float64]:
@@ -110,6 +117,54 @@ def tops(surface: Canopy, cell: float, params: TreeParams) -> NDArray[np.int64]:
     return np.array(alone, np.int64).reshape(-1, 2)
 
 
+def round_crowns(
+    surface: NDArray[np.float64], tree_tops: NDArray[np.int64], cell: float, params: TreeParams
+) -> NDArray[np.float64]:
+    """Height of the crowns of `tree_tops` as far as they are round [m], 0 where there is none.
+
+    So far from its top a crown is as high as the `surface` [m] is in `params.round` of all directions at most, and
+    never higher than nearer to it.
+    """
+    out = np.zeros_like(surface)
+    turn = 2.0 * np.pi * np.arange(_WAYS)[:, None] / _WAYS
+    around = np.arange(int(params.reach / cell) + 1)
+    rows, cols = np.rint(around * np.sin(turn)).astype(np.int64), np.rint(around * np.cos(turn)).astype(np.int64)
+    padded, place = np.pad(surface, around[-1]), np.indices(surface.shape)
+    for row, col in tree_tops.tolist():
+        wide = int(min(params.reach, params.spread * surface[row, col]) / cell)
+        seen = padded[row + around[-1] + rows[:, : wide + 1], col + around[-1] + cols[:, : wide + 1]]
+        height = np.minimum.accumulate(np.quantile(seen, params.round, axis=0, method="lower"))
+        part = _around(row, col, wide)
+        far = np.sqrt((place[0][part] - row) ** 2 + (place[1][part] - col) ** 2)
+        out[part] = np.maximum(out[part], np.interp(far, around[: wide + 1], height, right=0.0))
+    return out
+
+
+def tops_beside(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, params: TreeParams) -> NDArray[np.int64]:
+    """Row and column (trees, 2) of cells where the surface sticks out most of the round crowns of `tree_tops`: trees on
+    the shoulder of a taller one, which the surface does not bulge over.
+
+    What sticks out is smoothed by `params.blur` of the height; it is `params.beside` at least, and the most within half
+    the width of the narrowest crown.
+    """
+    over = np.maximum(surface.smooth - round_crowns(surface.smooth, tree_tops, cell, params), 0.0)
+    value = np.zeros_like(over)
+    for scale, weight in _scales(params.blur * surface.smooth, cell, params.widest):
+        value += weight * _smoothed(over, scale / cell)
+    disc = _disc(max(1, round(params.narrowest / cell)))
+    most = (value >= params.beside) & (value == scipy.ndimage.maximum_filter(value, footprint=disc, mode="constant"))
+    places = np.argwhere(most & (surface.surface >= params.least_height))
+    if not len(tree_tops) or not len(places):
+        return places
+    far, nearest = scipy.spatial.cKDTree(tree_tops).query(places)
+    return places[far * cell > params.apart * surface.smooth[tuple(tree_tops[nearest].T)]]
+
+
+def _around(row: int, col: int, wide: int) -> tuple[slice, slice]:
+    """The cells up to `wide` rows and columns from one, as far as there are any."""
+    return slice(max(0, row - wide), row + wide + 1), slice(max(0, col - wide), col + wide + 1)
+
+
 def _disc(radius: int) -> NDArray[np.bool_]:
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     return np.asarray(x**2 + y**2 <= radius**2)
@@ -128,7 +183,7 @@ def crowns(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, params: T
     heights = surface.smooth[tree_tops[:, 0], tree_tops[:, 1]]
     for k, ((row, col), height) in enumerate(zip(tree_tops.tolist(), heights.tolist(), strict=True), 1):
         wide = int(min(params.reach, params.spread * height) / cell)
-        part = (slice(max(0, row - wide), row + wide + 1), slice(max(0, col - wide), col + wide + 1))
+        part = _around(row, col, wide)
         far = (place[0][part] - row) ** 2 + (place[1][part] - col) ** 2
         mine = (far < nearest[part]) & (far <= wide**2) & (surface.smooth[part] >= params.share * height)
         tree[part][mine], nearest[part][mine] = k, far[mine]
@@ -140,6 +195,8 @@ def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> S
     outline of its crown [m]."""
     surface = canopy(counts, window.cell, params)
     places = tops(surface, window.cell, params)
+    places = np.concatenate([places, tops_beside(surface, places, window.cell, params)])
+    places = places[np.lexsort((places[:, 1], places[:, 0]))]
     tree = crowns(surface, places, window.cell, params)
     rows, polygons = [], []
     for k, piece in enumerate(scipy.ndimage.find_objects(tree, len(places)), 1):

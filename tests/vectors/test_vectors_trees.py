@@ -11,7 +11,7 @@ from fwclass.grid import Window
 from fwclass.schema import Table
 from fwclass.vectors.cells import count_cells
 from fwclass.vectors.shapes import Shapes
-from fwclass.vectors.trees import bulge, trees, without_pits
+from fwclass.vectors.trees import bulge, canopy, round_crowns, tops, trees, without_pits
 
 CELL = 0.5
 TREES = np.array([[12.2, 14.1, 9.0, 3.0], [17.9, 13.2, 12.0, 3.5], [31.4, 31.8, 15.0, 5.0], [50.0, 20.0, 6.0, 2.0]])
@@ -126,6 +126,26 @@ def test_a_tree_on_the_shoulder_of_a_taller_one_is_found():
     made = found(echoes(pair))
     near = np.hypot(made.rows["x"][:, None] - pair[:, 0], made.rows["y"][:, None] - pair[:, 1])
     assert made.rows.rows == 2 and (near.min(axis=0) < 2.0).all()
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.1, 2.5])
+def test_a_tree_that_grew_into_a_taller_one_sticks_out_of_its_round_crown(turn):
+    """The two bulge as one; only that the taller one's crown is lower in all other directions tells the smaller one."""
+    pair = np.array([[30.0, 30.0, 14.0, 4.5], [30.0 + 3.5 * np.cos(turn), 30.0 + 3.5 * np.sin(turn), 11.0, 3.0]])
+    counts = count_cells(echoes(pair), Window(CELL, 0, 0, 128, 128), params().codes, 0.0)
+    assert len(tops(canopy(counts, CELL, params()), CELL, params())) == 1
+    made = found(echoes(pair))
+    near = np.hypot(made.rows["x"][:, None] - pair[:, 0], made.rows["y"][:, None] - pair[:, 1])
+    assert made.rows.rows == 2 and (near.min(axis=0) < 2.5).all()
+
+
+def test_of_a_round_crown_nothing_sticks_out():
+    y, x = CELL * np.mgrid[-30:31, -30:31]
+    crown = np.maximum(12.0 - 0.3 * (x**2 + y**2), 0.0)
+    middle = np.array([[30, 30]])
+    assert np.abs(crown - round_crowns(crown, middle, CELL, params())).max() < 1.0  # places are cells: a cell's slope
+    beside = np.maximum(crown, np.where((x > 2.0) & (np.abs(y) < 2.0), 8.0, 0.0))
+    assert round_crowns(beside, middle, CELL, params()) == pytest.approx(round_crowns(crown, middle, CELL, params()))
 
 
 def test_a_paraboloid_bulges_by_its_curvature_and_the_scale():
