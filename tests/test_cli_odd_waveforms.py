@@ -29,6 +29,11 @@ def without_level(columns: dict) -> dict:
     return columns | {"samples": [np.maximum(s.astype(int) - 12, 0).astype(s.dtype) for s in columns["samples"]]}
 
 
+def high_byte_first(columns: dict) -> dict:
+    """As a receiver of 12 bits whose samples were written high byte first."""
+    return columns | {"samples": [(7 * s.astype(np.uint16)).byteswap() for s in columns["samples"]]}
+
+
 def in_picoseconds(columns: dict) -> dict:
     return columns | {"begin_ns": 1000 * columns["begin_ns"]}
 
@@ -38,6 +43,7 @@ def in_picoseconds(columns: dict) -> dict:
     [
         (upside_down, "have echoes that point down, and are not found", "waveforms have echoes that point down"),
         (without_level, "have more than a quarter of their samples at 0", "waveforms stand at 0"),
+        (high_byte_first, "are smooth only with the two bytes", "waveforms have their samples' bytes exchanged"),
         (in_picoseconds, "where no land is: are times in nanoseconds", "echoes are implausible"),
     ],
 )

@@ -32,6 +32,7 @@ COUNTS = (
     "blank",
     "downward",
     "floored",
+    "swapped",
     "off_earth",
 )
 """What `Plausibility.counts` holds, in this order."""

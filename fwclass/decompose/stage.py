@@ -84,16 +84,21 @@ DOWNWARD, DEEP, LEAST_SAMPLES = 3.0, 8.0, 8
 """Times that a waveform of so many samples goes further below its mean than above it where its echoes point down, and
 deviations that it goes below its level: noise does it in 6e-5 of 12 samples, in 1e-5 of 24 or more."""
 
+SMOOTHER = 2.0
+"""Times that samples with their bytes exchanged go less up and down from which they were stored in that order: 256
+where all are below 256, 3 or more where an echo fills the 16 bits; as many times more in sound ones."""
+
 ENDS, QUIETEST = 4, 0.5
 """Samples at either end that tell the level; the least deviation, of whole numbers [DN]."""
 
 
 def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
     """How many pulses have samples (``waveforms``), none but zeros (``blank``), echoes that point ``downward``, and
-    among others so many zeros that their level was cut off (``floored``)."""
+    among others so many zeros that their level was cut off (``floored``), or samples that are smooth with their two
+    bytes exchanged alone (``swapped``)."""
     rows = np.flatnonzero(np.diff(waves.offsets) > 0)
     if len(rows) == 0:
-        return {"waveforms": 0, "blank": 0, "downward": 0, "floored": 0}
+        return {"waveforms": 0, "blank": 0, "downward": 0, "floored": 0, "swapped": 0}
     samples, first = waves.samples[: waves.offsets[-1]], waves.offsets[rows]
     length = np.diff(waves.offsets)[rows]
     highest, lowest = (f.reduceat(samples, first).astype(np.float64) for f in (np.maximum, np.minimum))
@@ -105,8 +110,24 @@ def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
     pulses = waves.pulses["pulse"][rows]
     waveforms = len(np.unique(pulses))
     blank = waveforms - len(np.unique(pulses[highest > 0]))
-    odd = {"downward": len(np.unique(pulses[down])), "floored": len(np.unique(pulses[floored]))}
-    return {"waveforms": waveforms, "blank": blank, **odd}
+    odd = {"downward": down, "floored": floored, "swapped": _swapped(samples, first)}
+    return {"waveforms": waveforms, "blank": blank} | {k: len(np.unique(pulses[v])) for k, v in odd.items()}
+
+
+def _swapped(samples: NDArray, first: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which waveforms, each from its `first` sample on, go up and down `SMOOTHER` times less with their bytes
+    exchanged: the low byte of a sound echo is as good as random."""
+    if samples.dtype.itemsize != 2:
+        return np.zeros(len(first), bool)
+    stored, exchanged = (_ways(values, first) for values in (samples, samples.byteswap()))
+    return stored > SMOOTHER * exchanged
+
+
+def _ways(samples: NDArray, first: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How far every waveform, each from its `first` sample on, goes up and down in all [DN]."""
+    steps = np.abs(np.diff(samples.astype(np.int32), prepend=np.int32(0)))
+    steps[first] = 0
+    return np.asarray(np.add.reduceat(steps, first, dtype=np.int64))
 
 
 def _dips(samples: NDArray, first: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -277,4 +298,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=8)
 PLACES = Computation(name="places", version=3)
-DECOMPOSE = Computation(name="decompose", version=10, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=11, writes=ECHO_COLUMNS)

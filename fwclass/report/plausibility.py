@@ -52,6 +52,8 @@ FLOOR = (
 
 TURN = "samples grow with the light here: turn the sign of a receiver that counts down (largest value less sample)"
 
+SWAP = "samples of 16 bits were written with the high byte first, or are no samples; export them low byte first"
+
 NAMED = 3
 """Strips of a remark that are named."""
 
@@ -89,6 +91,7 @@ def strip_plausibility(
         "blank_share": counts["blank"] / counts["waveforms"] if counts["waveforms"] else None,
         "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
         "floored_share": counts["floored"] / counts["waveforms"] if counts["waveforms"] else None,
+        "swapped_share": counts["swapped"] / counts["waveforms"] if counts["waveforms"] else None,
         "unreadable_packets": unreadable,
         "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
         "pulses": pulses,
@@ -135,6 +138,11 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
         lines.append(
             f"{_part(some, 'floored', 'waveforms', 'waveforms')} have more than a quarter of their samples at "
             f"0: {FLOOR} ({_names(some)})"
+        )
+    if some := [s for s in strips if (s["swapped_share"] or 0.0) > RARE]:
+        lines.append(
+            f"{_part(some, 'swapped', 'waveforms', 'waveforms')} are smooth only with the two bytes of every sample "
+            f"exchanged: {SWAP} ({_names(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
         lines.append(
@@ -256,6 +264,7 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
         ("blank", "blank", "waveforms are nothing but zeros", WHOLE),
         ("downward", "downward", "waveforms have echoes that point down", TURN),
         ("floored", "floored", "waveforms stand at 0", FLOOR),
+        ("swapped", "swapped", "waveforms have their samples' bytes exchanged", SWAP),
         ("poor", "poor", "fitted echoes fit poorly", LOOK),
         ("implausible", "implausible", "echoes are implausible", LOOK),
         ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),
