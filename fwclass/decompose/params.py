@@ -105,6 +105,8 @@ class PlausibilityParams(Params):
     max_downward : share of the waveforms whose echoes point downward.
     max_floored : share of the waveforms a quarter of whose samples are 0, as if their level had been taken off.
     max_swapped : share of the waveforms whose samples are smooth with their two bytes exchanged alone.
+    max_unlike : share of neighbouring returns the stronger of which has the lower echo.
+    max_misplaced : share of neighbouring returns of one pulse that do not lie apart as their locations in time do.
     max_repeated : share of the survey's echoes that have place and time of another.
     least : echoes, or returns, of that kind below which nothing is refused.
     accept : deliver all the same, and end as if nothing were wrong; it is still told.
@@ -118,6 +120,8 @@ class PlausibilityParams(Params):
     max_downward: float = Field(ge=0.0, le=1.0)
     max_floored: float = Field(ge=0.0, le=1.0)
     max_swapped: float = Field(ge=0.0, le=1.0)
+    max_unlike: float = Field(ge=0.0, le=1.0)
+    max_misplaced: float = Field(ge=0.0, le=1.0)
     max_repeated: float = Field(ge=0.0, le=1.0)
     least: int = Field(ge=0, le=1_000_000_000)
     accept: bool

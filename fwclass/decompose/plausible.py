@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose import belonging
 from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams
@@ -33,6 +34,7 @@ COUNTS = (
     "downward",
     "floored",
     "swapped",
+    *belonging.COUNTS,
     "off_earth",
 )
 """What `Plausibility.counts` holds, in this order."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.belonging import belonging
 from fwclass.decompose.fitting import SATURATED, fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams
@@ -73,8 +74,11 @@ def decompose(
     for axis in "xyz":
         echoes[axis] = quantise(echoes[axis])
     table = Table({name: echoes[name] for name in ECHO_COLUMNS})
+    own = table.take(_echo_of_return(table, links))
+    seen = (own["origin"] == FITTED) & (own["fit_flags"] & (SATURATED | VENDOR_KEPT) == 0)
     lone = returns_without_echo(waves, table, links, params)
-    return table, links, {**judged, "returns_without_echo": lone, **_odd_waveforms(waves)}
+    odd = _odd_waveforms(waves) | belonging(waves, own, seen)
+    return table, links, {**judged, "returns_without_echo": lone, **odd}
 
 
 FLOORED = 0.25
@@ -172,10 +176,15 @@ def returns_without_echo(waves: Waveforms, echoes: Table, links: Table, params: 
     or made of a receiver's ringing. `echoes` and `links` are what `decompose` gave for `waves`."""
     if links.rows == 0 or waves.pulses.rows == 0:
         return 0
-    keys = (echoes["pulse"].astype(np.int64) << 8) | echoes["echo_number"]
-    at = np.searchsorted(keys, (links["pulse"].astype(np.int64) << 8) | links["echo_number"])
+    at = _echo_of_return(echoes, links)
     away = np.sqrt(sum((echoes[a][at] - waves.returns[a]) ** 2 for a in "xyz"))
     return int((away > params.vendor_tolerance * beams(waves)[1].max()).sum())
+
+
+def _echo_of_return(echoes: Table, links: Table) -> NDArray[np.int64]:
+    """Row of the echo that every return is tied to."""
+    keys = (echoes["pulse"].astype(np.int64) << 8) | echoes["echo_number"]
+    return np.asarray(np.searchsorted(keys, (links["pulse"].astype(np.int64) << 8) | links["echo_number"]))
 
 
 def _echo_columns(

@@ -43,8 +43,9 @@ FAULTS = (
 
 DAMAGED = FAULTS.index("compressed packet damaged, or another file's")
 
-VECTOR_RANGE = (0.5, 1.5)
-"""Sane lengths of the stored beam vector, in units of c / 2n: water (0.75) passes, zeros and metres do not."""
+VECTOR_RANGE = (0.7, 1.5)
+"""Sane lengths of the stored beam vector, in units of c / 2n: water (0.75) passes, zeros, metres and the way there
+alone do not."""
 
 MAX_SPACING = 100.0
 """No laser scanner samples slower than this [ns]: 15 m a sample."""

@@ -54,6 +54,17 @@ TURN = "samples grow with the light here: turn the sign of a receiver that count
 
 SWAP = "samples of 16 bits were written with the high byte first, or are no samples; export them low byte first"
 
+MIXED = (
+    "packets are those of other returns, or intensities no measure of strength; export points and waveforms together"
+)
+UNITS = (
+    "locations and beam vectors count the light's way there and back, in picoseconds; where they do, packets are those "
+    "of other returns"
+)
+
+DOUBTFUL, DOUBTED = 0.3, 20
+"""Share of neighbouring returns, and number, from which their strengths are told: chance makes a half."""
+
 NAMED = 3
 """Strips of a remark that are named."""
 
@@ -92,6 +103,8 @@ def strip_plausibility(
         "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
         "floored_share": counts["floored"] / counts["waveforms"] if counts["waveforms"] else None,
         "swapped_share": counts["swapped"] / counts["waveforms"] if counts["waveforms"] else None,
+        "unlike_share": counts["unlike"] / counts["compared"] if counts["compared"] else None,
+        "misplaced_share": counts["misplaced"] / counts["paired"] if counts["paired"] else None,
         "unreadable_packets": unreadable,
         "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
         "pulses": pulses,
@@ -143,6 +156,16 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
         lines.append(
             f"{_part(some, 'swapped', 'waveforms', 'waveforms')} are smooth only with the two bytes of every sample "
             f"exchanged: {SWAP} ({_names(some)})"
+        )
+    if some := [s for s in strips if (s["unlike_share"] or 0.0) > DOUBTFUL and s["unlike"] >= DOUBTED]:
+        lines.append(
+            f"{_part(some, 'unlike', 'compared', 'neighbouring returns')} are the other way round in strength than "
+            f"their echoes: {MIXED} ({_names(some)})"
+        )
+    if some := [s for s in strips if (s["misplaced_share"] or 0.0) > TOLD_FROM]:
+        lines.append(
+            f"{_part(some, 'misplaced', 'paired', 'neighbouring returns of one pulse')} do not lie as far apart as "
+            f"light goes between their locations: {UNITS} ({_names(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
         lines.append(
@@ -264,6 +287,8 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
         ("blank", "blank", "waveforms are nothing but zeros", WHOLE),
         ("downward", "downward", "waveforms have echoes that point down", TURN),
         ("floored", "floored", "waveforms stand at 0", FLOOR),
+        ("unlike", "unlike", "returns have the strength of other echoes", MIXED),
+        ("misplaced", "misplaced", "returns do not lie where their times say", UNITS),
         ("swapped", "swapped", "waveforms have their samples' bytes exchanged", SWAP),
         ("poor", "poor", "fitted echoes fit poorly", LOOK),
         ("implausible", "implausible", "echoes are implausible", LOOK),
