@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.packet_kernels import gather
+from fwclass.read.pls_stated import height_fault, stated_fault
 from fwclass.read.pls_waves import (
     FAULTS,
     MISFIT,
@@ -50,6 +51,15 @@ def check_pls(source: PulseSource) -> None:
                     expected=f"waves of more than {1 - MISFIT:.0%} of the pulses that end before the next pulse's",
                     got=misfit,
                     do=f"put the {(source.waves.path or source.path).name} of this very file beside it",
+                )
+            kinds = Samplings.of(source)
+            if wrong := stated_fault(source, records, pulses, kinds) or height_fault(source, pulses, kinds):
+                raise InputError(
+                    "pulses and waves do not fit each other",
+                    where=source.path,
+                    expected="waves of their own pulses, and times of the light's way there and back",
+                    got=wrong,
+                    do="write both files again from the vendor's own, with times in the units of their descriptor",
                 )
             return
     if source.n_records == 0:

@@ -66,9 +66,9 @@ OVERLAP = 2
 
 RECORD = np.dtype(
     {
-        "names": ["time", "waves", "anchor", "target", "bits", "intensity", "class"],
-        "formats": ["<i8", "<i8", ("<i4", 3), ("<i4", 3), "<u2", "u1", "u1"],
-        "offsets": [0, 8, 16, 28, 44, 46, 47],
+        "names": ["time", "waves", "anchor", "target", "first", "last", "bits", "intensity", "class"],
+        "formats": ["<i8", "<i8", ("<i4", 3), ("<i4", 3), "<i2", "<i2", "<u2", "u1", "u1"],
+        "offsets": [0, 8, 16, 28, 40, 42, 44, 46, 47],
         "itemsize": PULSE,
     }
 )

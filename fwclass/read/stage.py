@@ -99,4 +99,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 7)
+READ = Computation("read", 8)
