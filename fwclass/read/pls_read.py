@@ -11,9 +11,11 @@ from fwclass.read.packet_kernels import gather
 from fwclass.read.pls_stated import height_fault, stated_fault
 from fwclass.read.pls_waves import (
     FAULTS,
+    FEW,
     MISFIT,
     OVERLAP,
     SILENT,
+    Pulses,
     Samplings,
     Segments,
     blocks_of,
@@ -26,12 +28,13 @@ from fwclass.read.pls_waves import (
 )
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseSource
 from fwclass.read.spans import Span, spans_by_points
-from fwclass.read.wave_kernels import clear_of_last
+from fwclass.read.wave_kernels import clear_of_last, gather_parted
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 SECOND_CHANNEL = "segments of a second channel left out"
 OVERLAPPING = "segments that begin before the one before them ends, left out"
+RUN_TOGETHER = "outgoing pulses of 8 bits where 16 are declared, and returning samples behind them, taken apart"
 BAD_OUTGOING = "outgoing pulses that are saturated or sampled unlike the returning waveform, left out"
 
 
@@ -115,11 +118,15 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
     ends = np.concatenate([[0], np.cumsum(segments.samples)]).astype(np.int64)
     first_of_row = np.searchsorted(layout.row[layout.order], np.arange(len(head) + 1))
     _check_overlap(source, pulses.segments, kinds)
-    samples = _gather(source, segments, kinds, pulses.data, ends)
+    parted = _parted(source, pulses, kinds)
+    if len(parted.pulse):
+        faults[RUN_TOGETHER] = len(parted.pulse)
+    samples = _gather(source, segments, kinds, pulses.data, ends, parted)
     at = segments.pulse[first_of_row[:-1]]
     spacing, top = spacing[head], top[head]
     begin = segments.begin[first_of_row[:-1]]
-    outgoing, out_offsets, out_start, unlike = _outgoing(source, pulses.segments, kinds, pulses.data, at, spacing, top)
+    sent = (source, pulses.segments, kinds, pulses.data, parted)
+    outgoing, out_offsets, out_start, unlike = _outgoing(*sent, at, spacing, top)
     if unlike:
         faults[BAD_OUTGOING] = unlike
     rows = {f"anchor_{axis}": pulses.anchor[at, k] for k, axis in enumerate("xyz")}
@@ -169,12 +176,73 @@ def _check_overlap(source: PulseSource, segments: Segments, kinds: Samplings) ->
         refuse_overlap(source, f"{wanted} bytes")
 
 
+TRIED, SURE = 2000, 0.9
+"""Pulses at the start of a file that are looked at, and share of them that must say the same."""
+
+VARIED = 16
+"""DN that an outgoing pulse of 8 bits rises over its level at least; constant samples of 16 bits do not."""
+
+
+def _parted(source: PulseSource, pulses: Pulses, kinds: Samplings) -> Segments:
+    """The outgoing segments of pulses whose returning samples begin in them; none in sound files.
+
+    A converter of 2013 took outgoing samples of 8 bits for such of 16, so that one half of what it wrote for them are
+    the first returning samples; what it wrote for these ends with the outgoing ones of the next pulse.
+    """
+    sent, _ = _wide_pairs(pulses, kinds)
+    if len(sent.pulse) == 0 or pulses.data is None:
+        return sent
+    tried = find(source, read_records(source, 0, min(TRIED, source.n_records)), kinds, pulses.data)
+    return sent if _runs_on(tried, kinds) else sent.take(np.zeros(len(sent.pulse), np.bool_))
+
+
+def _wide_pairs(pulses: Pulses, kinds: Samplings) -> tuple[Segments, Segments]:
+    """Outgoing and returning segments, of 16 bits and long enough, of pulses that have one of each and no others."""
+    parts = pulses.segments
+    alone = np.bincount(parts.pulse, minlength=1)[parts.pulse] == 2
+    kind, wide = kinds.kind[parts.sampling], kinds.table[parts.sampling, -1] == 2
+    sent, back = (parts.take(np.flatnonzero(alone & wide & (kind == k))) for k in (OUTGOING, RETURNING))
+    _, s, b = np.intersect1d(sent.pulse, back.pulse, return_indices=True)
+    long = 2 * back.samples[b] >= sent.samples[s]
+    return sent.take(s[long]), back.take(b[long])
+
+
+def _runs_on(pulses: Pulses, kinds: Samplings) -> bool:
+    """What was written for returning samples ends with the outgoing ones of the next pulse."""
+    data, parts = pulses.data, pulses.segments
+    every = parts.take(np.flatnonzero(kinds.kind[parts.sampling] == OUTGOING))
+    first = dict(zip(every.pulse.tolist(), every.byte.tolist(), strict=True))
+    sent, back = _wide_pairs(pulses, kinds)
+    same = []
+    for pulse, n, samples, at in zip(sent.pulse + 1, sent.samples, back.samples, back.byte, strict=True):
+        if data is not None and int(pulse) in first:
+            begin, end = first[int(pulse)], int(at + 2 * samples)
+            ahead, last = data[begin : begin + n], data[end - n : end]
+            varied = min(np.ptp(last[k::2]) for k in (0, 1)) >= VARIED if n > 1 else False
+            same.append(bool(varied and np.array_equal(ahead, last)))
+    return len(same) >= FEW and float(np.mean(same)) >= SURE
+
+
 def _gather(
-    source: PulseSource, segments: Segments, kinds: Samplings, data: NDArray[np.uint8] | None, ends: NDArray[np.int64]
+    source: PulseSource,
+    segments: Segments,
+    kinds: Samplings,
+    data: NDArray[np.uint8] | None,
+    ends: NDArray[np.int64],
+    parted: Segments,
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """The samples of `segments`; `parted` are the outgoing ones of pulses that are stored so (`_parted`)."""
     samples = np.empty(int(ends[-1]), np.dtype(source.sample_dtype))
-    if data is not None and len(segments.byte):
-        gather(data, segments.byte, kinds.table[segments.sampling, -1] == 2, ends, samples)
+    if data is None or len(segments.byte) == 0:
+        return samples
+    mine = np.isin(segments.pulse, parted.pulse)
+    sent = mine & (kinds.kind[segments.sampling] == OUTGOING)
+    gather(data, segments.byte, (kinds.table[segments.sampling, -1] == 2) & ~sent, ends, samples)
+    if back := np.flatnonzero(mine & ~sent).tolist():
+        of = np.searchsorted(parted.pulse, segments.pulse[back])
+        first, length = np.zeros(len(segments.byte), np.int64), np.full(len(segments.byte), -1)
+        first[back], length[back] = parted.byte[of] + parted.samples[of], parted.samples[of]
+        gather_parted(data, first, length, segments.byte, ends, samples)
     return samples
 
 
@@ -183,6 +251,7 @@ def _outgoing(
     segments: Segments,
     kinds: Samplings,
     data: NDArray[np.uint8] | None,
+    parted: Segments,
     at: NDArray[np.int64],
     spacing: NDArray[np.float64],
     top: NDArray[np.float32],
@@ -196,7 +265,7 @@ def _outgoing(
     chosen = segments.take(first[place[has]])
     own_top = kinds.top[chosen.sampling]
     ends = np.concatenate([[0], np.cumsum(chosen.samples)]).astype(np.int64)
-    samples = _gather(source, chosen, kinds, data, ends)
+    samples = _gather(source, chosen, kinds, data, ends, parted)
     peak = np.maximum.reduceat(samples, ends[:-1]) if len(chosen.pulse) else np.empty(0)
     fits = (kinds.spacing[chosen.sampling] == spacing[has]) & (peak < np.minimum(own_top, top[has]))
     lengths, start = np.zeros(len(at), np.int64), np.full(len(at), np.nan)

@@ -99,3 +99,18 @@ def clear_of_last(pulse, begin, end, slack, keep):  # type: ignore[no-untyped-de
         keep[i] = last < 0 or pulse[i] != pulse[last] or begin[i] >= end[last] - slack[i]
         if keep[i]:
             last = i
+
+
+@kernel
+def gather_parted(data, first, length, second, offsets, samples):  # type: ignore[no-untyped-def]
+    """Copy samples of 16 bits, ``length[i]`` bytes from byte ``first[i]`` of `data` on and the others from
+    ``second[i]``, to ``samples[offsets[i]:offsets[i + 1]]``; rows of a negative length are left."""
+    for i in range(len(first)):
+        if length[i] < 0:
+            continue
+        for k in range(offsets[i + 1] - offsets[i]):
+            value = 0
+            for b in (2 * k, 2 * k + 1):
+                at = first[i] + b if b < length[i] else second[i] + b - length[i]
+                value |= int(data[at]) << (8 * (b - 2 * k))
+            samples[offsets[i] + k] = value

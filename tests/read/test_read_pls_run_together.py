@@ -1,0 +1,54 @@
+"""Files of a converter of 2013 that took outgoing samples of 8 bits for such of 16: half of what it wrote for them are
+the first returning samples, and what it wrote for these ends with the outgoing ones of the next pulse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plsmaker import Truth, survey
+
+from fwclass.read.pls_read import RUN_TOGETHER, index_pls, read_pls
+from fwclass.read.pulsewaves import open_pls
+
+SENT, BACK, LEAD, HEAD = 20, 60, 4, 7
+"""Outgoing and returning samples of a pulse, and bytes before either: duration; segments, duration, samples."""
+
+
+def file(folder: Path, pulses: int = 50) -> Truth:
+    return survey(folder / "a.pls", pulses, bits=16, two_segments=0.0)
+
+
+def run_together(path: Path) -> None:
+    """The Waves file as that converter wrote it."""
+    waves = path.with_suffix(".wvs")
+    head, body = waves.read_bytes()[:60], np.frombuffer(waves.read_bytes()[60:], np.uint8)
+    whole = body.reshape(-1, LEAD + 2 * SENT + HEAD + 2 * BACK).copy()
+    rows = whole[:, LEAD:]
+    sent = rows[:, : 2 * SENT].copy().view("<u2").astype(np.uint8)
+    back = rows[:, 2 * SENT + HEAD :].copy()
+    rows[:, :SENT], rows[:, SENT : 2 * SENT] = sent, back[:, :SENT]
+    rows[:, 2 * SENT + HEAD :] = np.concatenate([back[:, SENT:], np.roll(sent, -1, axis=0)], axis=1)
+    waves.write_bytes(head + whole.tobytes())
+
+
+@pytest.mark.parametrize("chunk", [50, 7])
+def test_they_are_taken_apart_however_the_file_is_cut(tmp_path: Path, chunk: int) -> None:
+    truth = file(tmp_path)
+    run_together(truth.path)
+    source = open_pls(truth.path)
+    read = [read_pls(source, span) for span in index_pls(source, chunk)]
+    wanted = [pulse.waves[1][0][1] for pulse in truth.pulses]
+    assert np.array_equal(np.concatenate([w.samples for w in read]), np.concatenate(wanted))
+    sent = [np.asarray(pulse.waves[0][0][1]) for pulse in truth.pulses]
+    assert np.array_equal(np.concatenate([w.outgoing for w in read]), np.concatenate(sent))
+    assert sum(w.faults[RUN_TOGETHER] for w in read) == len(truth.pulses)
+
+
+def test_sound_files_are_read_as_they_are(tmp_path: Path) -> None:
+    truth = file(tmp_path)
+    source = open_pls(truth.path)
+    read = read_pls(source, index_pls(source, 50)[0])
+    assert RUN_TOGETHER not in read.faults
+    assert np.array_equal(read.samples, np.concatenate([pulse.waves[1][0][1] for pulse in truth.pulses]))
