@@ -16,6 +16,9 @@ from fwclass.read.las import open_las
 from fwclass.read.pulsewaves import PulseSource as PulseSource
 from fwclass.read.pulsewaves import is_pulse_file, open_pls
 
+RDB = ".rdbx"
+"""Ending of RIEGL's databases of points, which none but the vendor's library reads."""
+
 
 def open_source(path: str | Path) -> Source:
     """Look at a file without reading its points or pulses.
@@ -26,6 +29,14 @@ def open_source(path: str | Path) -> Source:
         No file of a known format, empty, cut short, or a header that contradicts the file.
     """
     path = Path(path)
+    if path.suffix.lower() == RDB:
+        raise InputError(
+            "RIEGL's database of points (RDB) is not read",
+            where=path,
+            expected="LAS 1.4 with waveform packets, PulseWaves, or RIEGL's .sdf",
+            got=path.name,
+            do="export LAS 1.4 with waveforms from RIEGL's software, or give the recordings (.sdf; docs/waveforms.md)",
+        )
     if path.suffix.lower() in PARQUET or is_beam_file(path):
         return open_beam_file(path)
     return open_pls(path) if is_pulse_file(path) else open_las(path)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commandline import fwclass
 from rawmaker import HALF_LIGHT, scene, write_parquet
 
 from fwclass.errors import ConfigError, InputError
@@ -175,3 +176,10 @@ def test_a_library_is_named_by_the_user_alone(tmp_path, monkeypatch, name):
     path.write_bytes(b"sample data")
     with pytest.raises(ConfigError, match=LIBRARY):
         open_source(path)
+
+
+@pytest.mark.parametrize("command", [("info",), ("decompose",)])
+def test_rdb_is_refused_with_what_to_export(tmp_path, command):
+    (tmp_path / "a.rdbx").write_bytes(b"RIEGL" + bytes(500))
+    ended = fwclass(*command, tmp_path / "a.rdbx", *([tmp_path / "o.laz"] if command[0] == "decompose" else []))
+    assert ended.returncode == 1 and "export LAS 1.4 with waveforms" in ended.stderr, ended.stderr
