@@ -77,6 +77,7 @@ class ScheduleSection(Params):
     into : where they go, relative to survey.directory; null: where survey.sources finds a file of that name.
     complete : settled: a file has not changed for `settle` and agrees with its header; marker: a file with one of
         `markers` after its name stands beside it, and it agrees with its header; either.
+    partial : endings of names that uploads have before they are whole; such files wait for another name.
     settle : how long a file must not have changed [s].
     hold : how long complete files wait for others that still change [s].
     keep_replaced : of every file that was delivered again, so many older versions stay in ``<inbox>/replaced``.
@@ -100,6 +101,7 @@ class ScheduleSection(Params):
     into: str | None
     complete: Literal["settled", "marker", "either"]
     markers: tuple[Annotated[str, Field(pattern=r"^\.[\w.-]+$")], ...] = Field(min_length=1)
+    partial: tuple[Annotated[str, Field(pattern=r"^\.[\w.-]+$")], ...]
     settle: Annotated[Seconds, Field(ge=0)]
     hold: Annotated[Seconds, Field(ge=0)]
     keep_replaced: int = Field(ge=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,40 +87,45 @@ def _header(path: Path) -> Header:
 
 def rows(path: Path, geometry: str, field: str | None) -> tuple[list[Any], list[bytes | None]]:
     """As `vector.rows`, for the column `geometry`."""
-    return column(path, field) if field else [], column(path, geometry)
+    return columns(path, [field])[field] if field else [], columns(path, [geometry])[geometry]
 
 
-def column(path: Path, name: str) -> list[Any]:
-    """Values of one column, in the file's order."""
+def columns(path: Path, names: Sequence[str]) -> dict[str, list[Any]]:
+    """Values of columns, in the file's order; what all of them take is checked before they are written out."""
+    name, held = "", dict[str, list[Any]]()
     try:
-        with _opened(path, name) as file:
-            values = file.read([name]).column(name)
-            _check_size(values, SPARE + EACH * path.stat().st_size)
-            return [value for chunk in values.chunks for value in _plain(chunk).to_pylist()]
+        left = SPARE + EACH * path.stat().st_size
+        with _opened(path, names) as file:
+            for name in names:
+                values = file.read([name]).column(name)
+                left -= _check_size(values, left)
+                held[name] = [value for chunk in values.chunks for value in _plain(chunk).to_pylist()]
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError) as fault:
         raise _foreign(path, f"column {name}: {fault}") from fault
+    return held
 
 
-def _check_size(values: Any, most: int) -> None:
-    """`ValueError` for values that take more than `most` bytes, written out."""
+def _check_size(values: Any, most: int) -> int:
+    """Bytes that values take, written out; `ValueError` for more than `most`."""
     total = ROW * len(values)
     for chunk in values.chunks:
         if pa.types.is_dictionary(chunk.type):
             total += pc.sum(pc.binary_length(chunk.dictionary).cast(pa.int64()).take(chunk.indices)).as_py() or 0
     if total > most:
         raise ValueError(f"values that take more than {most:,} bytes")
+    return total
 
 
 def _plain(chunk: Any) -> Any:
     return chunk.dictionary_decode() if pa.types.is_dictionary(chunk.type) else chunk
 
 
-def _opened(path: Path, name: str | None = None) -> Any:
-    """The file; texts and bytes of the column `name` are read as often as they are written."""
+def _opened(path: Path, names: Sequence[str] = ()) -> Any:
+    """The file; texts and bytes of the columns `names` are read as often as they are written."""
     try:
         with open_regular(path) as stream:  # Arrow would wait for a pipe
             check_unpacked(stream, path.stat().st_size, EACH)
-        return pq.ParquetFile(path, read_dictionary=[name] if name else None)
+        return pq.ParquetFile(path, read_dictionary=list(names) or None)
     except (pa.ArrowException, OSError, ValueError) as fault:
         raise _foreign(path, str(fault).splitlines()[0]) from fault
 

@@ -64,7 +64,13 @@ def check_laz(header: Header) -> None:
     if header.n_points == 0:
         return
     if header.n_points > POINTS_PER_BYTE * header.size:
-        _refuse(header, f"at most {POINTS_PER_BYTE} points a byte", f"{header.n_points} in {header.size} bytes")
+        raise InputError(
+            "more compressed points than a survey's file of this size can hold",
+            where=header.path,
+            expected=f"at most {POINTS_PER_BYTE} points a byte",
+            got=f"{header.n_points} in {header.size} bytes",
+            do="the file is damaged, or its points are equal: take out duplicates, or write it as LAS",
+        )
     known = _looks(header)
     if known in _SOUND:
         return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,10 +87,10 @@ def rows(path: Path, layer: str, field: str | None, flat: bool = True) -> tuple[
     return values, list(geometries)
 
 
-def column(path: Path, layer: str, field: str) -> list[Any]:
-    """Values of one field, in the file's order."""
-    values = _query(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=[field], read_geometry=False))
-    return list(values[3][0].tolist())
+def columns(path: Path, layer: str, fields: Sequence[str]) -> dict[str, list[Any]]:
+    """Values of fields, in the file's order; all are read at once."""
+    read = _query(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=fields, read_geometry=False))
+    return {str(name): values.tolist() for name, values in zip(read[0]["fields"], read[3], strict=True)}
 
 
 def files_of(path: Path) -> list[Path]:

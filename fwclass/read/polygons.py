@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -136,11 +136,11 @@ def read_lines(opened: PolygonLayer) -> tuple[Shapes, NDArray[np.float64]]:
     return lines(geometries, opened.path)
 
 
-def values_of(opened: PolygonLayer, field: str) -> list[Any]:
-    """Value of `field` of every feature."""
+def values_of(opened: PolygonLayer, fields: Sequence[str]) -> dict[str, list[Any]]:
+    """Values of `fields` of every feature."""
     if opened.column is not None:
-        return geoparquet.column(opened.path, field)
-    return vector.column(opened.path, opened.layer, field)
+        return geoparquet.columns(opened.path, fields)
+    return vector.columns(opened.path, opened.layer, fields)
 
 
 def reproject(shapes: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:

@@ -13,7 +13,10 @@ MOST_VALUES = 40
 """A field with more values than this is no class field."""
 
 MOST_FIELDS = 100
-"""Fields whose values are counted, the first ones: each is another reading of the file."""
+"""Fields whose values are counted, and that are listed, the first ones."""
+
+AT_ONCE = 100_000
+"""Values that are held at a time, of as many fields as that are; each time is another reading of the file."""
 
 MAX_TABLE = 1_000_000
 """Features of a layer whose values are counted."""
@@ -70,12 +73,13 @@ def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
 
 
 def _values(opened: PolygonLayer) -> dict[str, dict[str, int]]:
-    """How many features have which value, of every field with few of them."""
-    by_field = {}
-    for field in list(opened.fields)[:MOST_FIELDS]:
-        counts = Counter("no value" if v is None or v != v else str(v) for v in values_of(opened, field))
-        if len(counts) <= MOST_VALUES:
-            by_field[field] = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+    """How many features have which value, of the first fields, where they have few of them."""
+    by_field, first, step = {}, list(opened.fields)[:MOST_FIELDS], max(1, AT_ONCE // opened.features)
+    for k in range(0, len(first), step):
+        for field, values in values_of(opened, first[k : k + step]).items():
+            counts = Counter("no value" if v is None or v != v else str(v) for v in values)
+            if len(counts) <= MOST_VALUES:
+                by_field[field] = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
     return by_field
 
 
@@ -90,10 +94,13 @@ def describe_polygons(info: dict[str, Any]) -> str:
             ("CRS", f"{crs['name']}{code}" if crs else "none"),
             ("bounds", "x {0:.10g} to {2:.10g}, y {1:.10g} to {3:.10g}".format(*box) if box else "none"),
         ]
-        for name, kind in layer["fields"].items():
+        fields = list(layer["fields"].items())
+        for name, kind in fields[:MOST_FIELDS]:
             values = layer["values"].get(name)
             text = ", ".join(f"{v}: {n:,}" for v, n in values.items()) if values else f"more than {MOST_VALUES} values"
             rows.append(("field", f"{name} ({kind})  {text}"))
+        if len(fields) > MOST_FIELDS:
+            rows.append(("field", f"and {len(fields) - MOST_FIELDS:,} more, whose values are not counted"))
     lines = [f"{name:<12} {visible(text)}" for name, text in rows]
     lines += [f"  ! {visible(fault)}" for fault in info["faults"]] or ["  no faults found"]
     return "\n".join(lines)

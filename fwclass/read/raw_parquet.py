@@ -47,7 +47,7 @@ def is_raw_parquet(path: Path) -> bool:
                 return False
         with pq.ParquetFile(path) as file:
             return "samples" in file.schema_arrow.names
-    except (OSError, pa.ArrowException):
+    except (OSError, pa.ArrowException, ValueError):
         return False
 
 
@@ -97,7 +97,7 @@ class ParquetLayout(Layout):
                     lists = {n: _ragged(batch.column(n)) for n in LISTS if n in self.columns}
                     yield beam_rows(numbers, lists, self.settings, self.direction, first)
                     first += batch.num_rows
-        except (pa.ArrowException, OSError) as fault:
+        except (pa.ArrowException, OSError, ValueError) as fault:
             raise _damaged(self.path, fault) from None
 
 
@@ -148,7 +148,7 @@ def _direction(path: Path, columns: tuple[str, ...], settings: Settings) -> str:
             if batch is None:
                 return kind_of_direction(np.empty((0, 3)), np.empty(0), path)
             numbers = {n: _numbers(batch.column(n)) for n in wanted}
-    except (pa.ArrowException, OSError) as fault:
+    except (pa.ArrowException, OSError, ValueError) as fault:
         raise _damaged(path, fault) from None
     spacing = numbers.get("spacing_ns", np.full(batch.num_rows, settings.spacing or np.nan))
     return kind_of_direction(np.stack([numbers[n] for n in ("dx", "dy", "dz")], axis=1), spacing, path)

@@ -86,12 +86,12 @@ def local(place: Location, digests: Mapping[str, str] | None = None) -> Path:
 
 
 def seen_as(path: Path, place: Location | None = None) -> tuple[str, list[int | str]]:
-    """Name of a file, and what tells without reading it whether it is another: its `looks`; of a copy from object
-    storage the object's address, its bytes and e-tag, whatever host it was copied to."""
+    """Name of a file, and what tells without reading it whether it is another: its `looks` and inode; of a copy from
+    object storage the object's address, its bytes and e-tag, whatever host it was copied to."""
     if isinstance(place, RemoteFile):
         size, mark = next((size, mark) for name, size, mark in place.held if name == path.name)
         return str(place.url.parent / path.name), [size, mark]
-    return str(path), [*looks(path)]
+    return str(path), [*looks(path), path.stat().st_ino]
 
 
 def find_remote(pattern: str, directory: Url, params: StoreParams) -> list[RemoteFile]:

@@ -45,7 +45,7 @@ class Digests:
             if isinstance(place, RemoteFile):
                 files.append(ExternalFile(path.name, str(facts[-1])))
             else:
-                size, changed, entered = (int(n) for n in now)
+                size, changed, entered, _ = (int(n) for n in now)
                 files.append(ExternalFile(path.name, str(facts[-1]), path, (size, changed, entered)))
         if time.monotonic() - self._saved > _SAVED_EVERY:
             self.save()

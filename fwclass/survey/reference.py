@@ -72,7 +72,7 @@ def reference_polygons(
         opened = open_polygons(path, reference.layer)
         field = reference.field or ""
         check_field(opened, field)
-        codes_of(values_of(opened, field), reference.values, config.classes, f"{path}: field {field}")
+        codes_of(values_of(opened, [field])[field], reference.values, config.classes, f"{path}: field {field}")
         system = source_crs(opened, user_crs, survey)
         files.append(
             PolygonFile(

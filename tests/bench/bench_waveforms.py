@@ -31,6 +31,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import wavemaker as wm  # noqa: E402
 import woodmaker  # noqa: E402
 
+from fwclass.classes import BUILDING, WATER  # noqa: E402
 from fwclass.decompose.fitting import fit_waveforms  # noqa: E402
 from fwclass.decompose.params import DecomposeParams, StackParams  # noqa: E402
 from fwclass.decompose.placement import AS_STORED  # noqa: E402
@@ -39,7 +40,7 @@ from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse, join_s
 from fwclass.decompose.quiet import with_correlated_noise  # noqa: E402
 from fwclass.decompose.signal_noise import with_signal_noise  # noqa: E402
 from fwclass.decompose.stack_candidates import Surface, candidates  # noqa: E402
-from fwclass.decompose.stacking import ROOF, WATER, stack  # noqa: E402
+from fwclass.decompose.stacking import stack  # noqa: E402
 from fwclass.decompose.stage import decompose  # noqa: E402
 from fwclass.decompose.system_pulse import SystemPulse  # noqa: E402
 from fwclass.errors import FwclassError  # noqa: E402
@@ -531,12 +532,12 @@ def stacked_planes(scale: float) -> list[Figure]:
     out, scenes, asked, nowhere = [], max(int(12 * scale), 2), StackParams(**BASE["stack"]), np.empty((0, 2))
     box, window = Box(3.0, 3.0, 21.0, 21.0), Window(1.0, -10, -10, 60, 60)
     level = Surface(np.full((60, 60), 100.0, np.float32), window)
-    for what, code in (("roof", ROOF), ("water", WATER)):
+    for what, code in (("roof", BUILDING), ("water", WATER)):
         for ratio in (1.5, 2.0, 0.0):
             there, decoys, standard = [], [], []
             for seed in range(scenes if ratio else 4 * scenes):
                 surface, rough, known = level, 0.02, nowhere
-                if code == ROOF:
+                if code == BUILDING:
                     waves, place, strong = woodmaker.under_tree(ratio, seed=200 + seed)
                     echoes, rough = strong[planar(strong, asked)], 0.03
                     surface, known = plane_surface(echoes, window, asked), echoes[:, :2]

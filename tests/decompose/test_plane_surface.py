@@ -6,10 +6,11 @@ import wavemaker as wm
 from woodmaker import OPEN, pond, under_tree
 
 from fwclass import conf
+from fwclass.classes import BUILDING, WATER
 from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.plane_surface import planar, plane_surface
 from fwclass.decompose.stack_candidates import Surface, candidates
-from fwclass.decompose.stacking import ROOF, WATER, stack
+from fwclass.decompose.stacking import stack
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import Box, Window
 
@@ -31,13 +32,13 @@ def on_roofs(ratio, runs, **kind):
     for seed in range(runs):
         waves, truth, strong = under_tree(ratio, seed=seed, **kind)
         echoes = strong[planar(strong, ASKED)]
-        table, counts = shown(waves, plane_surface(echoes, WINDOW, ASKED), echoes[:, :2], ROOF)
+        table, counts = shown(waves, plane_surface(echoes, WINDOW, ASKED), echoes[:, :2], BUILDING)
         off = table["z"] - truth[table["pulse"].astype(int), 2]
         places.append(np.c_[table["x"], table["y"]])
         errors.append(off)
         pulls.append(off / table["range_sigma"])
         tried, false, decoys = tried + counts["candidates"], false + counts["false"], decoys + counts["decoys"]
-        assert (table["classification"] == ROOF).all() and (table["stacked_pulses"] >= ASKED.least).all()
+        assert (table["classification"] == BUILDING).all() and (table["stacked_pulses"] >= ASKED.least).all()
     return np.concatenate(places), np.concatenate(errors), np.concatenate(pulls), tried, false, decoys
 
 

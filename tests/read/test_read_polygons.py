@@ -12,6 +12,7 @@ from pyproj import CRS
 from tolerances import COORDINATE
 
 from fwclass.errors import ConfigError, InputError
+from fwclass.read import polygons_info
 from fwclass.read.info import describe, info
 from fwclass.read.polygons import check_field, open_polygons, read_polygons, reproject, source_crs, values_of
 
@@ -56,7 +57,7 @@ def test_all_formats_give_the_same_polygons(ending, tmp_path):
     assert list(opened.fields) == ["klass", "code", "share"]
     assert opened.features == 3 and opened.crs.to_epsg() == 25832
     values, shapes = read_polygons(opened, "klass")
-    assert values == values_of(opened, "klass") == ["roof", "tree", None]
+    assert values == values_of(opened, ["klass"])["klass"] == ["roof", "tree", None]
     assert read_polygons(opened, "code")[0] == [6, 5, 2]
     assert shapes.feature.tolist() == [0, 1, 2, 2]
     np.testing.assert_allclose([area(shapes, k) for k in range(4)], [100, 96, 100, 100], rtol=1e-5)
@@ -195,6 +196,17 @@ def test_info_lists_layers_fields_and_values(ending, tmp_path):
     json.dumps(found, allow_nan=False)
     told = describe(found)
     assert "klass" in told and "roof: 1" in told and "EPSG:25832" in told and "500000 to 500070" in told
+
+
+@pytest.mark.parametrize("ending", ["geojson", "parquet"])
+def test_many_fields_are_read_at_once_and_the_first_ones_counted(ending, tmp_path, monkeypatch):
+    """Each field was another reading of the file, and a reading takes longer the more fields there are."""
+    made = frame().assign(**{f"k{i}": i for i in range(200)})
+    path, calls, of = written(made, tmp_path / f"a.{ending}"), [], polygons_info.values_of
+    monkeypatch.setattr(polygons_info, "values_of", lambda opened, fields: calls.append(1) or of(opened, fields))
+    told = describe(info(path))
+    assert len(calls) == 1 and "k90 (int64)  90: 3" in told.replace("int32", "int64")
+    assert "more, whose values are not counted" in told and "more than 40 values" not in told and "k150" not in told
 
 
 def test_info_tells_what_is_wrong(tmp_path):

@@ -79,6 +79,44 @@ def test_a_growing_file_is_waited_for(post, tmp_path):
     assert [d.name for d in look.complete] == ["a.las"] and not look.waiting
 
 
+def test_compressed_waveforms_must_be_whole(post):
+    """A `.wdz` states no length: the last points' packets must lie in it."""
+    box = post()
+    packed = {1: lasmaker.Descriptor(bits=8, compression=1)}
+    whole(box.inbox.directory, descriptors=packed)
+    waves = box.inbox.directory / "a.wdz"
+    packets = waves.read_bytes()
+    waves.write_bytes(packets[: len(packets) // 2])
+    box.later(0.0)
+    assert "a.wdz is cut short" in box.why(box.later(60.0), "a.las")
+    waves.write_bytes(packets)
+    box.later(1.0)
+    assert box.later(60.0).complete
+
+
+def test_waveforms_that_nobody_has_written_yet_are_waited_for(post):
+    """A file that an upload has given its length."""
+    box = post()
+    lasmaker.survey(box.inbox.directory / "a.las", pulses=200)
+    waves = box.inbox.directory / "a.wdp"
+    packets = waves.read_bytes()
+    waves.write_bytes(packets[:4000] + bytes(len(packets) - 4000))
+    box.later(0.0)
+    assert "a.wdp ends in zeros" in box.why(box.later(60.0), "a.las")
+    waves.write_bytes(packets)
+    box.later(1.0)
+    assert box.later(60.0).complete
+
+
+def test_the_name_of_an_upload_waits_for_another(tmp_path):
+    (tmp_path / "inbox").mkdir()
+    box = Inbox(tmp_path / "inbox", Places((str(tmp_path / "survey" / "*"),), None), conf.section("schedule"))
+    whole(tmp_path / "inbox", "a.las.part", point_format=6)
+    for steady in (0.0, 100.0):
+        look = box.look(Now(0.0, steady))
+    assert not look.complete and "upload" in look.waiting[0].why
+
+
 def test_times_that_the_file_carries_prove_nothing(post):
     """`cp -p` and `rsync -t` give a file an old time while, or right after, it is written."""
     box = post()

@@ -70,7 +70,7 @@ def test_text_of_a_geoparquet_that_is_none_is_refused(tmp_path: Path) -> None:
     )
     path.write_bytes(path.read_bytes().replace(b"roofs", b"\xff\xfe\xff\xfe\xff"))
     with pytest.raises(InputError, match="no GeoParquet file"):
-        values_of(open_polygons(path), "k")
+        values_of(open_polygons(path), ["k"])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import stat
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.errors import InputError
@@ -18,6 +18,7 @@ from fwclass.operate.schedule.watch import writers
 from fwclass.paths import WAVEFORM_ENDINGS, name_fault
 
 if TYPE_CHECKING:
+    from fwclass.read.las import LasSource
     from fwclass.read.pulsewaves import PulseSource
 
 REPLACED = "replaced"
@@ -25,6 +26,9 @@ REPLACED = "replaced"
 
 EXTERNAL, INTERNAL = 4, 2
 """Bits of a LAS file's global encoding: its waveforms lie beside it, or in it."""
+
+PAGE = 4096
+"""Bytes at the end of a file of waveforms that are nothing but zeros only where nobody has written yet."""
 
 LAST = 1000
 """Points at the end of a file that are looked at before it is taken."""
@@ -113,6 +117,8 @@ class Inbox:
         return known if known is not None and known[0] == mark else (mark, now.steady)
 
     def _judge(self, head: Path, marks: dict[Path, Mark], now: Now) -> Delivery | WaitingFile:
+        if head.suffix.lower() in self.params.partial:
+            return WaitingFile(head.name, "it has the name of an upload that goes on (schedule.partial)")
         target = self.places.of(head.name)
         if target is None:
             return WaitingFile(head.name, "survey.sources finds no file of this name; it stays here")
@@ -173,14 +179,16 @@ def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -
             faults += _surplus(source.header)
         if isinstance(source, LasSource) and source.n_points:
             with PointReader(source) as reader:  # what was never written is zeros, mostly at the end
-                reader.read(max(0, source.n_points - LAST), source.n_points)
+                points = reader.read(max(0, source.n_points - LAST), source.n_points)
+            if source.has_waves and source.waves.kind != "none":
+                faults += _short_packets(source, points)
         if faults:
             return faults[0]
         if source.has_waves and source.waves.kind == "none" and not _moved_ahead(head, target):
             named = not isinstance(source, LasSource) or source.header.global_encoding & (EXTERNAL | INTERNAL)
             return source.waves.why_not if named else ""
-        if isinstance(source, PulseSource):
-            return _short_pulses(source)
+        if isinstance(source, PulseSource) and (short := _short_pulses(source)):
+            return short
         return next((fault for fault in map(_short_waves, beside) if fault), "")
     except InputError as fault:
         return f"{fault.what}: expected {fault.expected}, got {fault.got}" if fault.expected else fault.what
@@ -219,13 +227,28 @@ def _short_pulses(source: PulseSource) -> str:
     return f"{source.waves.path.name} is cut short: it ends before the waves of {short} of the last {len(fault)} pulses"
 
 
+def _short_packets(source: LasSource, points: Any) -> list[str]:
+    """A complaint about packets of the last points that lie behind the end of the file that holds them."""
+    from fwclass.read.packets import FAULTS, References, judge
+
+    fault = judge(source, References.of(points))
+    short = sum(FAULTS[code] in ("packet past the end", "packet cut short") for code in fault)
+    if not short or source.waves.path is None:
+        return []
+    return [f"{source.waves.path.name} is cut short: the packets of {short} of the last {len(fault)} points lack in it"]
+
+
 def _short_waves(path: Path) -> str:
-    """A LAS sidecar states the length of its packets; some writers count the 60 bytes before them too."""
-    if path.suffix.lower() != ".wdp":
-        return ""
+    """What was never written is zeros. A LAS sidecar states the length of its packets; some writers count the 60 bytes
+    before them too."""
+    size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(60)
-    size = path.stat().st_size
+        stream.seek(max(0, size - PAGE))
+        if size > PAGE and not any(stream.read(PAGE)):
+            return f"{path.name} ends in zeros: it is still being written, or a part of it was never"
+    if path.suffix.lower() != ".wdp":
+        return ""
     if len(head) < 60:
         return f"{path.name} ends inside its header"
     (length,) = struct.unpack_from("<Q", head, 20)
