@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Any, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 
 
 class Params(BaseModel):
     """Base of every stage's parameters: frozen, closed, without defaults (the numbers live in `conf/base.yaml`)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _check_bool(cls, value: Any, info: ValidationInfo) -> Any:
+        """True would be the number 1."""
+        if isinstance(value, bool) and not _takes_bool(cls.model_fields[str(info.field_name)].annotation):
+            raise ValueError("neither true nor false can stand here")
+        return value
+
+
+def _takes_bool(kind: Any) -> bool:
+    return kind in (bool, Any) or any(
+        _takes_bool(of) for of in (*get_args(kind), getattr(kind, "__value__", None)) if of
+    )
 
 
 class ShapeFileParams(Params):

@@ -10,7 +10,7 @@ import pytest
 from commandline import fwclass, process
 
 from fwclass.errors import InputError
-from fwclass.graph import learn
+from fwclass.graph import training_rows
 
 
 def cloud(path, xyz, classes, point_format=6):
@@ -164,7 +164,7 @@ def test_a_failed_run_does_not_show_an_older_run_s_figures(tmp_path, small, monk
     def refuse(*_):
         raise InputError("nothing to learn here")
 
-    monkeypatch.setattr(learn, "review", refuse)
+    monkeypatch.setattr(training_rows, "review", refuse)
     result = fwclass(*args, "--set", "train.samples_per_class=999")
     assert told(result, 3, "nothing to learn here", "train.samples_per_class=999")
     assert "accuracy" not in result.stderr and "tiles  (" not in result.stderr

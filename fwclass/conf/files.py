@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from functools import lru_cache
 from pathlib import Path
@@ -113,10 +114,21 @@ def _integer(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
     """Python refuses to print a number of thousands of digits, however it was written (hexadecimal, by sixties)."""
     if len(node.value) > _MOST_DIGITS:
         raise yaml.constructor.ConstructorError(None, None, "a number too long", node.start_mark)
+    if ":" in node.value or re.match(r"[-+]?0[0-7_]", node.value):
+        raise yaml.constructor.ConstructorError(None, None, f"{node.value}: {_OTHER_BASE}", node.start_mark)
     return int(loader.construct_yaml_int(node))
 
 
+def _float(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> float:
+    if ":" in node.value:
+        raise yaml.constructor.ConstructorError(None, None, f"{node.value}: {_OTHER_BASE}", node.start_mark)
+    return float(loader.construct_yaml_float(node))
+
+
+_OTHER_BASE = "YAML takes this for a number in sixties or in eights; write it in tens, or in quotes as a text"
+
 _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+_Loader.add_constructor("tag:yaml.org,2002:float", _float)
 
 _Shipped = _Loader
 """As `_Loader`, for files that come with fwclass: parsed in C where PyYAML has that, three times as fast."""

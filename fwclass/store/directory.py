@@ -100,7 +100,7 @@ class Directory:
         try:
             with open(f"{self.root}/{key}", "rb", buffering=0) as stream:  # noqa: PTH123 (half the time of Path)
                 return stream.readall(), ANY
-        except (FileNotFoundError, NotADirectoryError):
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             return None
 
     def many(self, keys: Sequence[str]) -> Sequence[tuple[bytes, Mark] | None]:

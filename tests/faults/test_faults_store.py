@@ -24,6 +24,7 @@ from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
+from fwclass.store import remote_file
 from fwclass.store.atomic import staged
 from fwclass.store.lock import writer
 from fwclass.store.run_location import locked
@@ -179,6 +180,19 @@ def test_a_source_with_other_bytes_of_its_old_size_and_time_is_another_one(tmp_p
     with pytest.raises(InputError, match="was changed while"):
         before[0].check()
     assert Digests(Store(tmp_path)).of([source])[0].digest != before[0].digest
+
+
+def test_sources_of_one_look_that_change_places_are_other_ones(tmp_path, monkeypatch):
+    """Written within one tick of the file system's clock, so that size and times are equal."""
+    monkeypatch.setattr(remote_file, "looks", lambda path: (100, 1, 1))
+    first, second = tmp_path / "a.las", tmp_path / "b.las"
+    first.write_bytes(b"x" * 100)
+    second.write_bytes(b"y" * 100)
+    digests = Digests(Store(tmp_path))
+    before = digests.of([first])[0].digest
+    first.rename(tmp_path / "aside")
+    second.rename(first)
+    assert digests.of([first])[0].digest != before
 
 
 def test_a_removed_store_is_told_as_that(tmp_path):

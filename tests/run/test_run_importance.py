@@ -8,6 +8,7 @@ import yaml
 
 from fwclass.graph import learn
 from fwclass.graph.stage import StageInputs
+from fwclass.graph.training_rows import SAMPLE
 from fwclass.model import ClassDef
 from fwclass.store.arrays import arrays_at, read_arrays, write_arrays
 from fwclass.store.models import load_model
@@ -35,7 +36,7 @@ def test_importance_in_parts(tmp_path):
     inputs = SimpleNamespace(
         path=path, arrays=lambda stage, part, name, only=None: read_arrays(arrays_at(path(stage, part, name)), only)
     )
-    write_arrays(path("training", "all") / learn.SAMPLE, sample.arrays())
+    write_arrays(path("training", "all") / SAMPLE, sample.arrays())
     for first, count in ((0, 3), (3, 1)):
         part = f"{first:05d}"
         learn.grow_part(StageInputs(inputs, path("trees", part), part), NAMES, params, CLASSES, count)
