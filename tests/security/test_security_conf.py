@@ -285,7 +285,7 @@ def test_thousands_of_anything_are_refused_in_a_few_lines(before: str, after: st
 @pytest.mark.parametrize("value", ["1:30", "1:30.5", "030", "true"])
 def test_what_yaml_makes_another_number_of_is_refused(value: str) -> None:
     """By sixties 90, by eights 24; true is 1."""
-    with pytest.raises(ConfigError, match="in sixties or in eights|neither true nor false"):
+    with pytest.raises(ConfigError, match=r"in sixties or in eights|neither true nor false"):
         conf.section("tile", (f"tile.size={value}",))
 
 
