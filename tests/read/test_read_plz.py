@@ -126,7 +126,7 @@ def test_every_width_of_the_counts(tmp_path, params, duration_bits, segment_bits
     same(read(packed, params), read(plain, params))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=15)
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 120), chunk=st.integers(1, 130))
 def test_any_pulse_comes_back(tmp_path_factory, seed, n, chunk):
     folder = tmp_path_factory.mktemp("wild")

@@ -44,7 +44,10 @@ def seen(frames: tuple[Frame, ...], speed: float, pitch: float) -> tuple[dict, l
     return counts["sound"], recording_faults(counts, params, {}, (len(frames), "frames"), {})
 
 
-@pytest.mark.parametrize(("seed", "pitch", "leaves"), [(11, 0.0, True), (12, 0.0, False), (13, 20.0, True)])
+@pytest.mark.parametrize(
+    ("seed", "pitch", "leaves"),
+    [(11, 0.0, True), pytest.param(12, 0.0, False, marks=pytest.mark.slow), (13, 20.0, True)],
+)
 def test_sound_drives_are_not_told(seed: int, pitch: float, leaves: bool) -> None:
     facts, told = seen(drive(seed, pitch, leaves), 1.0, pitch)
     assert told == [] and 0.6 < facts["stretch"] < 1.6 and facts["lean_share"] < 0.35, facts
@@ -60,7 +63,9 @@ def test_a_short_drive_tells_nothing_of_its_speed() -> None:
     assert facts["stretch"] is None and told == []
 
 
-@pytest.mark.parametrize(("true", "said"), [(20.0, 0.0), (0.0, 15.0), (20.0, -10.0)])
+@pytest.mark.parametrize(
+    ("true", "said"), [(20.0, 0.0), (0.0, 15.0), pytest.param(20.0, -10.0, marks=pytest.mark.slow)]
+)
 def test_another_pitch(true: float, said: float) -> None:
     facts, told = seen(drive(13 if true else 11, true), 1.0, said)
     assert abs(facts["lean_deg"] - (said - true)) <= 3.0, facts
