@@ -199,6 +199,11 @@ def _block(path: Path, block: Any) -> _Block:
     return _Block(block.time, block.channel, samples)
 
 
+def library_path() -> Path:
+    """The vendor's library, as the user names it."""
+    return Path(os.environ.get(LIBRARY, ""))
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     library, file = library_of(os.environ.get(LIBRARY, "")), ctypes.c_void_p()

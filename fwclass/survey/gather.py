@@ -15,6 +15,7 @@ from fwclass.grid import Box
 from fwclass.paths import name_fault
 from fwclass.publish.strips import check_records
 from fwclass.read.quantities import quantities_of
+from fwclass.read.riegl_sdf import is_sdf, library_path
 from fwclass.read.source import LasSource, Source, open_source
 from fwclass.read.stage import check_source, with_settings
 from fwclass.run.runner import Runner
@@ -24,7 +25,7 @@ from fwclass.survey.bounds import flat_bounds
 from fwclass.survey.check_point_file import check_point_file
 from fwclass.survey.file_digests import Digests
 from fwclass.survey.files import box_text, find_files, joint_bounds
-from fwclass.survey.layout import Strip, Survey
+from fwclass.survey.layout import FileDigests, Strip, Survey
 from fwclass.survey.numbering import assign_numbers
 from fwclass.survey.reference import (
     reference_clouds,
@@ -71,7 +72,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     box = joint_bounds(bounds.values())
     check_areas(config, box)  # before all files are read for their digests
     strips = tuple(
-        Strip(numbered[p.stem], p, digests.of(_files_of(_here(p, s)), p), s.point_format)
+        Strip(numbered[p.stem], p, digests_of(_here(p, s), p, digests), s.point_format)
         for p, s in zip(places, opened, strict=True)
     )
     _refuse_same_file(strips)
@@ -144,9 +145,11 @@ def _here(place: Location, source: Source) -> Source:
     return source
 
 
-def _files_of(source: Any) -> list[Path]:
-    store = source.waves
-    return [source.path, *([store.path] if store.path is not None and store.path != source.path else [])]
+def digests_of(source: Any, place: Location, digests: Digests) -> FileDigests:
+    """The files of a strip and, where a vendor's library reads it, that library: another one may give other samples."""
+    waves = source.waves.path
+    files = [source.path, *([waves] if waves is not None and waves != source.path else [])]
+    return (*digests.of(files, place), *(digests.of([library_path()]) if is_sdf(source.path) else ()))
 
 
 def require_distinct(paths: Sequence[Path]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ from fwclass.read import riegl_sdf
 from fwclass.read.info import describe, info
 from fwclass.read.riegl_sdf import LIBRARY, REFERENCE
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.store.run_store import Store
+from fwclass.survey.file_digests import Digests
+from fwclass.survey.gather import digests_of
 
 GATE = 3e-6
 """s after the pulse when the range gate opens; times of blocks count from it."""
@@ -183,3 +187,17 @@ def test_rdb_is_refused_with_what_to_export(tmp_path, command):
     (tmp_path / "a.rdbx").write_bytes(b"RIEGL" + bytes(500))
     ended = fwclass(*command, tmp_path / "a.rdbx", *([tmp_path / "o.laz"] if command[0] == "decompose" else []))
     assert ended.returncode == 1 and "export LAS 1.4 with waveforms" in ended.stderr, ended.stderr
+
+
+def test_another_library_reads_a_strip_anew(tmp_path, monkeypatch):
+    """A part's key has the digests of what it read, and what read it."""
+    library, path = tmp_path / "libsdfifc.so", tmp_path / "a.sdf"
+    path.write_bytes(b"record")
+    monkeypatch.setenv(LIBRARY, str(library))
+    source = SimpleNamespace(path=path, waves=SimpleNamespace(path=path))
+    keys = []
+    for version in (b"one", b"two"):
+        library.write_bytes(version)
+        keys.append([(f.name, f.digest) for f in digests_of(source, path, Digests(Store(tmp_path)))])
+    assert [n for n, _ in keys[0]] == ["a.sdf", "libsdfifc.so"]
+    assert keys[0][0] == keys[1][0] and keys[0][1] != keys[1][1]
