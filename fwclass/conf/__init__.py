@@ -183,6 +183,8 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
         return f"{key}: {error['msg'].removeprefix('Value error, ')}"  # several keys that do not fit one another
     if error["type"] == "too_long":
         return f"{key}: at most {error['ctx']['max_length']:,} are wanted (got {error['ctx']['actual_length']:,})"
+    if error["type"] == "string_too_long":
+        return f"{key}: at most {error['ctx']['max_length']:,} letters are wanted (got {len(error['input']):,})"
     kind = "" if error["type"] in _RULES else error["type"].split("_")[0]
     wanted = _RULES.get(error["type"]) or _WANTED.get(kind, error["msg"].removeprefix("Value error, "))
     if name == "schedule" and error["loc"] and error["loc"][0] in SECRET:
@@ -193,6 +195,7 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
 _RULES = {
     "too_short": "at least one is wanted",
     "string_too_short": "a text that is not empty is wanted",
+    "string_unicode": "a text is wanted that can be written as UTF-8",
     "string_pattern_mismatch": "a name of letters and digits is wanted, with no more than `_`, `-` and `.` in it",
 }
 """What to say where the kind is right and the value is not."""
