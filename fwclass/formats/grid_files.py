@@ -60,7 +60,7 @@ def is_path(name: str) -> bool:
 def without_paths(crs: CRS) -> tuple[CRS, list[str]]:
     """`crs` without the shifts of its datum that need a file by its path, and these files.
 
-    `CRSError` where the system itself is made by such a file.
+    `CRSError` where the system itself is made by such a file, or PROJ reads it and makes no other of it.
     """
     paths: list[str] = []
     try:
@@ -70,7 +70,9 @@ def without_paths(crs: CRS) -> tuple[CRS, list[str]]:
         raise CRSError("a coordinate system nested too deep") from fault
     if left:
         raise CRSError(f"a coordinate system made by the file {left[0]}")
-    return (CRS.from_json_dict(plain), paths) if paths else (crs, [])
+    made = CRS.from_json_dict(plain) if paths else crs
+    made.to_2d()
+    return made, paths
 
 
 def _unbound(node: Any, paths: list[str]) -> Any:

@@ -6,6 +6,7 @@ other write beside its memory. So whatever states a count, a length or a place i
 
 from __future__ import annotations
 
+import itertools
 import struct
 from typing import BinaryIO, NoReturn
 
@@ -28,6 +29,9 @@ _SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 _BYTES, _BYTES14 = 0, 14
 _LEGACY = {0: (6,), 1: (6, 7), 2: (6, 8), 3: (6, 7, 8), 4: (6, 7, 9), 5: (6, 7, 8, 9)}
 _MODERN = {6: (10,), 7: (10, 11), 8: (10, 12), 9: (10, 13), 10: (10, 12, 13)}
+NO_CODE = b"\xff" * 4
+"""What no arithmetic coder writes first."""
+
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Layers of an item; a byte is one layer."""
 
@@ -79,7 +83,10 @@ def check_laz(header: Header) -> None:
         _check_count(header, n_chunks, _chunk_size(header))
         chunks = _chunk_table(header, stream, body, table_at)
         if struct.unpack_from("<H", body)[0] == LAYERED:
-            _check_layers(header, stream, items, chunks)
+            starts = _check_layers(header, stream, items, chunks)
+        else:
+            starts = [at + header.record_length for _, at, _ in chunks]
+        _check_codes(header, stream, starts)
     _remember(known, _SOUND)
 
 
@@ -197,8 +204,9 @@ def _chunk_table(header: Header, stream: BinaryIO, body: bytes, table_at: int) -
     return chunks
 
 
-def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: list[tuple[int, int, int]]) -> None:
-    """The layers of every chunk must fill it: their stated lengths are what is allocated."""
+def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: list[tuple[int, int, int]]) -> list[int]:
+    """First bytes of all layers. Those of every chunk must fill it: their stated lengths are what is allocated."""
+    starts = []
     layers = sum(_LAYERS.get(kind, size) for kind, size, _ in items)
     head = header.record_length + 4 + 4 * layers
     for number, (_, at, length) in enumerate(chunks):
@@ -211,6 +219,17 @@ def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: l
                 f"chunk {number} of {length} bytes to be {layers} layers behind {head} bytes",
                 f"layers of {sum(sizes)} bytes" if sizes else "no room for them",
             )
+        ends = [at + head + n for n in itertools.accumulate(sizes)]
+        starts += [end - size for end, size in zip(ends, sizes, strict=True) if size]
+    return starts
+
+
+def _check_codes(header: Header, stream: BinaryIO, starts: list[int]) -> None:
+    """A code lies below the coder's range, which begins as 32 bits of ones: LASzip leaves its tables for others."""
+    for at in starts:
+        stream.seek(at)
+        if stream.read(4) == NO_CODE:
+            _refuse(header, "an arithmetic code", f"{NO_CODE.hex()} at byte {at}")
 
 
 def _refuse(header: Header, expected: object, got: object) -> NoReturn:

@@ -103,7 +103,10 @@ def files_of(path: Path) -> list[Path]:
 
 def _crs(text: str | None) -> CRS | None:
     try:
-        return CRS.from_user_input(text) if text else None
+        crs = CRS.from_user_input(text) if text else None
+        if crs is not None:
+            crs.to_2d()  # what PROJ reads, it need not be able to make another of
+        return crs
     except CRSError:
         return None
 
