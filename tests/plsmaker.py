@@ -266,3 +266,21 @@ def two_segments_of(duration_bits: int, segment_bits: int, length_bits: int) -> 
         padding=4,
     )
     return sampling, [(2950.0, rng.integers(0, 65536, 30)), (3040.5, rng.integers(0, 65536, 30))]
+
+
+SENT, BACK, LEAD, HEAD = 20, 60, 4, 7
+"""Outgoing and returning samples of a pulse, and bytes before either: duration; segments, duration, samples."""
+
+
+def run_together(path: Path) -> None:
+    """The Waves file of a `survey` of 16 bits with one segment a pulse, as a converter of 2013 wrote it: outgoing
+    samples of 8 bits taken for such of 16."""
+    waves = path.with_suffix(".wvs")
+    head, body = waves.read_bytes()[:60], np.frombuffer(waves.read_bytes()[60:], np.uint8)
+    whole = body.reshape(-1, LEAD + 2 * SENT + HEAD + 2 * BACK).copy()
+    rows = whole[:, LEAD:]
+    sent = rows[:, : 2 * SENT].copy().view("<u2").astype(np.uint8)
+    back = rows[:, 2 * SENT + HEAD :].copy()
+    rows[:, :SENT], rows[:, SENT : 2 * SENT] = sent, back[:, :SENT]
+    rows[:, 2 * SENT + HEAD :] = np.concatenate([back[:, SENT:], np.roll(sent, -1, axis=0)], axis=1)
+    waves.write_bytes(head + whole.tobytes())

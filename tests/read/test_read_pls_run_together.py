@@ -7,30 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plsmaker import Truth, survey
+from plsmaker import Truth, run_together, survey
 
 from fwclass.read.pls_read import RUN_TOGETHER, index_pls, read_pls
 from fwclass.read.pulsewaves import open_pls
 
-SENT, BACK, LEAD, HEAD = 20, 60, 4, 7
-"""Outgoing and returning samples of a pulse, and bytes before either: duration; segments, duration, samples."""
-
 
 def file(folder: Path, pulses: int = 50) -> Truth:
     return survey(folder / "a.pls", pulses, bits=16, two_segments=0.0)
-
-
-def run_together(path: Path) -> None:
-    """The Waves file as that converter wrote it."""
-    waves = path.with_suffix(".wvs")
-    head, body = waves.read_bytes()[:60], np.frombuffer(waves.read_bytes()[60:], np.uint8)
-    whole = body.reshape(-1, LEAD + 2 * SENT + HEAD + 2 * BACK).copy()
-    rows = whole[:, LEAD:]
-    sent = rows[:, : 2 * SENT].copy().view("<u2").astype(np.uint8)
-    back = rows[:, 2 * SENT + HEAD :].copy()
-    rows[:, :SENT], rows[:, SENT : 2 * SENT] = sent, back[:, :SENT]
-    rows[:, 2 * SENT + HEAD :] = np.concatenate([back[:, SENT:], np.roll(sent, -1, axis=0)], axis=1)
-    waves.write_bytes(head + whole.tobytes())
 
 
 @pytest.mark.parametrize("chunk", [50, 7])

@@ -51,7 +51,6 @@ from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import terrain
 from fwclass.ground.terrain.thinning import thin_points
 from fwclass.ground.tin.tin import tin_of
-from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, owners
 from fwclass.label.stage import from_cloud
 from fwclass.model import ClassDef
@@ -322,9 +321,7 @@ def work_labels(_: Path) -> Any:
     codes = np.array([2, 9, 6], np.int16)
     parts = [holed, shapely.box(3, 3, 5, 7), shapely.Point(8, 8).buffer(2)]
     polygons = Polygons.of(shapes([shapely.to_wkb(p) for p in parts], "here"), codes, codes, "here")
-    return from_cloud(chunk, cloud, LabelParams(max_distance=1.0, max_move=0.075)), owners(
-        *rng.integers(-900, 11_000, (2, 200)), polygons
-    )
+    return from_cloud(chunk, cloud, 1.0), owners(*rng.integers(-900, 11_000, (2, 200)), polygons)
 
 
 def work_histograms(_: Path) -> Any:
@@ -361,7 +358,10 @@ def work_compressed_packets(directory: Path) -> Any:
 
 
 def work_pulsewaves(directory: Path) -> Any:
-    return _read(plsmaker.survey(directory / "a.pls", pulses=12).path)
+    """Besides a file whose returning samples begin in the outgoing ones."""
+    path = plsmaker.survey(directory / "together.pls", 24, bits=16, two_segments=0.0).path
+    plsmaker.run_together(path)
+    return [*_read(plsmaker.survey(directory / "a.pls", pulses=12).path), *_read(path)]
 
 
 def work_compressed_pulsewaves(directory: Path) -> Any:
