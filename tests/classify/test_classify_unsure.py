@@ -150,7 +150,7 @@ areas: {train: [[500000, 5400000, 500020, 5400040]], gap: 0}
         (20, "plants and unsure echoes (classify.leave) would both be written as code 20"),
         (64, "unsure echoes would get the code of a class"),
         (40, "unsure echoes (classify.leave) 40"),
-        ("true", "a whole number is wanted"),
+        ("true", "neither true nor false can stand here"),
     ],
 )
 def test_unsure_echoes_never_share_a_code_in_old_points(leave, said, tmp_path):
