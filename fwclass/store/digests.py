@@ -20,8 +20,8 @@ MEND = (
 
 Looks = tuple[int, int, int]
 """Size [bytes], when the bytes and when anything of the file was changed [ns since the epoch, for equality alone]. The
-second time no program can set. The inode tells no more, and some network file systems number a file anew whenever they
-are asked."""
+second time no program can set. The inode, which tells files that changed places (`remote_file.seen_as` asks for it of
+sources), is not among them: some network file systems number a file anew whenever they are asked."""
 
 _known: dict[str, tuple[Looks, str]] = {}
 _guard = threading.Lock()

@@ -345,10 +345,10 @@ def failure_key(stage: str, part: str) -> str:
     return f"store/failures/{stage}/{part}.json"
 
 
-def _file_of(path: Path) -> tuple[int, int]:
-    """Device and number of a file, whatever its name."""
+def _file_of(path: Path) -> tuple[int, int] | Path:
+    """Device and number of a file that has several names; the name of another: not every file system numbers files."""
     facts = path.stat()
-    return facts.st_dev, facts.st_ino
+    return (facts.st_dev, facts.st_ino) if facts.st_nlink > 1 else path
 
 
 def link(source: Path, target: Path) -> None:

@@ -235,7 +235,8 @@ def _short_packets(source: LasSource, points: Any) -> list[str]:
     short = sum(FAULTS[code] in ("packet past the end", "packet cut short") for code in fault)
     if not short or source.waves.path is None:
         return []
-    return [f"{source.waves.path.name} is cut short: the packets of {short} of the last {len(fault)} points lack in it"]
+    name = source.waves.path.name
+    return [f"{name} is cut short: the packets of {short} of the last {len(fault)} points lie behind its end"]
 
 
 def _short_waves(path: Path) -> str:
