@@ -50,5 +50,5 @@ def test_a_file_that_led_out_of_the_buffers(shared_data, tmp_path):
     if not source.exists():
         pytest.skip("no geolas_example2.pls")
     ended = process("decompose", source, tmp_path / "out.laz")
-    assert ended.returncode == 4 and "fit poorly" in ended.stderr, ended.stderr
+    assert ended.returncode == 0 and "taken apart: 1,640" in ended.stderr, ended.stderr
     assert len(laspy.read(tmp_path / "out.laz")) > 10_000

@@ -169,14 +169,17 @@ def test_sound_files_are_not_refused(tmp_path, name):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (REAL / "geolas_example2.pls").is_file(), reason="needs ../shared/data")
-def test_a_file_without_returns_whose_samples_are_stored_wrongly_ends_with_4(tmp_path):
-    """Its 16 bit records hold 8 bit ones."""
+def test_a_file_whose_samples_are_stored_wrongly_is_taken_apart_and_poor_fits_end_with_4(tmp_path):
+    """Its 16 bit records hold 8 bit ones, read as they were recorded; few fit poorly."""
     ended = fwclass("decompose", REAL / "geolas_example2.pls", tmp_path / "o.laz")
-    assert ended.returncode == 4 and "more fitted echoes fit poorly than a sound survey has" in ended.stderr
-    assert "2.05 ns wide by the echoes, 3.99 ns by the recorded" in ended.stderr and "65535 DN" in ended.stderr
+    assert ended.returncode == 0 and "taken apart: 1,640" in ended.stderr
+    assert "3.14 ns wide by the echoes, 3.99 ns by the recorded" in ended.stderr and "65535 DN" in ended.stderr
     assert "3.74 ns of samples up to 255 DN" in ended.stderr
-    accepted = fwclass("decompose", REAL / "geolas_example2.pls", tmp_path / "a.laz", "--accept-implausible")
-    assert accepted.returncode == 0 and (tmp_path / "a.laz").read_bytes() == (tmp_path / "o.laz").read_bytes()
+    strict = ("--set", "plausibility.max_poor=0.0001", "--set", "decompose.poor_misfit=1.5")
+    refused = fwclass("decompose", REAL / "geolas_example2.pls", tmp_path / "s.laz", *strict)
+    assert refused.returncode == 4 and "more fitted echoes fit poorly than a sound survey has" in refused.stderr
+    accepted = fwclass("decompose", REAL / "geolas_example2.pls", tmp_path / "a.laz", *strict, "--accept-implausible")
+    assert accepted.returncode == 0 and (tmp_path / "a.laz").read_bytes() == (tmp_path / "s.laz").read_bytes()
     looked = fwclass("info", "--waveforms", REAL / "geolas_example2.pls", "--out", tmp_path / "a.png")
     assert "neighbouring samples correlate by 0.7" in looked.stdout
     assert implausible(tmp_path / "o.laz")[1].mean() < 0.1
