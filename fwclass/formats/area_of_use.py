@@ -10,7 +10,7 @@ from pyproj import Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
-from fwclass.formats.crs import Records
+from fwclass.formats.crs import Records, epsg_of
 from fwclass.formats.linear_units import linear_units
 from fwclass.units import LAND
 
@@ -100,7 +100,7 @@ def _metres_of_height(crs: Any, header: Records | None) -> float:
 def _horizontal(crs: Any) -> Any:
     """The part of `crs` that x and y are of; with the area that its code has where its own words name none."""
     flat = crs.sub_crs_list[0] if crs.is_compound else crs
-    if flat.area_of_use is None and (code := flat.to_epsg()) is not None:
+    if flat.area_of_use is None and (code := epsg_of(flat)) is not None:
         flat = type(crs).from_epsg(code)
     return flat
 

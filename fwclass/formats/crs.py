@@ -49,6 +49,15 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     return crs
 
 
+def epsg_of(crs: CRS) -> int | None:
+    """Its EPSG code; None where it has none, or its file gives one that is no number."""
+    try:
+        code = crs.to_epsg()
+    except ValueError:
+        return None
+    return None if code is None else int(code)
+
+
 def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
     for record in header.records(_WKT, _USERS):
         text = record.body.split(b"\0")[0].decode("utf-8", "replace").strip()

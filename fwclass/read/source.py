@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import InputError
+from fwclass.formats.crs import epsg_of
 from fwclass.read.base import Source as Source
 from fwclass.read.beam_formats import PARQUET, open_beam_file
 from fwclass.read.beam_formats import is_beam_file as is_beam_file
@@ -59,7 +60,7 @@ def refuse_other_system(source: Source, crs: Any) -> None:
     """`InputError` where a user names another system than the one that `source`, in degrees, was brought into."""
     if crs is None or not isinstance(source, BeamSource) or not isinstance(source.layout, FootprintLayout):
         return
-    if not crs.equals(source.crs, ignore_axis_order=True) and crs.to_2d().to_epsg() != source.crs.to_epsg():
+    if not crs.equals(source.crs, ignore_axis_order=True) and epsg_of(crs.to_2d()) != epsg_of(source.crs):
         raise InputError(
             "the file is in degrees, and is brought into the zone of its shots",
             where=source.path,

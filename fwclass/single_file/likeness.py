@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.errors import first_few, refuse_unsound
+from fwclass.formats.crs import epsg_of
 from fwclass.single_file.pairing import Places
 
 SHIFTED, ALIKE = 0.1, 0.05
@@ -143,7 +144,7 @@ def judge_likeness(sentences: Sequence[str], accepted: bool, where: object) -> N
 
 def _alike(one: str | None, other: str | None) -> bool:
     a, b = (CRS.from_wkt(str(s)) for s in (one, other))
-    codes = [(c.sub_crs_list[0] if c.is_compound else c).to_epsg() for c in (a, b)]
+    codes = [epsg_of(c.sub_crs_list[0] if c.is_compound else c) for c in (a, b)]
     return a == b or (codes[0] is not None and codes[0] == codes[1]) or a.to_2d() == b.to_2d()
 
 
