@@ -7,15 +7,15 @@ import json
 import mmap
 import re
 import sqlite3
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from fwclass.errors import InputError, visible
 from fwclass.formats.grid_files import names_file, paths_named
+from fwclass.formats.sqlite_files import SIGNATURE, open_sqlite, page_fault, schema_fault
 from fwclass.paths import open_regular, strange_kind
 
-SQLITE = b"SQLite format 3\0"
 GEOPACKAGE = (b"GPKG", b"GP10", b"GP11")
 """Application ids of SQLite files: OGC 12-128, requirement 2, of all versions."""
 
@@ -63,7 +63,7 @@ def check_format(path: Path) -> None:
         fault = "" if head.startswith(SHAPEFILE) else "no Shapefile begins so"
         promised = 2 * int.from_bytes(head[24:28], "big") if len(head) >= 32 else 0
     elif ending == ".gpkg":
-        fault = "" if head.startswith(SQLITE) and head[68:72] in GEOPACKAGE else "no GeoPackage begins so"
+        fault = "" if head.startswith(SIGNATURE) and head[68:72] in GEOPACKAGE else "no GeoPackage begins so"
         page = int.from_bytes(head[16:18], "big")
         promised = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
     else:
@@ -188,13 +188,12 @@ def _looks(path: Path) -> tuple[int, ...]:
 @lru_cache(maxsize=16)  # all of the file is read, and each layer of it asks
 def _check_tables(path: Path, *_: tuple[int, ...]) -> None:
     """`InputError` for tables that read other files (virtual ones, but for the indices of the format itself), and for
-    layers that are computed while they are read, for as long as their maker likes: views and generated columns."""
-    beside = "" if Path(f"{path}-wal").exists() else "&immutable=1"
+    what is computed while it is read, for as long as its maker likes: views and generated columns."""
     try:
-        opened = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{beside}", uri=True)
-        opened.text_factory = partial(str, encoding="utf-8", errors="replace")
+        opened = open_sqlite(path, Path(f"{path}-wal").exists())
         try:
-            fault = _torn(opened) or _virtual(opened) or _computed(opened) or _miscounted(opened)
+            asked = (_virtual, schema_fault, page_fault, _misnamed, _miscounted)
+            fault = next((said for question in asked if (said := question(opened))), "")
             systems = [] if fault else _systems(opened)
         finally:
             opened.close()
@@ -215,11 +214,13 @@ def _systems(opened: sqlite3.Connection) -> list[str]:
     return [str(text) for row in rows for text in row if text]
 
 
-def _torn(opened: sqlite3.Connection) -> str:
-    """The fault of pages that do not make trees: one that is there twice would be walked without end."""
-    for (said,) in opened.execute("PRAGMA quick_check(100)"):
-        if re.search(r"page|tree|malformed", str(said), re.IGNORECASE):
-            return f"a damaged database ({visible(' '.join(str(said).split()))[:80]})"
+def _misnamed(opened: sqlite3.Connection) -> str:
+    """The fault of a layer whose name is no text, which GDAL takes for one; "" without one."""
+    for name in ("gpkg_contents", "gpkg_geometry_columns", "gpkg_ogr_contents"):
+        if opened.execute("SELECT 1 FROM sqlite_master WHERE lower(name) = ?", (name,)).fetchone():
+            for (kind,) in opened.execute(f"SELECT typeof(table_name) FROM {name}"):  # noqa: S608 (one of three)
+                if kind != "text":
+                    return f"a layer in {name} whose name is {kind}, not text"
     return ""
 
 
@@ -227,9 +228,9 @@ def _miscounted(opened: sqlite3.Connection) -> str:
     """The fault of a layer that says another number of rows than it has: memory is taken for what it says."""
     if not opened.execute("SELECT 1 FROM sqlite_master WHERE lower(name) = 'gpkg_ogr_contents'").fetchone():
         return ""
-    tables = {str(name) for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    tables = {str(name).lower() for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     for name, count in opened.execute("SELECT table_name, feature_count FROM gpkg_ogr_contents").fetchall():
-        if count is not None and name in tables:
+        if count is not None and name.lower() in tables:
             quoted = '"' + str(name).replace('"', '""') + '"'
             rows = opened.execute(f"SELECT count(*) FROM {quoted}").fetchone()[0]  # noqa: S608 (quoted)
             if rows != count:
@@ -243,21 +244,4 @@ def _virtual(opened: sqlite3.Connection) -> str:
         kind = re.search(r"create\s+virtual\s+table.*?\busing\s+[\"'`\[]?(\w+)", str(text), re.IGNORECASE | re.DOTALL)
         if kind and kind[1].lower() not in ("rtree", "fts3", "fts4", "fts5"):
             return f"a table that reads other files ({kind[1]})"
-    return ""
-
-
-def _computed(opened: sqlite3.Connection) -> str:
-    """The fault of a layer, or a table of the format, that is a view or has generated columns; "" without one."""
-    views = {str(name).lower() for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'view'")}
-    own = next((name for name in sorted(views) if name.startswith("gpkg_")), None)
-    layers = set[str]()
-    if own is None and opened.execute("SELECT 1 FROM sqlite_master WHERE lower(name) = 'gpkg_contents'").fetchone():
-        layers = {str(name) for (name,) in opened.execute("SELECT table_name FROM gpkg_contents")}
-        own = next((name for name in sorted(layers) if name.lower() in views), None)
-    if own is not None:
-        return f"a view, {visible(own)}, which is computed when it is read"
-    for name in sorted(layers | {"gpkg_contents", "gpkg_geometry_columns", "gpkg_spatial_ref_sys"}):
-        quoted = '"' + name.replace('"', '""') + '"'
-        if any(row[6] in (2, 3) for row in opened.execute(f"PRAGMA table_xinfo({quoted})")):
-            return f"generated columns in {visible(name)}, which are computed when it is read"
     return ""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.street.bag_limits import BagPath, check_chunks, check_files, limit_library
+from fwclass.street.bag_limits import WORK, BagPath, check_chunks, check_files, forget_chunks, limit_library, open_first
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import MOST_BEAMS, frame_of
 
@@ -43,9 +43,9 @@ class BagRecording:
     def __init__(self, path: Path, scan: Scan, topic: str | None) -> None:
         self.path, self._scan = path, scan
         self._ros2 = path.suffix != ".bag" and not _is_ros1(path)
-        size = sum(p.stat().st_size for p in ([path] if path.is_file() else sorted(path.iterdir())) if p.is_file())
-        if size > LARGEST:
-            raise InputError("the bag is too large", where=path, expected=f"at most {LARGEST} bytes", got=size)
+        self._size = sum(p.stat().st_size for p in ([path] if path.is_file() else path.iterdir()) if p.is_file())
+        if self._size > LARGEST:
+            raise InputError("the bag is too large", where=path, expected=f"at most {LARGEST} bytes", got=self._size)
         with self._open() as reader:
             kinds: dict[tuple[str, str], int] = {}
             for c in reader.connections:
@@ -91,7 +91,6 @@ class BagRecording:
     @contextmanager
     def _open(self) -> Iterator[Any]:
         try:
-            from rosbags.rosbag1 import Reader as One
             from rosbags.rosbag2 import Reader as Two
         except ImportError as fault:
             raise ConfigError(
@@ -99,10 +98,11 @@ class BagRecording:
             ) from fault
         try:
             limit_library()
+            WORK.allow(self._size)
             path = BagPath(self.path)
             if self._ros2:
                 check_files(self.path)
-            reader = Two(path) if self._ros2 else One(path)
+            reader = Two(path) if self._ros2 else open_first(path)
             reader.open()
             for storage in _storages(reader):
                 check_chunks(getattr(storage, "chunks", ()))
@@ -112,6 +112,7 @@ class BagRecording:
             yield reader
         finally:
             reader.close()
+            forget_chunks()
 
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
@@ -129,6 +130,7 @@ class BagRecording:
                     connection, _, raw = next(coming)
                     if len(raw) > MESSAGE:
                         raise ValueError(f"a message of {len(raw)} bytes")
+                    WORK.take(len(raw))
                     message = read(raw, connection.msgtype)
                 except StopIteration:
                     return

@@ -204,7 +204,7 @@ ENDLESS = "with t(n) as (select 1 union all select n + 1 from t) select n as fid
     ("statements", "words"),
     [
         ((f"create view v as {ENDLESS}", LISTED, GEOMETRY.format("geom")), "a view, v"),
-        (("create view V as select * from good", LISTED, GEOMETRY.format("geom")), "a view, v"),
+        (("create view V as select * from good", LISTED, GEOMETRY.format("geom")), "a view, V"),
         (("alter table gpkg_contents rename to c", f"create view gpkg_contents as {ENDLESS}"), "a view, gpkg_contents"),
         (("alter table good add column g as (hex(zeroblob(500000000)))",), "generated columns in good"),
     ],
@@ -299,8 +299,42 @@ def test_columns_that_are_there_twice_or_nested_are_refused(tmp_path: Path) -> N
             read_polygons(open_polygons(tmp_path / f"{name}.parquet"), "code")
 
 
-def test_a_view_that_is_no_layer_is_none_of_ours(sound: Path) -> None:
-    assert open_polygons(changed(sound, f"create view v as {ENDLESS}"), "good").features > 0
+COUNTED = "select count(*) as fid from (with t(n) as (select 1 union all select n + 1 from t) select n from t)"
+
+
+def renamed(table: str, name: str = "x'67'") -> str:
+    return (
+        f"insert into {table} select {name}, "
+        + {
+            "gpkg_contents": "'features', 'g', '', '2000-01-01T00:00:00Z', 0, 0, 1, 1, 25832",
+            "gpkg_geometry_columns": "'geom', 'POLYGON', 25832, 0, 0",
+        }[table]
+    )
+
+
+@pytest.mark.parametrize(
+    ("statements", "words"),
+    [
+        ((f"create view v as {COUNTED}",), "a view, v"),
+        (
+            (
+                "create table g(fid integer primary key, geom polygon, class as (hex(zeroblob(500000000))))",
+                renamed("gpkg_contents"),
+                renamed("gpkg_geometry_columns"),
+            ),
+            "generated columns in g",
+        ),
+        (("create table g(fid integer primary key, geom polygon)", renamed("gpkg_contents")), "whose name is blob"),
+        (("update gpkg_ogr_contents set table_name = x'676f6f64', feature_count = 2000000000",), "whose name is blob"),
+        (("update gpkg_ogr_contents set table_name = 'GOOD', feature_count = 2000000000",), "says it has 2000000000"),
+        ((f"alter table good add column more text default '{'x' * 100_000}'",), "for silent rows of good"),
+    ],
+)
+def test_what_gdal_sees_and_a_layer_is_not_is_refused_too(statements, words, sound: Path) -> None:
+    """GDAL counts a view that is no layer, takes a name that is no text for one, and gives every row the default."""
+    with pytest.raises(InputError, match="not what its name says") as told:
+        open_polygons(changed(sound, *statements), "good")
+    assert words in str(told.value)
 
 
 @pytest.mark.parametrize(
