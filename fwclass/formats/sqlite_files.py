@@ -46,7 +46,7 @@ def schema_fault(opened: sqlite3.Connection) -> str:
     for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'view' LIMIT 1"):
         return f"a view, {visible(str(name))}, which is computed when it is read"
     columns = (
-        "SELECT m.name, max(x.hidden IN (2, 3)), total(length(CAST(x.dflt_value AS BLOB))) "  # noqa: S608 - no value
+        "SELECT m.name, max(x.hidden IN (2, 3)), total(length(CAST(x.dflt_value AS BLOB))) "
         "FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS x WHERE m.type = 'table' GROUP BY m.name"
     )
     for name, generated, defaults in opened.execute(columns):

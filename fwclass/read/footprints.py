@@ -9,6 +9,7 @@ GEDI L1B product data dictionary, versions 1 and 2 (groups BEAMxxxx; indices of 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -32,6 +33,22 @@ WIDEST = 10.0
 
 TIMES = 200
 """Bytes of a data set over those of its file: compressed waveforms reach 10."""
+
+FEWEST_BYTES = 16
+"""A shot has at least so many of a file, its places alone have 48; `SHOTS` need not."""
+SHOTS = 10_000
+
+CHUNK = 64 << 20
+"""Bytes of a chunk, which is unpacked again for every block of shots; writers make chunks of up to a few MiB."""
+
+GAP = 1_000_000
+"""Samples between two shots that are read rather than passed over."""
+
+SHUFFLE, FLETCHER32 = 2, 3
+PACKINGS = {1: "deflate", 4: "szip", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
+"""HDF5's numbers of filters, and h5py's; one of these may have packed a chunk, once."""
+VIRTUAL = 3
+"""HDF5's number of a data set that is put together from others."""
 
 GEOGRAPHIC = CRS.from_epsg(4979)
 NEAR = 0.02
@@ -157,15 +174,22 @@ class _Shots:
             )
         values = np.empty(int(ends[-1]))
         full = np.flatnonzero(size)
-        if len(full):
-            low, high = int(at[full].min()), int((at + size)[full].max())
-            if high - low <= 4 * len(values) + 1_000_000:
-                places = np.arange(ends[-1]) + np.repeat(at - low - ends[:-1], size)
+        begin, end = at[full], (at + size)[full]
+        if (np.diff(begin) < 0).any():  # every block of shots would read all of the file
+            raise InputError(
+                "the waveforms of the shots are in another order than the shots",
+                where=f"{self.path}: {data.name}",
+                expected="start indices that grow",
+                do="the file is damaged; download it again",
+            )
+        gap = max(GAP, data.chunks[0] if data.chunks else 0)
+        for run in np.split(np.arange(len(full)), np.flatnonzero(begin[1:] - end[:-1] > gap) + 1):
+            if len(run):
+                low, rows = int(begin[run[0]]), full[run]
+                first, last = ends[rows[0]], ends[rows[-1] + 1]
+                places = np.arange(first, last) + np.repeat(at[rows] - low - ends[rows], size[rows])
                 with np.errstate(invalid="ignore"):  # signalling NaN of a damaged file
-                    values = np.asarray(data[low:high], np.float64)[places]
-            else:
-                for k in full.tolist():
-                    values[ends[k] : ends[k + 1]] = data[at[k] : at[k] + size[k]]
+                    values[first:last] = data[low : int(end[run].max())][places]
         return Ragged(values, ends)
 
 
@@ -188,9 +212,12 @@ def open_footprints(path: Path) -> tuple[FootprintLayout, str, CRS, list[tuple[s
         others; shots too far apart for one plane.
     """
     with _file(path) as file:
-        groups = sorted(k for k in file if re.fullmatch(r"BEAM\d{4}", k) and "rxwaveform" in file[k])
+        groups = sorted(k for k in file if re.fullmatch(r"BEAM\d{4}", k) and _reach(path, file, f"{k}/rxwaveform"))
         kind = "GEDI L1B" if groups else "LVIS L1B"
         names, last, beams = _gedi(path, file, groups) if groups else _lvis(path, file)
+        total, size = sum(b.shots for b in beams), path.stat().st_size
+        if total > max(SHOTS, size / FEWEST_BYTES):
+            raise _overstated(path, f"{total} shots", "shots of some bytes each")
         every = [_Shots(path, file[b.group], names, 0, b.shots) for b in beams]
         first, end = (np.concatenate([shots.place(which) for shots in every]) for which in ("first", "end"))
         samples = np.concatenate([shots.column("rx count", last + 1.0) for shots in every]) - 1.0
@@ -263,7 +290,7 @@ def _gedi(path: Path, file: Any, groups: list[str]) -> tuple[dict[str, str], int
     beams, at = [], 0
     names: dict[str, str] = {}
     for name in groups:
-        there = {n: n for n in (*wanted.values(), *more.values()) if n in file[name]}
+        there = {n: n for n in (*wanted.values(), *more.values()) if _reach(path, file[name], n)}
         here = _named(path, there, wanted, more, f"GEDI L1B, {name}")
         names = here if not names else {k: v for k, v in names.items() if k in here}
         shots = int(_data(path, file[name], here["rx start"]).shape[0])
@@ -301,25 +328,70 @@ def _same_length(path: Path, group: Any, names: Mapping[str, str], shots: int) -
 
 def _data(path: Path, group: Any, name: str, dimensions: int = 0) -> Any:
     """A data set of numbers in this very file, not larger than it can be."""
-    data = group[name]
-    shape = getattr(data, "shape", None)
+    data = _reach(path, group, name)
+    layout: Any = data.id.get_create_plist() if hasattr(data, "chunks") else None
+    virtual = layout is not None and layout.get_layout() == VIRTUAL  # whose shape is asked of other files
+    shape = None if layout is None or virtual else data.shape
     sound = shape is not None and data.dtype.kind in "iuf" and len(shape) in ((dimensions,) if dimensions else (1, 2))
-    if not sound or data.external or data.is_virtual or data.file.id != group.file.id:
+    if not sound or data.external:
         raise InputError(
             "this is no array of numbers",
             where=f"{path}: {name}",
             expected=f"numbers in {dimensions or 'one or two'} dimensions, in the file itself",
-            got=f"{getattr(data, 'dtype', type(data).__name__)} {shape}",
+            got="a data set of other files" if virtual else f"{getattr(data, 'dtype', type(data).__name__)} {shape}",
         )
     if data.nbytes > TIMES * path.stat().st_size:
+        raise _overstated(f"{path}: {name}", data.nbytes, f"at most {TIMES * path.stat().st_size} bytes")
+    filters = [layout.get_filter(k)[0] for k in range(layout.get_nfilters())]
+    packings = [f for f in filters if f not in (SHUFFLE, FLETCHER32)]
+    if len(packings) > 1 or not set(packings) <= set(PACKINGS):
         raise InputError(
-            "a data set counts more than the file can hold",
+            "a data set is packed in another way",
             where=f"{path}: {name}",
-            expected=f"at most {TIMES * path.stat().st_size} bytes",
-            got=data.nbytes,
-            do="the file is damaged or cut short; download it again",
+            expected=f"once, by one of {', '.join(PACKINGS.values())}",
+            got=", ".join(PACKINGS.get(f, f"filter {f}") for f in packings),
+            do="repack it, for example with h5repack -f GZIP=4",
+        )
+    if data.chunks and math.prod(data.chunks) * data.dtype.itemsize > CHUNK:
+        raise InputError(
+            "the chunks of a data set are too large",
+            where=f"{path}: {name}",
+            expected=f"at most {CHUNK} bytes",
+            got=math.prod(data.chunks) * data.dtype.itemsize,
+            do="repack it, for example with h5repack",
         )
     return data
+
+
+def _overstated(where: object, got: object, expected: str) -> InputError:
+    return InputError(
+        "a data set counts more than the file can hold",
+        where=where,
+        expected=expected,
+        got=got,
+        do="the file is damaged or cut short; download it again",
+    )
+
+
+def _reach(path: Path, group: Any, name: str) -> Any:
+    """What `name` is below `group`, None for nothing; `InputError` where a link on the way leads elsewhere, maybe to
+    another file, which HDF5 would open whatever it is."""
+    import h5py
+
+    for part in name.split("/"):
+        link = group.get(part, getlink=True) if isinstance(group, h5py.Group) else None
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise InputError(
+                "a link leads elsewhere",
+                where=f"{path}: {name}",
+                expected="data in the file itself",
+                got=f"{type(link).__name__} {getattr(link, 'filename', '')} {link.path}",
+                do="repack it, for example with h5repack, or copy what it leads to",
+            )
+        group = group[part]
+    return group
 
 
 @contextmanager

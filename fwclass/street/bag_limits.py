@@ -190,7 +190,7 @@ def forget_chunks() -> None:
     from rosbags.rosbag1 import reader as one
 
     for decompress in one.decompressors.values():
-        decompress.cache_clear()  # type: ignore[attr-defined]
+        decompress.cache_clear()
 
 
 def open_first(path: BagPath) -> Any:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+import zlib
 
 import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
 from pyproj import Transformer
+
+from fwclass.errors import InputError
+from fwclass.read import footprints
+from fwclass.read.info import info
 
 h5py = pytest.importorskip("h5py")
 
@@ -150,6 +156,98 @@ def test_cut_short_no_shot_and_forged_size(tmp_path):
             f.create_dataset(name, (10**9,), "f8", chunks=(1000,))
     ended = fwclass("info", path)
     assert ended.returncode == 1 and "more than the file can hold" in ended.stderr
+
+
+def of_other_files(f):
+    """A column that grows with a pipe's."""
+    layout = h5py.VirtualLayout(shape=(300,), dtype="f8", maxshape=(None,))
+    source = h5py.VirtualSource("pipe", "Z0", shape=(300,), maxshape=(None,))
+    layout[0 : h5py.h5s.UNLIMITED] = source[0 : h5py.h5s.UNLIMITED]
+    del f["Z0"]
+    f.create_virtual_dataset("Z0", layout)
+
+
+def packed_twice(f):
+    """A chunk of a gigabyte, of 2 kB."""
+    made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    made.set_chunk((300, 400))
+    for _ in range(2):
+        made.set_filter(h5py.h5z.FILTER_DEFLATE, 0, (9,))
+    del f["RXWAVE"]
+    h5py.h5d.create(f.id, b"RXWAVE", h5py.h5t.STD_U16LE, h5py.h5s.create_simple((300, 400)), made)
+    packing = zlib.compressobj(9)
+    once = b"".join(packing.compress(bytes(1 << 20)) for _ in range(1024)) + packing.flush()
+    f["RXWAVE"].id.write_direct_chunk((0, 0), zlib.compress(once, 9), 0)
+
+
+def chunk_of_all(f):
+    """A chunk that is unpacked for every block of shots."""
+    size = footprints.CHUNK + 1
+    del f["TIME"]
+    f.create_dataset("TIME", (300,), "i1", chunks=(size,), maxshape=(None,), compression="gzip")
+
+
+def other_order(f):
+    group = f["BEAM0101"]
+    group["rx_sample_start_index"][...] = group["rx_sample_start_index"][...][::-1]
+
+
+@pytest.mark.parametrize(
+    ("write", "change", "words"),
+    [
+        (lvis, put("Z0", h5py.ExternalLink("pipe", "/Z0")), "a link leads elsewhere"),
+        (gedi, put("BEAM0000", h5py.ExternalLink("pipe", "/BEAM0000")), "a link leads elsewhere"),
+        (gedi, put("BEAM0000", h5py.ExternalLink("other.h5", "/BEAM0000")), "a link leads elsewhere"),
+        (gedi, put("BEAM0000/geolocation", h5py.SoftLink("/BEAM0000/geolocation")), "a link leads elsewhere"),
+        (lvis, of_other_files, "a data set of other files"),
+        (lvis, packed_twice, "packed in another way"),
+        (lvis, chunk_of_all, "chunks of a data set are too large"),
+        (gedi, other_order, "another order than the shots"),
+    ],
+)
+def test_what_leads_elsewhere_or_swells_is_refused(tmp_path, write, change, words):
+    """A pipe that HDF5 opened would keep the command waiting for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    write(tmp_path / "other.h5")
+    path = tmp_path / "a.h5"
+    write(path)
+    with h5py.File(path, "a") as f:
+        change(f)
+    with pytest.raises(InputError, match=words):
+        info(path)
+
+
+def test_shots_of_no_bytes_are_refused(tmp_path):
+    n = 200_000
+    with h5py.File(tmp_path / "a.h5", "w") as f:
+        for name in ("LON0", "LAT0", "Z0", "LON9", "LAT9", "Z9"):
+            f.create_dataset(name, data=np.zeros(n), compression="gzip")
+        f.create_dataset("RXWAVE", data=np.zeros((n, 10), "u1"), compression="gzip")
+    with pytest.raises(InputError, match="counts more than the file can hold"):
+        info(tmp_path / "a.h5")
+
+
+def test_shots_with_wide_gaps_between_their_samples(tmp_path, monkeypatch):
+    """As where an area was cut out and the samples of all were kept."""
+    gedi(tmp_path / "a.h5")
+    monkeypatch.setattr(footprints, "GAP", 100)
+    with h5py.File(tmp_path / "a.h5", "a") as f:
+        group = f["BEAM0000"]
+        for name in [n for n in group if n != "geolocation" and not n.startswith("rxwave") and len(group[n]) == 150]:
+            values = group[name][...][::7]
+            del group[name]
+            group[name] = values
+        for name in list(group["geolocation"]):
+            values = group["geolocation"][name][...][::7]
+            del group["geolocation"][name]
+            group["geolocation"][name] = values
+        wave, start, count = (group[n][...] for n in ("rxwaveform", "rx_sample_start_index", "rx_sample_count"))
+    layout = footprints.open_footprints(tmp_path / "a.h5")[0]
+    rows = layout.read(0, len(start))
+    for k in range(len(start)):
+        first = int(start[k]) - 1
+        there = rows.samples.values[rows.samples.offsets[k] : rows.samples.offsets[k + 1]]
+        assert np.array_equal(there, wave[first : first + int(count[k])])
 
 
 def test_without_h5py(tmp_path, monkeypatch):
