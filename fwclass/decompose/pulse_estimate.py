@@ -69,7 +69,7 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
     Depends on the set of waveforms only, not on their order. The channels' noise is taken for white, see
     `quiet.with_correlated_noise`.
     """
-    waves = _usable(waves)
+    waves = usable(waves)
     if waves.pulses.rows == 0:
         return SystemPulse.gaussian(params.width or params.fallback_width)
     kinds, group = channel_groups(waves)
@@ -77,7 +77,7 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
     reached = np.where(group >= 0, clips[group], waves.pulses["saturation"])
     waves = replace(waves, pulses=waves.pulses.with_columns({"saturation": reached}))
     level, noise = rough_levels(waves, group)
-    peak, height, width = _bright_peaks(waves, level, noise, params)
+    peak, height, width = bright_peaks(waves, level, noise, params)
     guess = half_sample_mode(width[peak >= 0]) if (peak >= 0).sum() >= FEWEST else math.nan
     fwhm = params.width or (guess if math.isfinite(guess) else params.fallback_width)
     channels, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
@@ -169,7 +169,7 @@ def _surest(rows: NDArray, doubt: Floats, most: int) -> NDArray:
     return rows if len(rows) <= most else rows[np.sort(np.argsort(doubt, kind="stable")[:most])]
 
 
-def _usable(waves: Waveforms) -> Waveforms:
+def usable(waves: Waveforms) -> Waveforms:
     """Waveforms with a spacing and samples, ordered by (pulse, segment)."""
     spacing, top = waves.pulses["sample_spacing"], waves.pulses["saturation"]
     sound = np.isfinite(spacing) & (spacing > 0.0) & np.isfinite(top) & (np.diff(waves.offsets) > 0)
@@ -177,9 +177,7 @@ def _usable(waves: Waveforms) -> Waveforms:
     return rows_of(waves, order[sound[order]])
 
 
-def _bright_peaks(
-    waves: Waveforms, level: Floats, noise: Floats, params: PulseParams
-) -> tuple[NDArray, Floats, Floats]:
+def bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulseParams) -> tuple[NDArray, Floats, Floats]:
     """Sample of every waveform's bright single echo, -1 without, its height [DN], and about its width [ns]."""
     n = waves.pulses.rows
     peak, height, width = np.empty(n, np.int64), np.empty(n), np.empty(n)

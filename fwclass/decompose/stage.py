@@ -305,6 +305,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=8)
+PULSE = Computation(name="pulse", version=9)
 PLACES = Computation(name="places", version=3)
 DECOMPOSE = Computation(name="decompose", version=11, writes=ECHO_COLUMNS)

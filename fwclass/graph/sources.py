@@ -20,6 +20,7 @@ from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.signal_noise import with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.width_walk import width_walk
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.read.beams import sensor_height
 from fwclass.read.source import PulseSource, open_source
@@ -176,6 +177,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         "pulse": describe(pulse),
         "noise": max((c.noise for c in pulse.channels), default=None),
         "channels": channel_pulses(pulse, recorded),
+        "widths": width_walk(sample, params) if sampled else [],
         "sampled": sampled,
         **noise.facts,
     }

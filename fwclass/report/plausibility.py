@@ -70,8 +70,9 @@ NAMED = 3
 
 
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """What the receipt of a strip's pulse says of its noise, and of every channel's pulse (`channel_pulses`)."""
-    return {name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}
+    """What the receipt of a strip's pulse says of its noise, of every channel's pulse (`channel_pulses`), and how
+    wide echoes are at every height (`width_walk`)."""
+    return {**{name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}, "widths": meta.get("widths", [])}
 
 
 def strip_plausibility(
@@ -195,9 +196,18 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
 
 
 def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Where the echoes' pulse is not the recorded one, or not the echoes': of ``name`` and ``channels``."""
-    known = [(s, c) for s in strips for c in s.get("channels", ())]
+    """Where the echoes' pulse is not the recorded one, not the echoes', or not one at all heights: of ``name``,
+    ``channels`` and ``widths``."""
+    walking = [s for s in strips if _walks(s)]
+    known = [(s, c) for s in strips if s not in walking for c in s.get("channels", ())]
     lines = []
+    if walking:
+        (low, wide), (high, narrow) = _walk_ends(walking[0])
+        lines.append(
+            f"echoes are {wide:.2f} ns wide at {low:.0f} DN and {narrow:.2f} ns at {high:.0f} DN, where flat targets "
+            "have one width: samples do not grow in proportion to the light, by the receiver or a table that they went "
+            f"through; heights and energies of bright echoes do not compare with others' ({_names(walking)})"
+        )
     some = [(s, c) for s, c in known if not c["outgoing"] and disagree(c["fwhm"], c["recorded_fwhm"])]
     if some:
         _, worst = max(some, key=lambda one: abs(math.log(one[1]["fwhm"] / one[1]["recorded_fwhm"])))
@@ -214,6 +224,20 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"{_channel_words(one)} ({_names(_once(s for s, _ in some))})"
         )
     return lines
+
+
+def _walks(strip: Mapping[str, Any]) -> bool:
+    """Whether the widths of the strip's dimmest and brightest echoes are those of two receivers."""
+    if len(strip.get("widths", ())) < 2:
+        return False
+    (_, dim), (_, bright) = _walk_ends(strip)
+    return disagree(bright, dim)
+
+
+def _walk_ends(strip: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """(height [DN], width [ns]) of the dimmest and the brightest class of echoes."""
+    walk = strip["widths"]
+    return tuple(walk[0]), tuple(walk[-1])
 
 
 def _channel_words(channel: Mapping[str, Any]) -> str:

@@ -194,6 +194,7 @@ _PULSE = {
             **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm"), _FIGURE),
         }
     ],
+    "widths?": [(NUMBER, NUMBER)],
     "sampled": COUNT,
     "quiet_samples": COUNT,
     "noise_order": COUNT,

@@ -1,0 +1,54 @@
+"""How wide echoes are at every height: a receiver whose samples grow with the light has one width at all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fwclass.decompose.params import PulseParams
+from fwclass.decompose.pulse_align import narrowest
+from fwclass.decompose.pulse_channels import channel_groups, clip_levels, rough_levels
+from fwclass.decompose.pulse_estimate import bright_peaks, usable
+from fwclass.waveforms import Waveforms
+
+CLASSES = 8
+"""Classes of height, of equally many echoes, at most."""
+
+SHARED, NEAR, FAR = 0.5, 0.1, 0.4
+"""Of a class's echoes within `FAR` of the narrowest width, the share within `NEAR` of it for the width to be one that
+they share, as flat targets do; where widths spread evenly it is a quarter."""
+
+ROUGH, COARSE = 1.2, 0.01
+"""A width between two crossings of half the height is off by these shares of itself: times noise over height (both
+crossings of a Gaussian and its top), and by where the samples fall."""
+
+
+def width_walk(waves: Waveforms, params: PulseParams) -> list[tuple[float, float]]:
+    """(median height [DN], narrowest shared width at half maximum [ns]) of bright single echoes, by classes of height.
+
+    All channels of the commonest sample spacing count alike, for digitisers may store bright echoes in wider numbers.
+    Classes whose echoes share no width, of slopes or plants, are left out. Empty where there are too few.
+    """
+    waves = usable(waves)
+    if waves.pulses.rows == 0:
+        return []
+    kinds, group = channel_groups(waves)
+    clips = clip_levels(waves, kinds, group)
+    top = np.where(group >= 0, clips[group], waves.pulses["saturation"])
+    waves = Waveforms(waves.pulses.with_columns({"saturation": top}), waves.returns, waves.samples, waves.offsets)
+    level, noise = rough_levels(waves, group)
+    peak, height, width = bright_peaks(waves, level, noise, params)
+    spacing = waves.pulses["sample_spacing"].astype(np.float64)
+    values, count = np.unique(spacing[peak >= 0], return_counts=True)
+    if len(values) == 0:
+        return []
+    rows = np.flatnonzero((peak >= 0) & (spacing == values[count.argmax()]))
+    rows = rows[np.argsort(height[rows], kind="stable")]
+    classes = min(CLASSES, len(rows) // params.min_echoes)
+    walk = []
+    for some in np.array_split(rows, classes) if classes else []:
+        error = width[some] * (ROUGH * noise[some] / height[some] + COARSE)
+        least = narrowest(width[some], error)
+        apart = np.abs(width[some] - least)
+        if (apart < NEAR * least).sum() >= SHARED * (apart < FAR * least).sum():
+            walk.append((float(np.median(height[some])), least))
+    return walk
