@@ -8,7 +8,7 @@ from typing import Any
 
 from fwclass.errors import InputError
 from fwclass.read.base import WaveStore
-from fwclass.read.beam_source import TOP, BeamSource, bounds_of, census_of
+from fwclass.read.beam_source import TOP, BeamSource, Census, bounds_of, census_of
 from fwclass.read.footprints import is_footprints, open_footprints
 from fwclass.read.helios import LEVELS, is_helios, open_helios
 from fwclass.read.raw_csv import is_raw_csv, open_raw_csv
@@ -31,6 +31,7 @@ class OpenedTable:
 
     `levels` : counts that the range of samples which are no whole numbers is laid out in, at most.
     `step` : of such samples, one for all files, or None; a range that has no room in it is refused where `firm`.
+    `census` : where opening it went over all rows already.
     """
 
     kind: str
@@ -43,6 +44,7 @@ class OpenedTable:
     levels: float = TOP - 1.0
     step: float | None = None
     firm: bool = False
+    census: Census | None = None
 
 
 def is_beam_file(path: str | Path) -> bool:
@@ -65,8 +67,8 @@ def _open(path: Path) -> OpenedTable:
         shots, kind, system, about = open_footprints(path)
         return OpenedTable(kind, shots, system, None, False, tuple(about), (), step=FOOTPRINT_STEP)
     if is_sdf(path):
-        sdf, about = open_sdf(path)
-        return OpenedTable("RIEGL sample data", sdf, None, None, False, tuple(about), (NO_CRS,))
+        sdf, about, census = open_sdf(path)
+        return OpenedTable("RIEGL sample data", sdf, None, None, False, tuple(about), (NO_CRS,), census=census)
     raw, settings = open_raw_parquet(path) if path.suffix.lower() in PARQUET else open_raw_csv(path)
     faults: list[str] = []
     crs = settings.system(path, faults)
@@ -86,7 +88,7 @@ def open_beam_file(path: Path) -> BeamSource:
         Damaged, without the columns that are needed, or with a row that is none.
     """
     opened = _open(path)
-    census = census_of(path, opened.layout)
+    census = opened.census or census_of(path, opened.layout)
     if census.rows != opened.layout.n_rows:
         raise InputError(
             "the file changed, or counts wrongly", where=path, expected=f"{opened.layout.n_rows} rows", got=census.rows

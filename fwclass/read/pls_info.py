@@ -12,7 +12,7 @@ from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.crs import epsg_of
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beams import beam_fault
-from fwclass.read.pls_stated import height_fault, stated_fault
+from fwclass.read.pls_stated import misfit_of
 from fwclass.read.pls_waves import FAULTS, SILENT, Pulses, Samplings, blocks_of, reach, waves_fault
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import quantities_of, words_of
@@ -54,9 +54,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
     for records, pulses in blocks_of(source):
         tally.add(records, pulses, kinds)
         tally.misfit = tally.misfit or waves_fault(source, records["waves"], pulses)
-        tally.misfit = (
-            tally.misfit or stated_fault(source, records, pulses, kinds) or height_fault(source, pulses, kinds)
-        )
+        tally.misfit = tally.misfit or misfit_of(source, records, pulses, kinds)
     crs, header = source.crs, source.header
     return {
         "path": str(source.path),

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.packet_kernels import gather
-from fwclass.read.pls_stated import height_fault, stated_fault
+from fwclass.read.pls_stated import misfit_of
 from fwclass.read.pls_waves import (
     FAULTS,
     FEW,
@@ -56,13 +60,14 @@ def check_pls(source: PulseSource) -> None:
                     do=f"put the {(source.waves.path or source.path).name} of this very file beside it",
                 )
             kinds = Samplings.of(source)
-            if wrong := stated_fault(source, records, pulses, kinds) or height_fault(source, pulses, kinds):
+            if wrong := misfit_of(source, records, pulses, kinds):
                 raise InputError(
                     "pulses and waves do not fit each other",
                     where=source.path,
-                    expected="waves of their own pulses, and times of the light's way there and back",
+                    expected="waves of their own pulses, times there and back, samples in the header's bounds",
                     got=wrong,
-                    do="write both files again from the vendor's own, with times in the units of their descriptor",
+                    do="write both files again from the vendor's own, with times in the units of their descriptor, and "
+                    "axes as the header has them",
                 )
             return
     if source.n_records == 0:
@@ -192,8 +197,26 @@ def _parted(source: PulseSource, pulses: Pulses, kinds: Samplings) -> Segments:
     sent, _ = _wide_pairs(pulses, kinds)
     if len(sent.pulse) == 0 or pulses.data is None:
         return sent
-    tried = find(source, read_records(source, 0, min(TRIED, source.n_records)), kinds, pulses.data)
-    return sent if _runs_on(tried, kinds) else sent.take(np.zeros(len(sent.pulse), np.bool_))
+    files = [(f, f.stat()) for f in (source.path, source.waves.path or source.path)]
+    marks = tuple((f, facts.st_size, facts.st_mtime_ns, facts.st_ino) for f, facts in files)
+    known = _runs_together(_Asked(marks, source))
+    return sent if known else sent.take(np.zeros(len(sent.pulse), np.bool_))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A source, and what tells its files from others."""
+
+    files: tuple[tuple[Path, int, int, int], ...]
+    source: PulseSource = field(compare=False)
+
+
+@lru_cache(maxsize=64)
+def _runs_together(asked: _Asked) -> bool:
+    """Whether the first pulses of the file are stored so; asked once for all spans of a file."""
+    source, kinds = asked.source, Samplings.of(asked.source)
+    tried = find(source, read_records(source, 0, min(TRIED, source.n_records)), kinds, waves_of(source))
+    return _runs_on(tried, kinds)
 
 
 def _wide_pairs(pulses: Pulses, kinds: Samplings) -> tuple[Segments, Segments]:

@@ -1,5 +1,5 @@
 """Whether the waves of pulses are theirs and count in the pulses' time: a pulse states when its first and its last
-returning sample were taken, and the header between which heights all of them lie."""
+returning sample were taken, and the header within which bounds all of them lie."""
 
 from __future__ import annotations
 
@@ -24,8 +24,25 @@ WRAPS = 1 << 15
 SLACK = 0.05
 """Share of the flying height that places may miss the header's bounds by: anchors are not all at one height."""
 
+IN, WITHIN = 0.99, 1.0
+"""Share of the first and last samples that lie in the header's bounds, to so many metres, or something is exchanged."""
+
+SURE = 0.999
+"""Share from which a change is believed."""
+
+AXES = {"x and y": [1, 0, 2], "x and z": [2, 1, 0], "y and z": [0, 2, 1]}
+
 UNITS = {2.0: "half as long", 0.5: "twice as long"}
 """What times must be multiplied by, and what they are."""
+
+
+def misfit_of(source: PulseSource, records: NDArray[Any], pulses: Pulses, kinds: Samplings) -> str:
+    """What pulses and waves, or places and header, contradict each other in; "" where nothing does."""
+    return (
+        stated_fault(source, records, pulses, kinds)
+        or height_fault(source, pulses, kinds)
+        or axes_fault(source, pulses, kinds)
+    )
 
 
 def stated_fault(source: PulseSource, records: NDArray[Any], pulses: Pulses, kinds: Samplings) -> str:
@@ -70,6 +87,36 @@ def height_fault(source: PulseSource, pulses: Pulses, kinds: Samplings) -> str:
                 f"{stated[1]:.0f} m, as they would with times that are not {words}: one way, or another unit"
             )
     return ""
+
+
+def axes_fault(source: PulseSource, pulses: Pulses, kinds: Samplings) -> str:
+    """That samples lie in the header's bounds only with axes exchanged or signs of the beams changed; "" where they
+    lie there as they are, or with no such change: bounds that were made of wrong places tell nothing."""
+    parts = pulses.segments.take(kinds.kind[pulses.segments.sampling] == RETURNING)
+    box = np.array(source.bounds).reshape(2, 3)
+    if source.mirrored or len(parts.pulse) < FEW or not np.isfinite(box).all():
+        return ""
+    lasts = parts.begin + np.maximum(0, parts.samples - 1) * kinds.spacing[parts.sampling]
+    times = np.concatenate([parts.begin, lasts])[:, None]
+    anchor, step = (np.concatenate([v[parts.pulse]] * 2) for v in (pulses.anchor, pulses.step))
+
+    def inside(anchor: NDArray[np.float64], step: NDArray[np.float64]) -> float:
+        place = anchor - times * step
+        return float(((place >= box[0] - WITHIN) & (place <= box[1] + WITHIN)).all(axis=1).mean())
+
+    known = inside(anchor, step)
+    if known >= IN:
+        return ""
+    changed = {f"{n} of the pulses are exchanged": (anchor[:, k], step[:, k]) for n, k in AXES.items()}
+    changed |= {f"{n} of the beams are exchanged": (anchor, step[:, k]) for n, k in AXES.items()}
+    changed |= {
+        f"the sign of the beams' {n} is wrong": (anchor, step * k)
+        for n, k in {"x": (-1, 1, 1), "y": (1, -1, 1), "x and y (--mirror-beams)": (-1, -1, 1)}.items()
+    }
+    words = next((n for n, (a, b) in changed.items() if inside(a, b) >= SURE), "")
+    return f"{100 * known:.0f} % of the samples lie in the header's bounds, and all would otherwise: {words}" * bool(
+        words
+    )
 
 
 def _alike(ends: NDArray[np.float64], stated: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.read.beam_source import LONGEST, BeamRows, Ints, Layout, Ragged
+from fwclass.read.beam_source import LONGEST, BeamRows, Census, Ints, Layout, Ragged
 
 LIBRARY = "FWCLASS_SDFIFC"
 ENDING = ".sdf"
@@ -65,8 +65,8 @@ class SdfLayout(Layout):
         return int(self.starts[-1])
 
     def blocks(self) -> Iterator[BeamRows]:
-        for first in range(0, self.n_rows, BLOCK):
-            yield self.read(first, min(first + BLOCK, self.n_rows))
+        with _opened(self.path) as (library, file):
+            yield from _blocks(_shots(self.path, library, file, 0), self.speed, self.spacing)
 
     def read(self, first: int, last: int) -> BeamRows:
         record = max(0, int(np.searchsorted(self.starts, first, "right")) - 1)
@@ -77,28 +77,7 @@ class SdfLayout(Layout):
                     break
                 own = [(number, shot, block) for block in shot.received]
                 rows += own[max(first - int(self.starts[number]), 0) : last - int(self.starts[number])]
-            return self._rows(rows)
-
-    def _rows(self, rows: list[tuple[int, _Shot, _Block]]) -> BeamRows:
-        shots, blocks = [s for _, s, _ in rows], [b for _, _, b in rows]
-        away = np.array([s.direction for s in shots]).reshape(-1, 3)
-        with np.errstate(all="ignore"):
-            away = away / np.linalg.norm(away, axis=1, keepdims=True)
-        emitted = np.array([np.nan if s.emitted is None else s.emitted.time for s in shots])
-        return BeamRows(
-            pulse=np.array([number for number, _, _ in rows], np.int64),
-            anchor=np.array([s.origin for s in shots]).reshape(-1, 3),
-            step=-away * self.speed / 2.0,
-            begin=(np.array([b.time for b in blocks]) - emitted) * 1e9,
-            anchor_range=np.zeros(len(rows)),
-            spacing=np.full(len(rows), self.spacing),
-            time=np.array([s.time for s in shots]),
-            channel=np.array([b.channel for b in blocks], np.int64),
-            samples=_ragged([b.samples for b in blocks]),
-            outgoing=_ragged([s.emitted.samples if s.emitted is not None else _NOTHING for s in shots]),
-            outgoing_begin=np.zeros(len(rows)),
-            unusable=np.zeros(len(rows), np.bool_),
-        )
+            return _rows(rows, self.speed, self.spacing)
 
 
 @dataclass(frozen=True)
@@ -125,13 +104,47 @@ def _ragged(lists: list[Any]) -> Ragged:
     return Ragged(np.concatenate([_NOTHING, *lists]), ends)
 
 
+def _blocks(shots: Iterable[_Shot], speed: float, spacing: float) -> Iterator[BeamRows]:
+    """All rows of `shots`, those of about `BLOCK` rows at a time."""
+    rows: list[tuple[int, _Shot, _Block]] = []
+    for number, shot in enumerate(shots):
+        rows += [(number, shot, block) for block in shot.received]
+        if len(rows) >= BLOCK:
+            yield _rows(rows, speed, spacing)
+            rows = []
+    if rows:
+        yield _rows(rows, speed, spacing)
+
+
+def _rows(rows: list[tuple[int, _Shot, _Block]], speed: float, spacing: float) -> BeamRows:
+    shots, blocks = [s for _, s, _ in rows], [b for _, _, b in rows]
+    away = np.array([s.direction for s in shots]).reshape(-1, 3)
+    with np.errstate(all="ignore"):
+        away = away / np.linalg.norm(away, axis=1, keepdims=True)
+    emitted = np.array([np.nan if s.emitted is None else s.emitted.time for s in shots])
+    return BeamRows(
+        pulse=np.array([number for number, _, _ in rows], np.int64),
+        anchor=np.array([s.origin for s in shots]).reshape(-1, 3),
+        step=-away * speed / 2.0,
+        begin=(np.array([b.time for b in blocks]) - emitted) * 1e9,
+        anchor_range=np.zeros(len(rows)),
+        spacing=np.full(len(rows), spacing),
+        time=np.array([s.time for s in shots]),
+        channel=np.array([b.channel for b in blocks], np.int64),
+        samples=_ragged([b.samples for b in blocks]),
+        outgoing=_ragged([s.emitted.samples if s.emitted is not None else _NOTHING for s in shots]),
+        outgoing_begin=np.zeros(len(rows)),
+        unusable=np.zeros(len(rows), np.bool_),
+    )
+
+
 def is_sdf(path: Path) -> bool:
     """Its name says so; what is in it only the vendor's library knows."""
     return path.suffix.lower() == ENDING
 
 
-def open_sdf(path: Path) -> tuple[SdfLayout, list[tuple[str, str]]]:
-    """The layout, in one pass over all records, and what is to be told of the file.
+def open_sdf(path: Path) -> tuple[SdfLayout, list[tuple[str, str]], Census]:
+    """The layout, what is to be told of the file, and what one pass over all records adds up, once in a process.
 
     Raises
     ------
@@ -140,16 +153,31 @@ def open_sdf(path: Path) -> tuple[SdfLayout, list[tuple[str, str]]]:
     InputError
         The library refuses the file, or its beams are in the scanner's own frame.
     """
-    with _opened(path) as (library, file):
-        texts, values = [ctypes.c_char_p() for _ in range(3)], [ctypes.c_double() for _ in range(2)]
-        counts = [ctypes.c_uint16() for _ in range(2)]
-        facts = (*texts, *values, *counts)
-        _ask(path, library, library.fwifc_get_info(file, *map(ctypes.byref, facts)))
-        counted, nearest = [0], np.inf
-        for shot in _shots(path, library, file, 0):
+    facts = path.stat()
+    return _look(path, (facts.st_size, facts.st_mtime_ns), library_path())
+
+
+@lru_cache(maxsize=16)
+def _look(path: Path, mark: tuple[int, int], named: Path) -> tuple[SdfLayout, list[tuple[str, str]], Census]:
+    texts, values = [ctypes.c_char_p() for _ in range(3)], [ctypes.c_double() for _ in range(2)]
+    counts = [ctypes.c_uint16() for _ in range(2)]
+    facts = (*texts, *values, *counts)
+    counted, nearest, census = [0], np.inf, Census()
+
+    def count(shots: Iterable[_Shot]) -> Iterator[_Shot]:
+        nonlocal nearest
+        for shot in shots:
             counted.append(counted[-1] + len(shot.received))
             place = np.abs(shot.origin).max()
             nearest = min(nearest, float(place)) if np.isfinite(place) else nearest
+            yield shot
+
+    with _opened(path) as (library, file):
+        _ask(path, library, library.fwifc_get_info(file, *map(ctypes.byref, facts)))
+        instrument, serial, epoch = ((t.value or b"").decode("utf-8", "replace") for t in texts)
+        speed, spacing = values[0].value * 1e-9, values[1].value * 1e9
+        for rows in _blocks(count(_shots(path, library, file, 0)), speed, spacing):
+            census.add(rows)
     if nearest < LEVER:
         raise InputError(
             "the beams are in the scanner's own frame",
@@ -158,10 +186,8 @@ def open_sdf(path: Path) -> tuple[SdfLayout, list[tuple[str, str]]]:
             got=f"{nearest:.3g} m",
             do="georeference it with RIEGL's software, or export LAS 1.4 with waveforms from there",
         )
-    instrument, serial, epoch = ((t.value or b"").decode("utf-8", "replace") for t in texts)
-    speed, spacing = values[0].value * 1e-9, values[1].value * 1e9
     layout = SdfLayout(path, speed, spacing, np.array(counted, np.int64))
-    return layout, [("instrument", f"{instrument}, {serial}"), ("times", f"seconds from {epoch}")]
+    return layout, [("instrument", f"{instrument}, {serial}"), ("times", f"seconds from {epoch}")], census
 
 
 def _shots(path: Path, library: Any, file: Any, first: int) -> Iterator[_Shot]:

@@ -28,8 +28,9 @@ def test_kernels_of_decompose():
     drive("python", "decompose", 12)
 
 
-def test_kernels_of_packets():
-    drive("python", "packets", 120)
+@pytest.mark.parametrize(("room", "inputs"), [("packets", 120), ("pulses", 40)])
+def test_kernels_of_formats(room, inputs):
+    drive("python", room, inputs)
 
 
 @pytest.mark.slow
@@ -38,7 +39,7 @@ def test_compiled_kernels_of_decompose():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("room", "inputs"), [("points", 120), ("forest", 400), ("packets", 20_000)])
+@pytest.mark.parametrize(("room", "inputs"), [("points", 120), ("forest", 400), ("packets", 20_000), ("pulses", 4_000)])
 def test_compiled_kernels_of(room, inputs):
     drive("checked", room, inputs)
 

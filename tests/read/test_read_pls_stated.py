@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plsmaker import survey
+from lasmaker import METRES_PER_NS
+from plsmaker import Pulse, survey, write_pls
 
 from fwclass.errors import InputError
 from fwclass.read.pls_info import pulse_info
@@ -78,3 +79,66 @@ def test_times_of_the_way_there_alone_are_refused(tmp_path: Path, factor: float,
     with pytest.raises(InputError, match="do not fit each other") as refused:
         check_pls(source)
     assert "one way, or another unit" in str(refused.value)
+
+
+def oblong(folder: Path, pulses: int = 120) -> Path:
+    """Beams that look ahead, along x, and a little to both sides."""
+    rng = np.random.default_rng(5)
+    wave = np.clip(10.0 + 90.0 * np.exp(-0.5 * ((np.arange(60) - 20.0) / 2.0) ** 2), 0, 255).astype(np.uint8)
+    made = []
+    for p in range(pulses):
+        away = np.array([0.3, rng.uniform(-0.05, 0.05), -1.0])
+        begin = float(np.floor(600.0 * np.linalg.norm(away) / METRES_PER_NS - 20.0))
+        made.append(Pulse([500000.0 + 0.5 * p, 5400000.0, 800.0], away, [[(begin, wave)]], time=1000.0 + 1e-5 * p))
+    return write_pls(folder / "o.pls", made)
+
+
+def columns(rows) -> np.ndarray:
+    """Anchors and targets of the pulses, int32 (n, 6), to be changed in place."""
+    return rows[:, 16:40].view("<i4")
+
+
+def exchanged(rows) -> None:
+    xyz = columns(rows)
+    xyz[:] = xyz[:, [1, 0, 2, 4, 3, 5]]
+
+
+def beams_exchanged(rows) -> None:
+    xyz = columns(rows)
+    away = xyz[:, 3:] - xyz[:, :3]
+    xyz[:, 3:] = xyz[:, :3] + away[:, [1, 0, 2]]
+
+
+def beams_of_another_sign(rows) -> None:
+    xyz = columns(rows)
+    xyz[:, 3] = 2 * xyz[:, 0] - xyz[:, 3]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (exchanged, "x and y of the pulses are exchanged"),
+        (beams_exchanged, "x and y of the beams are exchanged"),
+        (beams_of_another_sign, "the sign of the beams' x is wrong"),
+    ],
+)
+@pytest.mark.parametrize("stated", [True, False])
+def test_axes_that_the_header_contradicts_are_refused(tmp_path: Path, change, words: str, stated: bool) -> None:
+    """Anchors at the sensor: beams meet there whatever their axes."""
+    path = oblong(tmp_path)
+    if change is exchanged:  # of whole coordinates, not of those less the header's offsets
+        raw, _ = records(path)
+        raw[280:296] = raw[288:296] + raw[280:288]
+        path.write_bytes(raw)
+    source = rewrite(path, lambda rows: (change(rows), None if stated else unstated(rows)))
+    with pytest.raises(InputError, match="do not fit each other") as refused:
+        check_pls(source)
+    assert words in str(refused.value) and any(words in fault for fault in pulse_info(source)["faults"])
+
+
+def test_a_header_that_no_axes_fit_says_nothing(tmp_path: Path) -> None:
+    path = oblong(tmp_path)
+    raw, _ = records(path)
+    raw[304:352] = struct.pack("<6d", *(0.0, 1.0) * 3)
+    path.write_bytes(raw)
+    check_pls(rewrite(path, unstated))

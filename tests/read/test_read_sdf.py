@@ -37,6 +37,7 @@ class Pretender:
     indexed: bool = True
     wrong: str = ""
     at: int = 0
+    read: int = 0
     kept: list[Any] = field(default_factory=list)
 
     def fwifc_open(self, path: Any, file: Any) -> int:
@@ -69,7 +70,7 @@ class Pretender:
         if self.at == len(self.records):
             return -1
         stamp, place, away, blocks = self.records[self.at]
-        self.at += 1
+        self.at, self.read = self.at + 1, self.read + 1
         gate._obj.value, time._obj.value = GATE, stamp
         origin._obj[:], direction._obj[:] = place, away
         made = (riegl_sdf._SampleBlock * len(blocks))()
@@ -146,6 +147,17 @@ def test_shots_become_the_rows_of_a_raw_table(tmp_path, monkeypatch, base, truth
     told = describe(info(path))
     assert "RIEGL sample data" in told and "Q-680i, S999" in told
     assert sum(n for g in got for fault, n in g.faults.items() if "second channel" in fault) == 80
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_opening_reads_every_record_once(tmp_path, monkeypatch, truth, indexed):
+    """Without an index each block of rows was read from the first record on."""
+    monkeypatch.setattr(riegl_sdf, "BLOCK", 20)
+    library = Pretender(records_of(truth), indexed)
+    path = sdf(tmp_path, monkeypatch, library)
+    assert (open_source(path).n_records, library.read) == (320, 300)
+    open_source(path)
+    assert library.read == 300
 
 
 def test_the_scanners_own_frame_is_no_place(tmp_path, monkeypatch, truth):
