@@ -62,15 +62,16 @@ UTM33 = {3072: 32633}
 
 @dataclass
 class Descriptor:
-    """A waveform packet descriptor: bits per sample, samples, spacing [ps]."""
+    """A waveform packet descriptor: bits per sample, samples, spacing [ps], gain."""
 
     bits: int = 8
     n_samples: int = 60
     spacing_ps: int = 1000
     compression: int = 0
+    gain: float = 1.0
 
     def pack(self) -> bytes:
-        return struct.pack("<BBIIdd", self.bits, self.compression, self.n_samples, self.spacing_ps, 1.0, 0.0)
+        return struct.pack("<BBIIdd", self.bits, self.compression, self.n_samples, self.spacing_ps, self.gain, 0.0)
 
 
 def vlr(user: str, number: int, body: bytes) -> bytes:

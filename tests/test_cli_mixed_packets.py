@@ -9,7 +9,7 @@ import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
-from lasmaker import survey
+from lasmaker import Descriptor, digitise, gaussian, survey, write_las
 
 BLOCK = ("wavepacket_index", "wavepacket_offset", "wavepacket_size")
 ALL = (*BLOCK, "return_point_wave_location", "x_t", "y_t", "z_t")
@@ -69,6 +69,30 @@ def test_it_is_told_and_ends_with_4(tmp_path: Path, change, said: str, echoes: i
 def test_a_sound_file_is_none_of_it(tmp_path: Path) -> None:
     code, words = decompose(tmp_path, lambda points: None)
     assert code == 0 and MIXED not in words and UNITS not in words, words
+
+
+def test_samples_of_another_gain_are_no_other_returns(tmp_path: Path) -> None:
+    """Every other pulse recorded at a quarter of the scale, and its descriptor says so."""
+    rng = np.random.default_rng(3)
+    n, full = 400, rng.uniform(60.0, 220.0, 400)
+    gain = np.where(np.arange(n) % 2, 4.0, 1.0)
+    waves = [
+        digitise(gaussian(60, [(a / g, 25.0, 3.5)], 10.0) + rng.normal(0, 0.7, 60))
+        for a, g in zip(full, gain, strict=True)
+    ]
+    path = write_las(
+        tmp_path / "g.las",
+        np.stack([500000.0 + np.arange(n), np.full(n, 5.4e6), np.full(n, 100.0)], axis=1),
+        waveforms=waves,
+        descriptor_of=np.where(gain == 1.0, 1, 2),
+        descriptors={1: Descriptor(), 2: Descriptor(gain=4.0)},
+        pulse=np.arange(n),
+        location=25.0,
+        intensity=np.rint(100.0 * full),
+        gps_time=1e-4 * np.arange(n),
+    )
+    ended = fwclass("decompose", path, tmp_path / "g.laz")
+    assert ended.returncode == 0 and MIXED not in ended.stderr, ended.stderr
 
 
 def test_intensities_that_do_not_differ_tell_nothing(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.placing import beams
-from fwclass.schema import Table
 from fwclass.waveforms import Waveforms
 
 APART = 3.0
@@ -38,16 +37,21 @@ def belonging(waves: Waveforms, of_return: Mapping[str, NDArray], usable: NDArra
     """
     if waves.returns.rows == 0 or waves.pulses.rows == 0:
         return dict.fromkeys(COUNTS, 0)
-    compared, unlike = _strengths(waves.returns, of_return["amplitude"], usable)
+    compared, unlike = _strengths(waves, of_return["amplitude"], usable)
     paired, misplaced = _distances(waves)
     return dict(zip(COUNTS, (compared, unlike, paired, misplaced), strict=True))
 
 
-def _strengths(returns: Table, amplitude: NDArray, usable: NDArray[np.bool_]) -> tuple[int, int]:
-    """Differences tell, not values: intensities may be scaled by range or gain, which neighbours share."""
+def _strengths(waves: Waveforms, amplitude: NDArray, usable: NDArray[np.bool_]) -> tuple[int, int]:
+    """Differences tell, not values: intensities may be scaled by range, which neighbours share, and samples by gain,
+    so that only neighbours of one gain are compared."""
+    returns, pulses = waves.returns, waves.pulses
     stored = returns["vendor_amplitude"]
     strength = np.where(np.isnan(stored), returns["intensity"], stored).astype(np.float64)[usable]
+    row = np.searchsorted(pulses["pulse"], returns["pulse"][usable])
+    gain = pulses["gain"][np.minimum(row, pulses.rows - 1)]
     product = np.sign(np.diff(strength)) * np.sign(np.diff(amplitude[usable].astype(np.float64)))
+    product = product[np.diff(gain) == 0.0]
     return int((np.abs(product) > 0.0).sum()), int((product < 0.0).sum())
 
 

@@ -101,7 +101,7 @@ class PlausibilityParams(Params):
     max_unmatched_returns : share of the returns without an echo within `decompose.vendor_tolerance`.
     max_poor : share of the fitted echoes that fit poorly, misfit above `decompose.poor_misfit`.
     max_unreadable : share of the returns (of the pulses in a file without) whose waveform cannot be read.
-    max_blank : share of the waveforms whose samples are all 0.
+    max_blank : share of the waveforms whose samples are all 0, or all at the digitiser's limit.
     max_downward : share of the waveforms whose echoes point downward.
     max_floored : share of the waveforms a quarter of whose samples are 0, as if their level had been taken off.
     max_swapped : share of the waveforms whose samples are smooth with their two bytes exchanged alone.

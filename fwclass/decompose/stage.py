@@ -97,9 +97,9 @@ ENDS, QUIETEST = 4, 0.5
 
 
 def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
-    """How many pulses have samples (``waveforms``), none but zeros (``blank``), echoes that point ``downward``, and
-    among others so many zeros that their level was cut off (``floored``), or samples that are smooth with their two
-    bytes exchanged alone (``swapped``)."""
+    """How many pulses have samples (``waveforms``), none but zeros or the limit (``blank``), echoes that point
+    ``downward``, and among others so many zeros that their level was cut off (``floored``), or samples that are smooth
+    with their two bytes exchanged alone (``swapped``)."""
     rows = np.flatnonzero(np.diff(waves.offsets) > 0)
     if len(rows) == 0:
         return {"waveforms": 0, "blank": 0, "downward": 0, "floored": 0, "swapped": 0}
@@ -113,7 +113,8 @@ def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
     floored = (zeros > FLOORED * length) & (highest > 0)
     pulses = waves.pulses["pulse"][rows]
     waveforms = len(np.unique(pulses))
-    blank = waveforms - len(np.unique(pulses[highest > 0]))
+    some = (highest > 0) & (lowest < waves.pulses["saturation"][rows])
+    blank = waveforms - len(np.unique(pulses[some]))
     odd = {"downward": down, "floored": floored, "swapped": _swapped(samples, first)}
     return {"waveforms": waveforms, "blank": blank} | {k: len(np.unique(pulses[v])) for k, v in odd.items()}
 
@@ -307,4 +308,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=9)
 PLACES = Computation(name="places", version=3)
-DECOMPOSE = Computation(name="decompose", version=11, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=12, writes=ECHO_COLUMNS)

@@ -10,11 +10,15 @@ from pyproj.crs.coordinate_system import Ellipsoidal3DCS
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
+from fwclass.units import METRES_PER_NS
 
 Floats = NDArray[np.float64]
 
 REACH = 100.0
 """Time along a beam [ns] that is projected: 15 m, over which no plane curves away by more than 0.02 mm."""
+
+LONGER = 1.5
+"""From so many times light's way in air on, a beam is none."""
 
 NORTH_END, SOUTH_END = 84.0, -80.0
 """Latitudes [degrees] beyond which there are no UTM zones but the polar systems."""
@@ -90,8 +94,20 @@ def project_beams(source: CRS, target: CRS, places: Floats, steps: Floats, where
 
     Both ends of `REACH` along the beam are projected, so that it is turned by the convergence of the meridians and has
     the plane's own scale. A place should lie near what the beam hits: from the sensor on, the earth curves.
-    `InputError` as `project`.
+    `InputError` as `project`, and where half of the beams are no longer as long as light's way, for they were in other
+    units than their places.
     """
     ends = project(source, target, np.concatenate([places, places + REACH * steps]), where)
     here, there = ends[: len(places)], ends[len(places) :]
-    return here, (there - here) / REACH
+    turned = (there - here) / REACH
+    length = np.linalg.norm(turned, axis=1) / METRES_PER_NS
+    length = length[np.isfinite(length)]
+    if len(length) and (middle := float(np.median(length))) > LONGER:
+        raise InputError(
+            "the beams are not in the units of their places",
+            where=where,
+            expected=f"vectors along x, y and z in the units of {source.name} a picosecond or sample",
+            got=f"beams that are {middle:.3g} times as long as light's way when they are read so (median)",
+            do="export the file in a projected system",
+        )
+    return here, turned

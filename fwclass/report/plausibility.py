@@ -140,8 +140,8 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
         ]
     if some := [s for s in strips if (s["blank_share"] or 0.0) > RARE]:
         lines.append(
-            f"{_part(some, 'blank', 'waveforms', 'pulses')} have nothing but zeros for a waveform, which "
-            f"no receiver records: is the packet file whole? ({_names(some)})"
+            f"{_part(some, 'blank', 'waveforms', 'pulses')} have nothing but zeros, or the digitiser's limit, for a "
+            f"waveform, which no receiver records: is the packet file whole? ({_names(some)})"
         )
     if some := [s for s in strips if (s["downward_share"] or 0.0) > RARE]:
         lines.append(
@@ -308,7 +308,7 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
     """`QualityError` naming the strip that is furthest beyond a bound; nothing where the user accepts it."""
     bounds = (
         ("unreadable", "unreadable_packets", "waveforms cannot be read", WHOLE),
-        ("blank", "blank", "waveforms are nothing but zeros", WHOLE),
+        ("blank", "blank", "waveforms are nothing but zeros or the limit", WHOLE),
         ("downward", "downward", "waveforms have echoes that point down", TURN),
         ("floored", "floored", "waveforms stand at 0", FLOOR),
         ("unlike", "unlike", "returns have the strength of other echoes", MIXED),

@@ -82,6 +82,19 @@ def test_echoes_lie_where_the_truth_is_in_the_system_that_is_named(tmp_path, wri
     assert np.median(off) < 0.01 and np.quantile(off, 0.99) < 0.02
 
 
+def test_beams_in_metres_through_places_in_degrees_are_refused(tmp_path):
+    """Metres along x were taken for degrees: echoes of single returns lay kilometres away, in silence."""
+    ground, sensor = truth()
+    path = in_degrees(tmp_path / "a.las", ground, sensor)
+    las = laspy.read(path)
+    up = METRES_PER_NS * 1e-3 * (sensor - ground) / np.linalg.norm(sensor - ground, axis=1, keepdims=True)
+    for name, values in zip(("x_t", "y_t", "z_t"), up.T, strict=True):
+        las.points.array[name] = values
+    las.write(path)
+    ended = fwclass("decompose", path, tmp_path / "o.laz", "--crs", UTM)
+    assert ended.returncode == 1 and "not in the units of their places" in ended.stderr, ended.stderr
+
+
 @pytest.mark.parametrize(("crs", "words"), [("EPSG:4326", "in degrees"), ("EPSG:2263", "one of metres on a plane")])
 def test_a_system_that_is_none_of_metres_is_refused(tmp_path, crs, words):
     path = in_degrees(tmp_path / "a.las", *truth(60))

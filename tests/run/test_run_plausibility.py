@@ -94,8 +94,18 @@ def test_a_hole_of_zeros_in_a_packet_file_is_told(noisy, tmp_path, last, code):
     assert ended.returncode == code, ended.stderr
     count = int(900 * (last - 0.4))
     assert any(f"{n} of 900 pulses" in ended.stderr for n in range(count - 2, count + 1)), ended.stderr
-    assert "have nothing but zeros for a waveform" in ended.stderr
-    assert ("waveforms are nothing but zeros than a sound survey has" in ended.stderr) == (code == 4)
+    assert "have nothing but zeros, or the digitiser's limit, for a waveform" in ended.stderr
+    assert ("waveforms are nothing but zeros or the limit than a sound survey has" in ended.stderr) == (code == 4)
+
+
+def test_waveforms_at_the_limit_are_told(noisy, tmp_path):
+    """Nothing was found in them, and nothing said."""
+    (tmp_path / "a.las").write_bytes(noisy.read_bytes())
+    whole = noisy.with_suffix(".wdp").read_bytes()
+    (tmp_path / "a.wdp").write_bytes(whole[:60] + b"\xff" * (len(whole) - 60))
+    ended = fwclass("decompose", tmp_path / "a.las", tmp_path / "o.laz")
+    assert ended.returncode == 4 and "900 of 900 pulses (100.0 %) have nothing but zeros, or" in ended.stderr
+    assert len(laspy.read(tmp_path / "o.laz")) >= 900, "the vendor's returns are kept"
 
 
 @pytest.mark.parametrize("harm", ["hole", "cut"])
