@@ -44,6 +44,7 @@ def seen(frames: tuple[Frame, ...], speed: float, pitch: float) -> tuple[dict, l
     return counts["sound"], recording_faults(counts, params, {}, (len(frames), "frames"), {})
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("seed", "pitch", "leaves"),
     [(11, 0.0, True), pytest.param(12, 0.0, False, marks=pytest.mark.slow), (13, 20.0, True)],
@@ -53,16 +54,19 @@ def test_sound_drives_are_not_told(seed: int, pitch: float, leaves: bool) -> Non
     assert told == [] and 0.6 < facts["stretch"] < 1.6 and facts["lean_share"] < 0.35, facts
 
 
+@pytest.mark.statistics
 def test_a_speed_in_kilometres_an_hour() -> None:
     facts, told = seen(drive(11, 0.0), 3.6, 0.0)
     assert 2.2 < facts["stretch"] < 6.0 and any("times as long along it as upwards" in t for t in told), facts
 
 
+@pytest.mark.statistics
 def test_a_short_drive_tells_nothing_of_its_speed() -> None:
     facts, told = seen(drive(11, 0.0)[:900], 1.0, 0.0)
     assert facts["stretch"] is None and told == []
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("true", "said"), [(20.0, 0.0), (0.0, 15.0), pytest.param(20.0, -10.0, marks=pytest.mark.slow)]
 )
