@@ -20,4 +20,5 @@ quality = Workflow(
         *(CHOOSE_PARAMETERS, FILTER_GROUND, GATHER_GROUND, *OF_QUALITY, DELIVER_QUALITY),
     ),
     settle=without_classifier,
+    by_returns=lambda config: config.quality.echoes != "waveforms",
 )

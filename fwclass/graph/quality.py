@@ -14,6 +14,7 @@ from fwclass import __version__
 from fwclass.formats.wkb import point_wkb
 from fwclass.graph.check_points import CHECK_POINTS, FILE, has_check_points
 from fwclass.graph.coverage import area_coverage, read_area
+from fwclass.graph.left_aside import LEFT_ASIDE
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
@@ -91,9 +92,11 @@ def deliver_quality(
     block: float,
     places: Mapping[str, tuple[float, float, float, float]],
     area_source: Mapping[str, Any] | None,
+    left_aside: bool = False,
 ) -> Result:
     """The survey's quality as JSON and rasters. `files`: names by number; `block`: edge of the blocks [m]; `places`:
-    bounds [m] of the sites; `area_source`: layer and system of the area that was to be flown, None without one."""
+    bounds [m] of the sites; `area_source`: layer and system of the area that was to be flown, None without one;
+    `left_aside`: the sources' waveforms were."""
     # matplotlib is slow to load, and only the page needs it
     from fwclass.publish.quality_page import render_quality
 
@@ -139,7 +142,9 @@ def deliver_quality(
         "strips": strips,
         "coverage": covered,
         "check_points": checked,
+        **({"judged_by": "returns"} if left_aside else {}),
         "remarks": [
+            *([LEFT_ASIDE] if left_aside else []),
             *(["all echoes are noise"] if not echoes else []),
             *density_remarks(density_facts),
             *strip_remarks(strips),
@@ -237,7 +242,7 @@ MEASURE_QUALITY = Stage(
     measure_quality,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.quality},
-    silent=THRESHOLDS | {"strips", "check_points", "area"},
+    silent=THRESHOLDS | {"echoes", "strips", "check_points", "area"},
     reads=READS,
     halo=0.0,
 )
@@ -256,8 +261,9 @@ DELIVER_QUALITY = Stage(
         "block": plan.config.terrain.block,
         "places": {site.name: site.box.bounds for site in sites(plan.layout)},
         "area_source": {"layer": area.layer, "own_crs": area.crs} if (area := plan.survey.area) else None,
+        **({"left_aside": True} if plan.returns else {}),
     },
-    silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS | {"file"},
+    silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS | {"echoes", "file"},
     after=(MEASURE_QUALITY.name, CHECK_POINTS),
     needs=lambda plan, part: [
         *((MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)),

@@ -49,11 +49,12 @@ _ARRAYS = ("samples", "offsets", "outgoing", "outgoing_offsets")
 
 @dataclass(frozen=True)
 class StripSpan:
-    """A span of a strip, the `number`-th."""
+    """A span of a strip, the `number`-th: `declared` to have waveforms, and with echoes that come of them (`waves`)."""
 
     strip: Strip
     number: int
     span: Span
+    declared: bool
     waves: bool
 
     @property
@@ -76,7 +77,8 @@ def spans_of(plan: Plan, strip: Strip) -> list[StripSpan]:
     """The spans that a strip's index cuts it into."""
     meta = plan.indexed[index_name(strip)].meta
     cut = [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in meta["spans"]]
-    return [StripSpan(strip, k, span, bool(meta["pulses"])) for k, span in enumerate(cut)]
+    declared = bool(meta["pulses"])
+    return [StripSpan(strip, k, span, declared, declared and not plan.returns) for k, span in enumerate(cut)]
 
 
 def _spans(plan: Plan) -> list[StripSpan]:
@@ -88,7 +90,16 @@ def _with_waves(plan: Plan) -> list[StripSpan]:
 
 
 def _strips_with_waves(plan: Plan) -> list[Strip]:
+    return [] if plan.returns else strips_declared(plan)
+
+
+def strips_declared(plan: Plan) -> list[Strip]:
+    """The strips whose files have waveforms."""
     return [s for s in plan.survey.strips if plan.indexed[index_name(s)].meta["pulses"]]
+
+
+def _decomposed(plan: Plan) -> bool:
+    return not plan.returns
 
 
 def _file(plan: Plan, part: Strip | StripSpan) -> tuple[Location, FileDigests]:
@@ -228,12 +239,15 @@ def decompose_chunk(here: StageInputs, params: DecomposeParams) -> Result:
     return _write_echoes(here, decompose(waves, strip, params, pulse, around, placement_of(strip, here.inputs)))
 
 
-def read_returns(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Result:
-    """As `read_chunk` and `decompose_chunk`, of a span without waveforms: its returns are its echoes.
+def read_returns(
+    here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span, left_aside: bool = False
+) -> Result:
+    """As `read_chunk` and `decompose_chunk`, of a span without waveforms, or whose waveforms are `left_aside`: its
+    returns are its echoes.
 
     `width`: of a pulse [ns] that nothing is fitted with.
     """
-    waves = read_span(open_source(here.file()), span, reading)
+    waves = read_span(open_source(here.file()), span, reading, waves=not left_aside)
     result = decompose(waves, strip_of(here.part), params, SystemPulse.gaussian(width), UNKNOWN)
     return {**_facts(waves), **_write_echoes(here, result)}
 
@@ -280,6 +294,7 @@ READ_SPAN = Stage(
     source=_file,
     arguments=lambda plan: {"params": plan.config.read},
     each=lambda plan, part: {"span": part.span},
+    when=_decomposed,
     after=("index",),
 )
 MEASURE_PULSE = Stage(
@@ -291,6 +306,7 @@ MEASURE_PULSE = Stage(
     parts=_strips_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.pulse, "fit": plan.config.decompose},
+    when=_decomposed,
     after=("index", "read"),
     needs=lambda plan, strip: [index_name(strip), *(("read", s.key) for s in spans_of(plan, strip))],
 )
@@ -303,6 +319,7 @@ MEASURE_PLACES = Stage(
     parts=_strips_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.decompose, "sample": plan.config.pulse.sample},
+    when=_decomposed,
     after=("index", "read", "pulse"),
     needs=lambda plan, strip: [
         index_name(strip),
@@ -318,6 +335,7 @@ DECOMPOSE_WAVES = Stage(
     decompose_chunk,
     parts=_with_waves,
     waves=True,
+    when=_decomposed,
     arguments=lambda plan: {"params": plan.config.decompose},
     after=("read", "pulse", "places"),
     needs=lambda plan, part: (("read", part.key), ("pulse", part.strip.key), ("places", part.strip.key)),
@@ -336,6 +354,6 @@ DECOMPOSE_RETURNS = Stage(
         "reading": plan.config.read,
         "width": plan.config.pulse.width or plan.config.pulse.fallback_width,
     },
-    each=lambda plan, part: {"span": part.span},
+    each=lambda plan, part: {"span": part.span, **({"left_aside": True} if part.declared else {})},
     after=("index",),
 )

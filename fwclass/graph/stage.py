@@ -55,6 +55,7 @@ class Plan:
     splits : receipts of the chunks that are cut into tiles.
     tiled : the tiles that there are, once the echoes lie in them.
     flown : when each trajectory was.
+    returns : the sources' returns are taken for echoes, and their waveforms left aside.
     pointing : beams are held against the trajectory before a range is taken from it.
     declares : columns that the program does not know, of a user's own stages.
     providers : the stage that writes each column, as far as records tell.
@@ -70,6 +71,7 @@ class Plan:
     splits: Mapping[Name, Receipt] = field(default_factory=dict)
     tiled: Layout | None = None
     flown: Flown = field(default_factory=dict)
+    returns: bool = False
     pointing: bool = False
     declares: tuple[Column, ...] = ()
     providers: Mapping[str, str] = field(default_factory=dict)

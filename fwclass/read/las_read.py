@@ -84,9 +84,10 @@ def index_las(source: LasSource, params: ReadParams) -> list[Span]:
     return spans_by_pulses(source, params.chunk_pulses, params.max_span_points)
 
 
-def read_las(source: LasSource, span: Span, use_flagged: bool = False) -> Waveforms:
+def read_las(source: LasSource, span: Span, use_flagged: bool = False, waves: bool = True) -> Waveforms:
     """Returns of `span` in file order, and the waveforms of its pulses that have a usable packet; none of them is
-    `withheld` where what the file flags is to be used.
+    `withheld` where what the file flags is to be used. Without `waves` every return is a pulse by itself, as in a file
+    that declares none.
 
     Returns
     -------
@@ -94,7 +95,7 @@ def read_las(source: LasSource, span: Span, use_flagged: bool = False) -> Wavefo
         `location` and `anchor_time` [ns], `step` [m/ns] up the beam. A return's location counts from the first sample
         of its pulse's first segment, an anchor time from the first sample of its own row. Returns without a usable
         packet are kept with `has_packet` False and counted in `faults` by reason. `location` is NaN only where the
-        file declares no waveforms.
+        file declares no waveforms, or they are not asked for.
     """
     with PointReader(source) as reader:
         points = reader.read(span.first_point, span.last_point)
@@ -111,8 +112,8 @@ def read_las(source: LasSource, span: Span, use_flagged: bool = False) -> Wavefo
     columns["source_class"] = np.asarray(points["classification"], np.uint8)
     columns["withheld"] = flags_of(points) & (not use_flagged)
     faults = _return_faults(columns)
-    if not source.has_waves:
-        pulse = np.arange(span.first_pulse, span.first_pulse + len(points))
+    if not (source.has_waves and waves):
+        pulse = np.arange(span.first_point, span.first_point + len(points))
         nothing = np.zeros(len(points), np.bool_)
         columns |= {"pulse": pulse, "has_packet": nothing, "location": np.full(len(points), np.nan)}
         none = np.empty(0, np.dtype(source.sample_dtype))

@@ -62,19 +62,20 @@ def index_source(source: Source, params: ReadParams) -> list[Span]:
     return index_las(las_of(source), params)
 
 
-def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
-    """Returns of `span` in file order, and the waveforms of its pulses that have usable samples.
+def read_span(source: Source, span: Span, params: ReadParams, waves: bool = True) -> Waveforms:
+    """Returns of `span` in file order, and the waveforms of its pulses that have usable samples; of a LAS file on
+    request without `waves`, as if its point format had none.
 
     See `las_read.read_las`, `pls_read.read_pls` and `beam_read.read_beam_rows`.
     """
     source = with_settings(source, params)
     if isinstance(source, PulseSource):
-        waves = read_pls(source, span)
+        read = read_pls(source, span)
     elif isinstance(source, BeamSource):
-        waves = read_beam_rows(source, span)
+        read = read_beam_rows(source, span)
     else:
-        waves = read_las(las_of(source), span, params.use_flagged)
-    return waves if source.target is None else project_waveforms(waves, source, source.target)
+        read = read_las(las_of(source), span, params.use_flagged, waves)
+    return read if source.target is None else project_waveforms(read, source, source.target)
 
 
 def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Table:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
+from fwclass.graph.stage import Plan
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
@@ -168,6 +169,13 @@ def facts_of(source: Source) -> SourceFacts:
     box = Box(xmin, ymin, xmax + 0.001, ymax + 0.001)
     size = source.waves.available if waves else 0
     return SourceFacts(source.path, source.n_points, pulses, waves, size, box, point_format=source.point_format)
+
+
+def left_aside(plan: Plan, facts: SurveyFacts) -> tuple[Plan, SurveyFacts]:
+    """`plan` and `facts` as they are where the waveforms of files that all have returns too are left aside."""
+    if not plan.returns or any(s.waves and not s.points for s in facts.sources):
+        return replace(plan, returns=False), facts
+    return plan, replace(facts, sources=tuple(replace(s, waves=False) for s in facts.sources))
 
 
 def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:

@@ -1,0 +1,94 @@
+"""`run --workflow quality` of files with waveforms: their own returns tell density, voids and strips."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import laspy
+import lasmaker
+import plsmaker
+import pytest
+from commandline import fwclass
+
+WORDS = ("--workflow", "quality", "--workers", "0")
+FIGURES = ("echoes", "noise", "pulses", "density", "voids", "strips")
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    for k in range(2):
+        lasmaker.survey(tmp_path / f"a{k}.las", 400, seed=k)
+    (tmp_path / "s.yaml").write_text("survey: {name: waves, sources: ['a*.las'], crs: EPSG:32633}\n")
+    return tmp_path
+
+
+def run(place: Path, out: str, *settings: str) -> tuple[dict[str, Any], str]:
+    words = [w for s in ("plausibility.accept=true", *settings) for w in ("--set", s)]
+    ended = fwclass("run", place / "s.yaml", "--out", place / out, *WORDS, *words)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return json.loads((place / out / "quality.json").read_text()), ended.stderr
+
+
+def stages(place: Path, out: str) -> set[str]:
+    return {p.name for p in (place / out / "store").iterdir()}
+
+
+def test_returns_are_enough_and_it_is_said(place: Path) -> None:
+    facts, told = run(place, "run")
+    assert facts["judged_by"] == "returns" and "waveforms are left aside" in facts["remarks"][0]
+    assert "waveforms are left aside" in told and "waveforms are left aside" in (place / "run/quality.html").read_text()
+    assert not stages(place, "run") & {"read", "pulse", "places"}
+    points = [laspy.read(place / f"a{k}.las") for k in range(2)]
+    assert facts["echoes"] == sum(len(p.points) for p in points)
+    assert facts["pulses"] + facts["noise"] >= sum(int((p.return_number == 1).sum()) for p in points) >= facts["pulses"]
+
+
+def test_as_if_the_files_had_no_waveforms(place: Path) -> None:
+    facts, _ = run(place, "run")
+    for k in range(2):
+        las = laspy.read(place / f"a{k}.las")
+        laspy.convert(las, point_format_id=6).write(place / f"a{k}.las")
+    plain, told = run(place, "plain")
+    assert "judged_by" not in plain and "left aside" not in told
+    assert {n: facts[n] for n in FIGURES} == {n: plain[n] for n in FIGURES}
+
+
+def test_tiles_and_chunks_change_no_byte(place: Path) -> None:
+    run(place, "run")
+    run(place, "other", "tile.size=50", "read.chunk_pulses=150")
+    for name in ("quality.json", "quality.html", "rasters/pulse_density.tif"):
+        assert (place / "other" / name).read_bytes() == (place / "run" / name).read_bytes(), name
+
+
+def test_waveforms_on_request_and_where_the_run_has_them(place: Path) -> None:
+    facts, told = run(place, "run", "quality.echoes=waveforms")
+    assert "judged_by" not in facts and "left aside" not in told and "pulse" in stages(place, "run")
+    again, told = run(place, "run")
+    assert again == facts and "computed" not in told.split("report")[0]
+    asked, _ = run(place, "run", "quality.echoes=returns")
+    assert asked["judged_by"] == "returns"
+
+
+def test_pulses_without_returns_are_decomposed(tmp_path: Path) -> None:
+    plsmaker.survey(tmp_path / "a0.pls", 60)
+    (tmp_path / "s.yaml").write_text("survey: {name: waves, sources: ['a*.pls'], crs: EPSG:32633}\n")
+    facts, _ = run(tmp_path, "run")
+    assert "judged_by" not in facts and "pulse" in stages(tmp_path, "run")
+    ended = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "no", *WORDS, "--set", "quality.echoes=returns")
+    assert ended.returncode == 2 and "no returns to judge by" in ended.stderr and "a0.pls" in ended.stderr
+
+
+def test_the_plan_and_the_graph_follow(place: Path) -> None:
+    named = {}
+    for echoes in ("auto", "waveforms"):
+        words = ("plan", place / "s.yaml", "--workflow", "quality", "--json", "--set", f"quality.echoes={echoes}")
+        graph = fwclass(*words, "--graph")
+        planned = fwclass(*words, "--out", place / echoes)
+        assert graph.returncode == planned.returncode == 0, graph.stderr + planned.stderr
+        of_plan = {s["name"] for s in json.loads(planned.stdout)["stages"]}
+        named[echoes] = {s["name"] for s in json.loads(graph.stdout)}, of_plan
+    assert all({"read", "pulse", "places"} <= some for some in named["waveforms"])
+    assert not any({"read", "pulse", "places"} & some for some in named["auto"])
+    assert all("decompose" in some for some in named["auto"])
