@@ -92,3 +92,16 @@ def test_the_plan_and_the_graph_follow(place: Path) -> None:
     assert all({"read", "pulse", "places"} <= some for some in named["waveforms"])
     assert not any({"read", "pulse", "places"} & some for some in named["auto"])
     assert all("decompose" in some for some in named["auto"])
+
+
+def test_noise_is_what_the_ground_filter_takes_for_it(place: Path) -> None:
+    """Check points ask for the ground, and so for the whole filter."""
+    las = laspy.read(place / "a0.las")
+    las.z[::90] -= 40.0
+    las.write(place / "a0.las")
+    (place / "checks.csv").write_text(f"x,y,z\n{las.x[0]},{las.y[0]},{las.z[0]}\n")
+    alone, _ = run(place, "run")
+    filtered, _ = run(place, "filtered", "quality.check_points.file=checks.csv")
+    assert alone["noise"] > 0 and {n: alone[n] for n in FIGURES} == {n: filtered[n] for n in FIGURES}
+    assert "noise-filter" in stages(place, "run") and "ground-filter" not in stages(place, "run")
+    assert "ground-filter" in stages(place, "filtered") and "noise-filter" not in stages(place, "filtered")

@@ -8,7 +8,7 @@ from fwclass.graph.ground_classes import without_classifier
 from fwclass.graph.quality import DELIVER_QUALITY
 from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.sources import INDEX
-from fwclass.graph.stages import OF_QUALITY, OF_STRIPS
+from fwclass.graph.stages import OF_NOISE, OF_QUALITY, OF_STRIPS
 from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.walk.workflow import Workflow
 
@@ -17,7 +17,7 @@ quality = Workflow(
     "how good a survey is: density, noise, differences of strips; without labels or a model",
     stages=(
         *(SIMULATE, INDEX, *OF_STRIPS, TILE_ECHOES),
-        *(CHOOSE_PARAMETERS, FILTER_GROUND, GATHER_GROUND, *OF_QUALITY, DELIVER_QUALITY),
+        *(CHOOSE_PARAMETERS, FILTER_GROUND, GATHER_GROUND, *OF_NOISE, *OF_QUALITY, DELIVER_QUALITY),
     ),
     settle=without_classifier,
     by_returns=lambda config: config.quality.echoes != "waveforms",

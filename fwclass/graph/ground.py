@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from fwclass.classes import GROUND
 from fwclass.errors import StoreError
 from fwclass.graph.breaklines import BREAKLINES, beside_ground, breaklines_in, breaklines_needed
+from fwclass.graph.check_points import has_check_points
 from fwclass.graph.ground_auto import AUTO, halo_of, parameters_at, parts_for
 from fwclass.graph.rasters import write_rasters
-from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs, always
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.filters import Flags
@@ -209,7 +210,12 @@ def _stacked_around(plan: Plan, block: Tile) -> list[Name]:
     return [(STACK, b.key) for b in TileGrid(edge).touching(box) if b.key in plan.layout.occupied[edge]]
 
 
-def _gathers(name: str, source: Stage, columns: Names, block: Any) -> Stage:
+def filters_ground(plan: Plan) -> bool:
+    """False where the sources' returns are judged alone, and no check points ask for the ground."""
+    return has_check_points(plan) or not plan.returns
+
+
+def gathers(name: str, source: Stage, columns: Names, block: Any, when: Callable[[Plan], bool] = always) -> Stage:
     """The stage that puts what blocks wrote about echoes into the rows of their tiles."""
 
     def blocks(plan: Plan, tile: Tile) -> list[Name]:
@@ -222,6 +228,7 @@ def _gathers(name: str, source: Stage, columns: Names, block: Any) -> Stage:
         "tile",
         "echo",
         gather_columns,
+        when=when,
         arguments=lambda plan: {"source": source.name, "columns": columns, "block": block(plan)},
         own=("x", "y"),
         writes=columns,
@@ -238,6 +245,7 @@ FILTER_GROUND = Stage(
     "block",
     "echo",
     filter_block,
+    when=filters_ground,
     edge=lambda plan: plan.config.ground.block,
     arguments=lambda plan: {"params": plan.config.ground},
     reads=GROUND_FILTER.reads,
@@ -246,7 +254,9 @@ FILTER_GROUND = Stage(
     after=(AUTO,),
     needs=parts_for,
 )
-GATHER_GROUND = _gathers("ground", FILTER_GROUND, GROUND_FILTER.writes, lambda plan: plan.config.ground.block)
+GATHER_GROUND = gathers(
+    "ground", FILTER_GROUND, GROUND_FILTER.writes, lambda plan: plan.config.ground.block, filters_ground
+)
 MAKE_TERRAIN = Stage(
     TERRAIN.name,
     TERRAIN.version,
@@ -263,4 +273,4 @@ MAKE_TERRAIN = Stage(
     after=(STACK, LEVELS, BREAKLINES),
     needs=lambda plan, block: [*_stacked_around(plan, block), *levels_needed(plan), *breaklines_needed(plan)],
 )
-GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
+GATHER_HEIGHT = gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)

@@ -49,6 +49,7 @@ from fwclass.graph.learn import (
     TRY_MACHINES,
     WEIGH_FEATURES,
 )
+from fwclass.graph.noise import FILTER_NOISE, GATHER_NOISE
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.overview import DELIVER_OVERVIEW, DRAW_OVERVIEW
 from fwclass.graph.quality import DELIVER_QUALITY, MEASURE_QUALITY
@@ -123,6 +124,7 @@ TO_LABELS = (
     LABEL_BY_ECHOES,
 )
 """What is known of every echo before it is classified."""
+OF_NOISE = (FILTER_NOISE, GATHER_NOISE)
 OF_QUALITY = (MEASURE_QUALITY, MEASURE_CHECK_POINTS)
 LEARNING = (
     DRAW_SAMPLE,
@@ -170,7 +172,7 @@ OF_WAVEFORMS = (SAMPLE_WAVES, FILL_VOXELS, FILL_PROFILES, DELIVER_SAMPLES, DELIV
 """For those who want the waveform, not echoes."""
 OF_VECTORS = (COUNT_PULSES, CHOOSE_CELL, FIND_BUILDINGS, FIND_TREES, DELIVER_VECTORS)
 STAGES = (
-    *(SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *OF_QUALITY, *LEARNING, *CLASSIFYING, CLASSIFY_GROUND),
+    *(SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *OF_NOISE, *OF_QUALITY, *LEARNING, *CLASSIFYING, CLASSIFY_GROUND),
     *(*JUDGING, *DELIVERY, *OF_VECTORS, *OF_WAVEFORMS),
 )
 """Every stage that any run has; what a run takes is reckoned by this list."""

@@ -295,6 +295,7 @@ META: dict[str, Shape] = {
         "last": COUNT,
         "pieces": [(TILE, COUNT)],
     },
+    "noise-filter": {"rows": COUNT, "noise": COUNT, "pieces": [(TILE, COUNT)]},
     "terrain": {
         "without_terrain": COUNT,
         "pieces": [(TILE, COUNT)],

@@ -174,6 +174,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     survey = replace(survey, strips=tuple(s for s in survey.strips if index_name(s) in indexed))
     plan = replace(plan, files=survey, indexed=indexed)
     plan = replace(plan, returns=plan.returns and left_aside(plan, runner.store))
+    plan = replace(plan, providers=providers(plan, stages))
     if plan.returns:
         runner.display.say(f"note: {LEFT_ASIDE}")
     splits = runner.do(_of_strips(plan) + SPLIT_REFERENCE.tasks(plan))
