@@ -261,7 +261,7 @@ CHOOSE_CELL = Stage(
 )
 FIND_BUILDINGS = Stage(
     "buildings",
-    1,
+    2,
     "block",
     "echo",
     find_buildings,

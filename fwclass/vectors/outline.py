@@ -6,6 +6,8 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
+from fwclass.vectors.outline_kernels import mark_corners
+
 Ring = NDArray[np.float64]
 """(corners, 2): x, y; the last one is not the first again. Outlines run counterclockwise, holes clockwise."""
 
@@ -53,32 +55,38 @@ def rings(mask: Cells) -> list[NDArray[np.int64]]:
         (inner & ~mask[2:, 1:-1], (1, 1), (0, 1)),
         (inner & ~mask[1:-1, :-2], (0, 1), (0, 0)),
     )
-    following: dict[tuple[int, int], tuple[int, int]] = {}
+    after: dict[tuple[int, int], tuple[int, int]] = {}
     for there, first, last in sides:
         for r, c in (np.argwhere(there) + 1).tolist():
-            following[c + first[0], r + first[1]] = (c + last[0], r + last[1])
+            after[c + first[0], r + first[1]] = (c + last[0], r + last[1])
     out = []
-    while following:
-        begin, at = following.popitem()
+    while after:
+        begin, at = after.popitem()
         ring = [begin]
         while at != begin:
             ring.append(at)
-            at = following.pop(at)
+            at = after.pop(at)
         lowest = ring.index(min(ring))
         out.append(np.array(ring[lowest:] + ring[:lowest], np.int64))
     return sorted(out, key=lambda r: (-abs(area(r)), r[0].tolist()))
 
 
+def following(ring: NDArray) -> NDArray:
+    """What comes next of the corners of a `ring`, (corners, 2), or of one of their axes, (corners,); behind the last the
+    first."""
+    return np.concatenate([ring[1:], ring[:1]])
+
+
 def corners(ring: NDArray) -> NDArray:
     """The corners, (corners, 2), of a `ring`, (points, 2), where it turns; cells' sides alone, which are exact."""
-    ahead, behind = np.roll(ring, -1, axis=0) - ring, ring - np.roll(ring, 1, axis=0)
+    ahead, behind = following(ring) - ring, ring - np.roll(ring, 1, axis=0)
     return ring[ahead[:, 0] * behind[:, 1] != ahead[:, 1] * behind[:, 0]]
 
 
 def area(ring: NDArray) -> float:
     """Signed area of a ring, (corners, 2), positive where it runs counterclockwise, in its unit squared."""
     x, y = (ring - ring[0]).T
-    return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    return float(0.5 * (x * following(y) - y * following(x)).sum())
 
 
 def simplify(ring: Ring, tolerance: float) -> NDArray[np.int64]:
@@ -90,23 +98,8 @@ def simplify(ring: Ring, tolerance: float) -> NDArray[np.int64]:
     far = int(np.argmax(((turned - turned[0]) ** 2).sum(axis=1)))
     closed = np.concatenate([turned, turned[:1]])
     stays = np.zeros(len(closed), bool)
-    stays[[0, far]] = True
-    todo = [(0, far), (far, len(closed) - 1)]
-    while todo:
-        a, b = todo.pop()
-        if b - a < 2:
-            continue
-        along, between = closed[b] - closed[a], closed[a + 1 : b] - closed[a]
-        length = float(np.hypot(*along))
-        if length > 0.0:
-            share = np.clip(between @ along / length**2, 0.0, 1.0)
-            off = np.hypot(*(between - share[:, None] * along).T)
-        else:
-            off = np.hypot(*between.T)
-        worst = int(np.argmax(off))
-        if off[worst] > tolerance:
-            stays[a + 1 + worst] = True
-            todo += [(a, a + 1 + worst), (a + 1 + worst, b)]
+    stays[[0, far, -1]] = True
+    mark_corners(closed, stays, tolerance)
     return np.sort((np.flatnonzero(stays[:-1]) + begin) % len(ring))
 
 
@@ -116,7 +109,7 @@ def cover(polygon: list[Ring], shape: tuple[int, int]) -> NDArray[np.bool_]:
     middles = np.arange(shape[0]) + 0.5
     for ring in polygon:
         x0, y0 = ring.T
-        x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
+        x1, y1 = following(x0), following(y0)
         crossed = (y0[:, None] <= middles) != (y1[:, None] <= middles)
         edge, row = np.nonzero(crossed)
         at = x0[edge] + (middles[row] - y0[edge]) * (x1[edge] - x0[edge]) / (y1[edge] - y0[edge])
@@ -132,7 +125,7 @@ def sound(polygon: list[Ring]) -> bool:
     if area(polygon[0]) <= 0.0 or any(area(hole) >= 0.0 for hole in polygon[1:]):
         return False
     begin = np.concatenate(polygon)
-    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in polygon])
+    end = np.concatenate([following(ring) for ring in polygon])
     if _crossing(begin, end, [len(ring) for ring in polygon]):
         return False
     return all(_inside(hole[0], polygon[0]) for hole in polygon[1:])
@@ -142,13 +135,13 @@ def _crossing(begin: Ring, end: Ring, lengths: list[int]) -> bool:
     """Whether two edges that are no neighbours share a point, or two neighbours run back over each other."""
     along = end - begin
     number = len(begin)
-    following = np.arange(1, number + 1)
+    ahead = np.arange(1, number + 1)
     first = 0
     for length in lengths:
-        following[first + length - 1] = first
+        ahead[first + length - 1] = first
         first += length
     apart = np.ones((number, number), bool)
-    for other in (np.arange(number), following):
+    for other in (np.arange(number), ahead):
         apart[np.arange(number), other] = apart[other, np.arange(number)] = False
 
     def side(k: Ring) -> NDArray[np.float64]:
@@ -161,13 +154,13 @@ def _crossing(begin: Ring, end: Ring, lengths: list[int]) -> bool:
     boxes = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
     if (across & across.T & boxes & apart).any():
         return True
-    ahead = along[following]
-    back = (along[:, 0] * ahead[:, 1] == along[:, 1] * ahead[:, 0]) & ((along * ahead).sum(axis=1) <= 0)
+    then = along[ahead]
+    back = (along[:, 0] * then[:, 1] == along[:, 1] * then[:, 0]) & ((along * then).sum(axis=1) <= 0)
     return bool(back.any())
 
 
 def _inside(point: NDArray[np.float64], ring: Ring) -> bool:
-    (x, y), (x0, y0), (x1, y1) = point, ring.T, np.roll(ring, -1, axis=0).T
+    (x, y), (x0, y0), (x1, y1) = point, ring.T, following(ring).T
     crossed = (y0 <= y) != (y1 <= y)
     at = x0[crossed] + (y - y0[crossed]) * (x1[crossed] - x0[crossed]) / (y1[crossed] - y0[crossed])
     return bool((at > x).sum() % 2)

@@ -129,13 +129,14 @@ def round_crowns(
     turn = 2.0 * np.pi * np.arange(_WAYS)[:, None] / _WAYS
     around = np.arange(int(params.reach / cell) + 1)
     rows, cols = np.rint(around * np.sin(turn)).astype(np.int64), np.rint(around * np.cos(turn)).astype(np.int64)
-    padded, place = np.pad(surface, around[-1]), np.indices(surface.shape)
+    most, lower = int(around[-1]), int(params.round * (_WAYS - 1))
+    padded, distance = np.pad(surface, most), np.hypot(*np.mgrid[-most : most + 1, -most : most + 1])
     for row, col in tree_tops.tolist():
         wide = int(min(params.reach, params.spread * surface[row, col]) / cell)
-        seen = padded[row + around[-1] + rows[:, : wide + 1], col + around[-1] + cols[:, : wide + 1]]
-        height = np.minimum.accumulate(np.quantile(seen, params.round, axis=0, method="lower"))
+        seen = padded[row + most + rows[:, : wide + 1], col + most + cols[:, : wide + 1]]
+        height = np.minimum.accumulate(np.partition(seen, lower, axis=0)[lower])
         part = _around(row, col, wide)
-        far = np.sqrt((place[0][part] - row) ** 2 + (place[1][part] - col) ** 2)
+        far = distance[_beside(part, row - most, col - most)][: out[part].shape[0], : out[part].shape[1]]
         out[part] = np.maximum(out[part], np.interp(far, around[: wide + 1], height, right=0.0))
     return out
 
@@ -163,6 +164,11 @@ def tops_beside(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, para
 def _around(row: int, col: int, wide: int) -> tuple[slice, slice]:
     """The cells up to `wide` rows and columns from one, as far as there are any."""
     return slice(max(0, row - wide), row + wide + 1), slice(max(0, col - wide), col + wide + 1)
+
+
+def _beside(part: tuple[slice, slice], row: int, col: int) -> tuple[slice, slice]:
+    """The same cells, counted from `row` and `col`."""
+    return slice(part[0].start - row, part[0].stop - row), slice(part[1].start - col, part[1].stop - col)
 
 
 def _disc(radius: int) -> NDArray[np.bool_]:

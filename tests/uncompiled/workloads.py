@@ -73,6 +73,7 @@ from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_tree, grow_trees, out_of_bag, train
 from fwclass.units import METRES_PER_NS
+from fwclass.vectors.outline import fill_holes, rings, simplify
 from fwclass.view.blocks import block
 from fwclass.view.pyramid import Pyramid, levels_of, order_blocks
 from fwclass.voxels.traversal import follow
@@ -469,6 +470,13 @@ def work_octree(_: Path) -> Any:
     echoes = Table({"strip": np.ones(400), "pulse": np.arange(400), "echo_number": np.ones(400)})
     made = octree(rng.integers(-500, 500, (400, 3)), echoes, 20)
     return [made.low, made.order, made.keys, made.counts]
+
+
+def work_outlines(_: Path) -> Any:
+    mask = np.zeros((22, 22), bool)
+    mask[2:20, 2:20] = np.random.default_rng(13).random((18, 18)) < 0.6
+    some = [ring.astype(np.float64) for ring in rings(fill_holes(mask, 1))]
+    return [simplify(ring, tolerance) for ring in some for tolerance in (0.5, 1.0, 3.0)]
 
 
 def work_blocks_of_the_viewer(_: Path) -> Any:
