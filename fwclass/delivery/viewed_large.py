@@ -19,7 +19,7 @@ from fwclass.publish.geoparquet import shortened
 from fwclass.publish.octree import echo_hashes
 from fwclass.read.las import open_las
 from fwclass.read.points import PointReader, coordinates
-from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.schema import IDENTITY, Table, canonical_key, column
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node, Pyramid
 
@@ -70,6 +70,9 @@ class OverviewRun(OpenRun):
                 for c in published_columns(copc_columns(there))
                 if c.name != "pulse"
             }
+            if column("amplitude").las not in reader.extra_names:  # left out where no waveform made another
+                decibels = more.get("amplitude_db", np.full(source.n_points, np.nan))
+                more["amplitude"] = np.where(np.isnan(decibels), points["intensity"], decibels).astype(np.float32)
         x, y, z = map(shortened, coordinates(source, points))
         echoes: dict[str, NDArray] = {
             **more,

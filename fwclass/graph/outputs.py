@@ -22,10 +22,11 @@ from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.tiling import source_codes, tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
 from fwclass.publish.geoparquet import about_delivery, round_floats, write_geoparquet
-from fwclass.publish.laz import without_reflectance
+from fwclass.publish.laz import without
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.publish.tile_facts import tile_facts
+from fwclass.read.quantities import COUNTS, DECIBELS, INTENSITY
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
@@ -84,14 +85,16 @@ def deliver_tile(
     standard_time: bool,
     calibrated: bool,
     names: Mapping[str, str],
+    repeated: Names = (),
 ) -> Result:
     """A tile as COPC and as GeoParquet. Without a calibration the COPC has no `reflectance`: other programs show its
-    no-data number as a value. `names` of classes by code."""
+    no-data number as a value; nor has it the columns `repeated`, which say what others do. `names` of classes by
+    code."""
     table, directory = here.rows(), here.directory
     for name in (TILES, "parquet"):
         (directory / name).mkdir(parents=True)
     path = directory / TILES / f"{here.part}{TILE_ENDING}"
-    shown = table if calibrated else without_reflectance(table)
+    shown = without(table, repeated if calibrated else (*repeated, "reflectance"))
     called = {int(code): name for code, name in names.items()}
     copc = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
     about = about_delivery(called, params.parquet_bits)
@@ -209,6 +212,18 @@ def columns_of_tiles(plan: Plan) -> Names:
     return tuple(dict.fromkeys((*DELIVERED, *classes_written(plan), *measured, *features)))
 
 
+def repeated_columns(plan: Plan) -> Names:
+    """Columns that a COPC needs not: without any waveform the amplitude is the intensity, or the extra byte `Amplitude`."""
+    kinds = {q.amplitude for q in plan.files.quantities.values()} if plan.files else {COUNTS}
+    return ("amplitude",) if kinds <= {INTENSITY, DECIBELS} else ()
+
+
+def repeated_argument(plan: Plan) -> dict[str, Any]:
+    """For the stages that write COPC; nothing where every column says something."""
+    repeated = repeated_columns(plan)
+    return {"repeated": repeated} if repeated else {}
+
+
 def class_names(plan: Plan) -> dict[str, str]:
     """Names of the survey's classes by code, and of codes that echoes have besides."""
     own = {str(c.code): c.name for c in plan.config.survey.classes}
@@ -228,6 +243,7 @@ DELIVER_TILE = Stage(
         "standard_time": plan.survey.standard_time,
         "calibrated": plan.config.radiometry.calibrates,
         "names": class_names(plan),
+        **repeated_argument(plan),
     },
     keyed=lambda plan: {"columns": columns_of_tiles(plan)},
     silent=NO_BYTE,

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.outputs import NO_BYTE, class_names, columns_of_tiles, crs_of
+from fwclass.graph.outputs import NO_BYTE, class_names, columns_of_tiles, crs_of, repeated_argument, repeated_columns
 from fwclass.graph.sites import WHOLE
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.publish.copc import copc_columns, write_tile_copc
-from fwclass.publish.laz import NEEDED, without_reflectance
+from fwclass.publish.laz import NEEDED, without
 from fwclass.publish.octree import echo_hashes
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_layers import OVERVIEW
@@ -86,7 +86,7 @@ def deliver_overview(
     path.parent.mkdir(parents=True)
     called = {int(code): name for code, name in names.items()}
     try:
-        shown = table if calibrated else without_reflectance(table)
+        shown = without(table, () if calibrated else ("reflectance",))
         write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
     except InputError:  # places further apart than the format's whole numbers reach have no common file
         return {"rows": 0}
@@ -125,7 +125,8 @@ def overview_parts(plan: Plan) -> Names:
 
 def cloud_columns(plan: Plan) -> Names:
     """Columns of a tile that its COPC has, as fields or as extra bytes."""
-    columns = columns_of_tiles(plan)
+    repeated = repeated_columns(plan)
+    columns = [c for c in columns_of_tiles(plan) if c not in repeated]
     return tuple(dict.fromkeys((*(c for c in columns if c in (*NEEDED, *OF_FIELDS)), *copc_columns(columns))))
 
 
@@ -144,6 +145,7 @@ DRAW_OVERVIEW = Stage(
     parts=_drawn_squares,
     edge=lambda plan: plan.config.publish.overview_square,
     arguments=lambda plan: {"most": plan.config.publish.overview_echoes},
+    keyed=repeated_argument,
     reads=cloud_columns,
     writes=cloud_columns,
     halo=0.0,
@@ -161,6 +163,7 @@ DELIVER_OVERVIEW = Stage(
         "most": plan.config.publish.overview_echoes,
         "calibrated": plan.config.radiometry.calibrates,
     },
+    keyed=repeated_argument,
     silent=NO_BYTE,
     reads=cloud_columns,
     tiles=lambda plan: () if _drawn_squares(plan) else plan.layout.tiles,

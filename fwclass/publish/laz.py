@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +49,10 @@ POINT6 = np.dtype(
 )
 
 
-def without_reflectance(table: Table) -> Table:
-    """`table` as it is published where nothing calibrates it."""
-    return table.select([name for name in table if name != "reflectance"])
+def without(table: Table, names: Iterable[str]) -> Table:
+    """`table` less the columns `names` that it has."""
+    left = {*names}
+    return table.select([name for name in table if name not in left])
 
 
 @counted("writing")

@@ -21,7 +21,7 @@ from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.radiometry import flight_of
 from fwclass.grid import Tile
-from fwclass.publish.laz import without_reflectance, write_tile_laz
+from fwclass.publish.laz import without, write_tile_laz
 from fwclass.radiometry import soundness
 from fwclass.radiometry.soundness import altitude_faults
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
@@ -107,7 +107,7 @@ def decompose_file(
     whole, notes, odd_radiometry = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
-    shown = delivered if params["radiometry"].calibrates else without_reflectance(delivered)
+    shown = without(delivered, () if params["radiometry"].calibrates else ("reflectance",))
     write_tile_laz(shown, output, system, params["publish"], standard_time=opened.standard_gps_time)
     near, judged = (
         fit.vendor_tolerance,

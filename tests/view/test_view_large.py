@@ -7,8 +7,10 @@ import zlib
 from pathlib import Path
 
 import lasmaker
+import laspy
 import numpy as np
 import pytest
+from smallsurvey import deliver, small_survey
 
 from fwclass import conf
 from fwclass.delivery.opened import open_run
@@ -115,3 +117,15 @@ def test_an_overview_that_does_not_know_its_pulses_is_said(run: Path, tmp_path: 
     with pytest.raises(InputError, match="which pulses its echoes are of") as fault:
         scene.level(ECHOES, 0)
     assert "other.las" in str(fault.value) and "--verify" in str(fault.value)
+
+
+def test_amplitudes_that_the_overview_leaves_out_are_the_intensities(tmp_path: Path) -> None:
+    deliver(small_survey(tmp_path).parent)
+    settings = ("view.block=2000", "view.together=1000", "view.whole=0")
+    scene = ViewedRun(open_run(tmp_path / "run"), conf.section("view", settings))
+    coarse = scene.open.coarse()
+    assert type(scene.open) is OverviewRun and len(np.unique(coarse.columns["amplitude"])) > 2
+    assert (coarse.columns["amplitude"] == coarse.columns["intensity"]).all()
+    for path in ("laz/overview.copc.laz", next((tmp_path / "run/laz/tiles").iterdir())):
+        names = list(laspy.read(tmp_path / "run" / path).point_format.extra_dimension_names)
+        assert "pulse" in names and "amplitude DN" not in names, path
