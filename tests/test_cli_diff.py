@@ -180,7 +180,8 @@ def test_a_diff_of_ground_runs_tells_the_terrain(runs):
     for out, more in (("g", ()), ("h", ("--set", "ground.max_building_size=3"))):
         assert fwclass("run", "s.yaml", "--out", out, *words, *more, cwd=runs).returncode == 0
     again = fwclass("run", "s.yaml", "--out", "g", "--workers", 0, "--workflow", "quality", cwd=runs)
-    assert "showed what the workflow ground delivered: that is in" in again.stderr and "0001 alone now" in again.stderr
+    assert "showed what the workflow ground delivered, and shows what quality does now" in again.stderr
+    assert "the earlier delivery is its generations/0001" in again.stderr
     assert fwclass("run", "s.yaml", "--out", "g", *words, cwd=runs).returncode == 0
     shown = fwclass("diff", "g", "h", cwd=runs).stdout
     assert "dtm         " in shown and "dsm         " in shown and "no intervals" not in shown, shown

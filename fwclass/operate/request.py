@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fwclass.errors import ConfigError, DamagedError, StoreError
+from fwclass.errors import ConfigError, DamagedError, StoreError, visible
 from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
 from fwclass.store.seal import seal, unseal
@@ -140,8 +140,9 @@ def replaced(earlier: str | None, workflow: str, before: Generation, keep: int) 
     if earlier in (None, workflow):
         return []
     return [
-        f"showed what the workflow {earlier} delivered: that is in {before.where} alone now, and goes after {keep} "
-        "more deliveries (run.keep_generations); --out gives every workflow a directory of its own"
+        f"showed what the workflow {earlier} delivered, and shows what {workflow} does now; the earlier delivery is its "
+        f"{visible(before.key)}, and goes after {keep} more (run.keep_generations); --out gives every workflow a "
+        "directory of its own"
     ]
 
 

@@ -83,7 +83,7 @@ def write_folder(scenes: Sequence[WholeScene], directory: Path, tell: Callable[[
             for one in echoes:
                 lacking.update(_write_echo(scene, one, here))
         for why, echoes_without in lacking.items():
-            tell(f"left out of {echoes_without:,} of them: {why}")
+            tell(f"{echoes_without:,} of them are shown without what is lacking: {why}")
         _write_json(here / "work.json", work)
         names = [t.name for echoes in unsure for t in echoes]
         folder = {"nodes": nodes, "columns": columns, "told": names}

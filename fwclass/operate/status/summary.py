@@ -75,6 +75,11 @@ def as_text(looked: RunStatus, request: Request, writer: Mapping[str, Any] | Non
         rows += ["", f"{'stage':<{width}}" + "".join(f"{name:>9}" for name in ("parts", *STANDINGS))]
     for stage, row in counts.items():
         rows.append(f"{stage:<{width}}" + "".join(f"{row[n] or '-':>9}" for n in ("parts", *STANDINGS)))
+    shown = looked.store.generations.current()
+    if shown is not None and not writer and not looked.store.parts():
+        gone = "nothing is left of what it was made of (`fwclass clean`, or run.keep_intermediate: false)"
+        after = f"the next run makes all of it anew: {request.command()}"
+        return "\n".join([rows[0], "", f"delivery {shown.name} stands; {gone}, and {after}"])
     rows += ["", *(_every(looked) if every else _grouped(looked))]
     rows += _failed(looked, request)
     if looked.ends is not None and looked.fault is None:
