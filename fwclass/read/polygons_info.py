@@ -24,7 +24,8 @@ MAX_TABLE = 1_000_000
 
 
 def polygon_info(path: Path) -> dict[str, Any]:
-    """Contents and faults of a polygon file as plain data for JSON.
+    """Contents and faults of a polygon file as plain data for JSON; of each layer ``values`` has how often a field
+    holds which value, but for those with more than `MOST_VALUES`, and those in ``uncounted``.
 
     Raises
     ------
@@ -69,6 +70,7 @@ def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
         "bounds": bounds,
         "fields": dict(opened.fields),
         "values": _values(opened) if 0 < opened.features <= MAX_TABLE else {},
+        "uncounted": list(opened.fields)[0 if opened.features > MAX_TABLE else MOST_FIELDS :],
     }
     return about, faults
 
@@ -98,7 +100,8 @@ def describe_polygons(info: dict[str, Any]) -> str:
         fields = list(layer["fields"].items())
         for name, kind in fields[:MOST_FIELDS]:
             values = layer["values"].get(name)
-            text = ", ".join(f"{v}: {n:,}" for v, n in values.items()) if values else f"more than {MOST_VALUES} values"
+            none = "values not counted" if name in layer["uncounted"] else f"more than {MOST_VALUES} values"
+            text = ", ".join(f"{v}: {n:,}" for v, n in values.items()) if values else none
             rows.append(("field", f"{name} ({kind})  {text}"))
         if len(fields) > MOST_FIELDS:
             rows.append(("field", f"and {len(fields) - MOST_FIELDS:,} more, whose values are not counted"))

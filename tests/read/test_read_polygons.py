@@ -204,7 +204,12 @@ def test_many_fields_are_read_at_once_and_the_first_ones_counted(ending, tmp_pat
     made = frame().assign(**{f"k{i}": i for i in range(200)})
     path, calls, of = written(made, tmp_path / f"a.{ending}"), [], polygons_info.values_of
     monkeypatch.setattr(polygons_info, "values_of", lambda opened, fields: calls.append(1) or of(opened, fields))
-    told = describe(info(path))
+    found = info(path)
+    told, layer = describe(found), found["layers"][0]
+    assert layer["uncounted"] == list(layer["fields"])[100:] and not set(layer["uncounted"]) & set(layer["values"])
+    monkeypatch.setattr(polygons_info, "MAX_TABLE", 2)
+    many = info(path)
+    assert many["layers"][0]["uncounted"] == list(layer["fields"]) and "values not counted" in describe(many)
     assert len(calls) == 1 and "k90 (int64)  90: 3" in told.replace("int32", "int64")
     assert "more, whose values are not counted" in told and "more than 40 values" not in told and "k150" not in told
 

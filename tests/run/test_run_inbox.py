@@ -108,6 +108,19 @@ def test_waveforms_that_nobody_has_written_yet_are_waited_for(post):
     assert box.later(60.0).complete
 
 
+def test_waveforms_that_end_in_zeros_are_whole_where_a_marker_says_so(post):
+    """A receiver that was dark at the end of a strip; without the marker it would wait for ever."""
+    box = post()
+    lasmaker.survey(box.inbox.directory / "a.las", pulses=200)
+    waves = box.inbox.directory / "a.wdp"
+    packets = waves.read_bytes()
+    waves.write_bytes(packets[:-5000] + bytes(5000))
+    box.later(0.0)
+    assert "a.wdp ends in zeros" in box.why(box.later(60.0), "a.las")
+    (box.inbox.directory / f"a{box.inbox.params.markers[0]}").touch()
+    assert [d.name for d in box.later(1.0).complete] == ["a.las"]
+
+
 def test_the_name_of_an_upload_waits_for_another(tmp_path):
     (tmp_path / "inbox").mkdir()
     box = Inbox(tmp_path / "inbox", Places((str(tmp_path / "survey" / "*"),), None), conf.section("schedule"))

@@ -65,6 +65,14 @@ def test_who_is_not_the_page_gets_nothing(server: Server, headers: dict[str, str
     assert b"demo" not in answer and server.guard.token.encode() not in answer
 
 
+def test_two_origins_are_none(server: Server) -> None:
+    here = f"127.0.0.1:{server.server_port}"
+    own = f"Host: {here}\r\nOrigin: http://{here}\r\n{TOKEN}: {server.guard.token}\r\n"
+    text = "GET /data/0/index.json HTTP/1.1\r\n{}Connection: close\r\n\r\n"
+    assert status(asked(server, text.format(own))) == 200
+    assert status(asked(server, text.format(own + "Origin: http://evil.example\r\n"))) == 403
+
+
 def test_two_hosts_are_none(server: Server) -> None:
     host = f"Host: 127.0.0.1:{server.server_port}\r\n"
     text = f"GET /data/0/index.json HTTP/1.1\r\n{host}Host: evil.example\r\n{TOKEN}: {server.guard.token}\r\n\r\n"

@@ -165,7 +165,8 @@ def _goes_with(head: Path, path: Path) -> bool:
 def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -> str:
     """Why a file that does not change is still not whole, by its header; empty if it is.
 
-    More bytes than the header tells of are the end of a file whose header was not written last, unless it is `marked`.
+    Unless it is `marked`, more bytes than the header tells of are the end of a file whose header was not written last,
+    and zeros at the end of its waveforms are what nobody has written yet.
     """
     from fwclass.read.las import LasSource
     from fwclass.read.points import PointReader
@@ -189,7 +190,7 @@ def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -
             return source.waves.why_not if named else ""
         if isinstance(source, PulseSource) and (short := _short_pulses(source)):
             return short
-        return next((fault for fault in map(_short_waves, beside) if fault), "")
+        return next((fault for path in beside if (fault := _short_waves(path, marked))), "")
     except InputError as fault:
         return f"{fault.what}: expected {fault.expected}, got {fault.got}" if fault.expected else fault.what
     except OSError as fault:
@@ -239,14 +240,14 @@ def _short_packets(source: LasSource, points: Any) -> list[str]:
     return [f"{name} is cut short: the packets of {short} of the last {len(fault)} points lie behind its end"]
 
 
-def _short_waves(path: Path) -> str:
-    """What was never written is zeros. A LAS sidecar states the length of its packets; some writers count the 60 bytes
-    before them too."""
+def _short_waves(path: Path, marked: bool) -> str:
+    """What was never written is zeros, unless it is `marked` as whole. A LAS sidecar states the length of its packets;
+    some writers count the 60 bytes before them too."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(60)
         stream.seek(max(0, size - PAGE))
-        if size > PAGE and not any(stream.read(PAGE)):
+        if not marked and size > PAGE and not any(stream.read(PAGE)):
             return f"{path.name} ends in zeros: it is still being written, or a part of it was never"
     if path.suffix.lower() != ".wdp":
         return ""
