@@ -11,6 +11,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fwclass.errors import InputError, visible
 from fwclass.formats.grid_files import names_file, paths_named
 from fwclass.formats.sqlite_files import SIGNATURE, open_sqlite, page_fault, schema_fault
@@ -156,14 +158,32 @@ def _members(path: Path, text: str) -> list[tuple[str, str]]:
 
 
 def _check_beside(path: Path) -> None:
-    """`InputError` where the coordinate system beside a Shapefile names a file by its path, which GDAL would open."""
+    """`InputError` where the coordinate system beside a Shapefile names a file by its path, which GDAL would open, or
+    its index leads to more than there is."""
     for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):
+        if beside.suffix.lower() == ".shx":
+            _check_index(path, beside)
         if beside.suffix.lower() == ".prj":
             with open_regular(beside) as file:
                 text = file.read(HEAD + 1)
             if len(text) > HEAD:
                 raise _other(path, f"a coordinate system of more than {HEAD} bytes, {beside.name}")
             _refuse_file(path, next(iter(paths_named(text.decode("utf-8", "replace"))), ""))
+
+
+def _check_index(path: Path, index: Path) -> None:
+    """`InputError` where the index of a Shapefile leads to its records over and over: each would be held as often."""
+    with open_regular(index) as file:
+        entries = file.read()[100:]
+    places = 2 * np.frombuffer(entries, ">i4", len(entries) // 8 * 2)[::2].astype(np.int64)
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as records:
+        whole = np.frombuffer(records, np.uint8)
+        inside = places[(places >= 0) & (places + 8 <= len(whole))]
+        words = whole[inside[:, None] + np.arange(4, 8)].copy().view(">i4").astype(np.int64)
+        del whole  # the map cannot be closed before
+    total = int(2 * words.clip(0).sum()) + 8 * len(inside)
+    if total > path.stat().st_size:
+        raise _other(path, f"an index of {total} bytes of records, {index.name}", "export the polygons again")
 
 
 def _refuse_file(path: Path, named: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.server
 import json
 import os
@@ -297,6 +298,30 @@ def test_columns_that_are_there_twice_or_nested_are_refused(tmp_path: Path) -> N
         pq.write_table(table.replace_schema_metadata({"geo": json.dumps(about)}), tmp_path / f"{name}.parquet")
         with pytest.raises(InputError, match="no GeoParquet"):
             read_polygons(open_polygons(tmp_path / f"{name}.parquet"), "code")
+
+
+@pytest.mark.parametrize("lengths", ["true", "small"])
+def test_an_index_that_leads_to_one_record_over_and_over_is_refused(lengths: str, sound: Path) -> None:
+    """Eight bytes each, of 480 kB: of 900 kB came 4 GB."""
+    index = sound / "good.shx"
+    data, n = bytearray(index.read_bytes()), 5000
+    entry = bytes(data[100:108]) if lengths == "true" else bytes(data[100:104]) + struct.pack(">i", 2)
+    made = data[:100] + entry * n
+    struct.pack_into(">i", made, 24, len(made) // 2)
+    index.write_bytes(made)
+    with pytest.raises(InputError, match="not what its name says") as told:
+        read_polygons(open_polygons(sound / "good.shp"), None)
+    assert "an index of" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "entries", [b"", b"\xff" * 16, b"\x7f" * 16, b"\0" * 7], ids=["none", "minus", "beyond", "cut"]
+)
+def test_an_index_that_leads_nowhere_ends_in_words(entries: bytes, sound: Path) -> None:
+    index = sound / "good.shx"
+    index.write_bytes(index.read_bytes()[:100] + entries)
+    with contextlib.suppress(InputError):
+        read_polygons(open_polygons(sound / "good.shp"), None)
 
 
 COUNTED = "select count(*) as fid from (with t(n) as (select 1 union all select n + 1 from t) select n from t)"
