@@ -144,13 +144,13 @@ class Objects:
         import obstore
 
         def read() -> list[StoredObject]:
-            prefix = below or None
-            batches = obstore.list(self._store, prefix, chunk_size=1000)
-            return [
-                StoredObject(o["path"], o["size"], _mark(o), o["last_modified"].timestamp())
-                for batch in batches
-                for o in batch
-            ]
+            found: dict[str, StoredObject] = {}
+            for one in itertools.chain.from_iterable(obstore.list(self._store, below or None, chunk_size=1000)):
+                key = one["path"]
+                if key in found:  # a server whose pages go round would be listened to for ever
+                    raise OSError(f"the list has {key!r} twice")
+                found[key] = StoredObject(key, one["size"], _mark(one), one["last_modified"].timestamp())
+            return list(found.values())
 
         yield from self._again(read, below)
 

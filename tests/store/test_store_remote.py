@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from pathlib import Path
 
+import obstore
 import pytest
 from objectstore import Server, Trouble, quick
 
 from fwclass.errors import StoreError
 from fwclass.store.bucket import Remote
 from fwclass.store.failures import Failure
+from fwclass.store.objects import Objects
 from fwclass.store.refusals import LostRace
 from fwclass.store.run_store import Store
 from fwclass.store.scratch import Scratch
+from fwclass.store.url import Url
 
 
 @pytest.fixture
@@ -288,3 +292,13 @@ def test_a_receipt_whose_bytes_were_changed_says_nothing(remote):
     key = "store/stage/1_2/receipt.json"
     remote.objects.put(key, remote.objects.get(key)[0].replace(b'"rows": 3', b'"rows": 4'))
     assert Store(remote).receipt("stage", "1_2") is None
+
+
+def test_a_list_that_goes_round_ends(monkeypatch):
+    """A server that always says that more is to come."""
+    objects = Objects(Url("memory://round"), quick())
+    objects.put("a", b"a")
+    (one,) = obstore.list(objects._store, chunk_size=1)
+    monkeypatch.setattr(obstore, "list", lambda *_, **__: itertools.repeat(one))
+    with pytest.raises(StoreError, match="the list has 'a' twice"):
+        list(objects.list())
