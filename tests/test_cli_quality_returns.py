@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import laspy
 import lasmaker
+import laspy
 import plsmaker
 import pytest
 from commandline import fwclass

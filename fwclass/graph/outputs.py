@@ -213,7 +213,7 @@ def columns_of_tiles(plan: Plan) -> Names:
 
 
 def repeated_columns(plan: Plan) -> Names:
-    """Columns that a COPC needs not: without any waveform the amplitude is the intensity, or the extra byte `Amplitude`."""
+    """What a COPC needs not: without waveforms the amplitude is the intensity, or the extra byte `Amplitude`."""
     kinds = {q.amplitude for q in plan.files.quantities.values()} if plan.files else {COUNTS}
     return ("amplitude",) if kinds <= {INTENSITY, DECIBELS} else ()
 

@@ -140,8 +140,8 @@ def replaced(earlier: str | None, workflow: str, before: Generation, keep: int) 
     if earlier in (None, workflow):
         return []
     return [
-        f"showed what the workflow {earlier} delivered, and shows what {workflow} does now; the earlier delivery is its "
-        f"{visible(before.key)}, and goes after {keep} more (run.keep_generations); --out gives every workflow a "
+        f"showed what the workflow {earlier} delivered, and shows what {workflow} does now; the earlier delivery is "
+        f"its {visible(before.key)}, and goes after {keep} more (run.keep_generations); --out gives every workflow a "
         "directory of its own"
     ]
 

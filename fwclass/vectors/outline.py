@@ -72,8 +72,8 @@ def rings(mask: Cells) -> list[NDArray[np.int64]]:
 
 
 def following(ring: NDArray) -> NDArray:
-    """What comes next of the corners of a `ring`, (corners, 2), or of one of their axes, (corners,); behind the last the
-    first."""
+    """What comes next of the corners of a `ring`, (corners, 2), or of one of their axes, (corners,); behind the last
+    the first."""
     return np.concatenate([ring[1:], ring[:1]])
 
 
