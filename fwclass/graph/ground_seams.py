@@ -31,6 +31,9 @@ WITHIN = 0.01
 MOST_CELLS = 16_000_000
 """Cells after which no further window is drawn: what they differ by is held for its quantile."""
 
+SPARSE = 3.0
+"""Echoes that a square metre costs as much as, where it has fewer: cells are filtered whether or not they hold one."""
+
 EVERYWHERE = Box(-math.inf, -math.inf, math.inf, math.inf)
 BORDER = 5.0
 """What is told of the border between squares with other parameters is told of the echoes as near to it as this [m]."""
@@ -52,7 +55,8 @@ def windows(tiles: Iterable[Tile], block: float, seed: int) -> list[Tile]:
 def measure_seams(
     here: StageInputs, ground: GroundParams, terrain: TerrainParams, most: int, seed: int, square: float | None = None
 ) -> Result:
-    """Filter and terrain of windows, drawn until they hold `most` echoes, against what the blocks say.
+    """Filter and terrain of windows, drawn until they hold or cost as much as `most` echoes (`SPARSE`), against what
+    the blocks say.
 
     With parameters chosen for every `square` [m] each of these is filtered by itself, and what the parameters of
     neighbours would change at its border is told.
@@ -62,10 +66,10 @@ def measure_seams(
     cut = TileGrid(terrain.block)
     blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
     mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
-    differences, looked, water = _Differences(), 0, water_of(here)
+    differences, looked, cost, water = _Differences(), 0, 0.0, water_of(here)
     tiles = TileGrid(here.tile_size)
     for place in windows((tiles.tile(key) for key in here.present), ground.block, seed):
-        if looked >= most or differences.counts["cells"] >= MOST_CELLS:
+        if cost >= most or differences.counts["cells"] >= MOST_CELLS:
             break
         around = surroundings(here.inputs, place, reach, here.tile_size, here.columns, here.present)
         table, own = _where(around.table, around.own, (around.table["fit_flags"] & IMPLAUSIBLE) == 0)
@@ -73,6 +77,7 @@ def measure_seams(
             continue
         window = Window.covering(_box(table["x"][own], table["y"][own]), terrain.cell)
         looked += int(around.own.sum())
+        cost += max(float(around.own.sum()), SPARSE * window.nrows * window.ncols * terrain.cell**2)
         rows = differences.add_flags(table, own, place.box, regions)
         points = _with_stacked(
             here, (table["x"][rows], table["y"][rows], table["z"][rows]), place.box.grown(reach), terrain.block
@@ -203,7 +208,7 @@ def _stacked(plan: Plan) -> list[tuple[str, str]]:
 
 CHECK_SEAMS = Stage(
     "seams",
-    5,
+    6,
     "survey",
     "echo",
     measure_seams,
