@@ -9,6 +9,7 @@ from typing import Any
 import lasmaker
 import laspy
 import plsmaker
+import pyarrow.parquet as pq
 import pytest
 from commandline import fwclass
 
@@ -105,3 +106,24 @@ def test_noise_is_what_the_ground_filter_takes_for_it(place: Path) -> None:
     assert alone["noise"] > 0 and {n: alone[n] for n in FIGURES} == {n: filtered[n] for n in FIGURES}
     assert "noise-filter" in stages(place, "run") and "ground-filter" not in stages(place, "run")
     assert "ground-filter" in stages(place, "filtered") and "noise-filter" not in stages(place, "filtered")
+
+
+def test_a_survey_of_returns_alone(place: Path) -> None:
+    """`survey.echoes: returns`: the terrain and all else is made of what the files bring."""
+    words = [w for s in ("plausibility.accept=true", "survey.echoes=returns") for w in ("--set", s)]
+    ended = fwclass("run", place / "s.yaml", "--out", place / "g", "--workflow", "ground", "--workers", "0", *words)
+    assert ended.returncode == 0 and "waveforms are left aside (survey.echoes" in ended.stderr, ended.stderr
+    assert "ground-filter" in stages(place, "g") and not stages(place, "g") & {"read", "pulse", "places", "noise"}
+    points = [laspy.read(place / f"a{k}.las") for k in range(2)]
+    strips = [laspy.read(place / f"g/laz/strips/a{k}.laz") for k in range(2)]
+    for one, other in zip(points, strips, strict=True):
+        assert (one.X == other.X).all() and (one["wavepacket_offset"] == other["wavepacket_offset"]).all()
+    tables = [pq.read_table(p) for p in (place / "g/parquet").iterdir()]
+    assert sum(t.num_rows for t in tables) == sum(len(p.points) for p in points)
+    assert all(t["amplitude"].to_pylist() == t["intensity"].to_pylist() for t in tables)
+    ended = fwclass("status", place / "g")
+    assert ended.returncode == 0 and "are done" in ended.stdout
+    plsmaker.survey(place / "p.pls", 60)
+    (place / "p.yaml").write_text("survey: {name: p, sources: ['p.pls'], crs: EPSG:32633, echoes: returns}\n")
+    ended = fwclass("run", place / "p.yaml", "--out", place / "p", "--workflow", "ground", "--workers", "0")
+    assert ended.returncode == 2 and "--set survey.echoes=waveforms" in ended.stderr

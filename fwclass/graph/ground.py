@@ -211,8 +211,8 @@ def _stacked_around(plan: Plan, block: Tile) -> list[Name]:
 
 
 def filters_ground(plan: Plan) -> bool:
-    """False where the sources' returns are judged alone, and no check points ask for the ground."""
-    return has_check_points(plan) or not plan.returns
+    """False where the sources' returns are only judged, and no check points ask for the ground."""
+    return has_check_points(plan) or not (plan.returns and plan.judges)
 
 
 def gathers(name: str, source: Stage, columns: Names, block: Any, when: Callable[[Plan], bool] = always) -> Stage:

@@ -7,7 +7,7 @@ from fwclass.graph.sources import MEASURE_PULSE, strips_declared
 from fwclass.graph.stage import Plan
 from fwclass.store.run_store import Store
 
-LEFT_ASIDE = "judged by the returns of the sources; their waveforms are left aside (quality.echoes: waveforms has them)"
+LEFT_ASIDE = "by the returns of the sources: their waveforms are left aside"
 """What is said of it, by a run and in its report."""
 
 
@@ -15,17 +15,19 @@ def left_aside(plan: Plan, store: Store) -> bool:
     """Whether the sources have waveforms and every one has returns too, so that these are taken for echoes.
 
     `quality.echoes` ``auto`` keeps to the echoes of waveforms where `store` has some: to make tiles of returns there
-    would cost more, and take them from who needs them. `ConfigError` where returns are asked for and a file has none.
+    would cost more, and take them from who needs them. `ConfigError` where returns are asked for (there, or by
+    `survey.echoes`) and a file has none.
     """
     strips = strips_declared(plan)
     lacking = [s for s in strips if not plan.indexed["index", s.key].meta["points"]]
-    asked = plan.config.quality.echoes == "returns"
+    of_survey = plan.config.survey.echoes == "returns"
+    asked = of_survey or plan.config.quality.echoes == "returns"
     if lacking and asked:
         raise ConfigError(
             "a source has waveforms alone, and no returns to judge by",
-            where=f"{plan.config.path}: quality.echoes",
+            where=f"{plan.config.path}: {'survey' if of_survey else 'quality'}.echoes",
             got=f"returns, and {lacking[0].path.name} has none",
-            do="--set quality.echoes=waveforms",
+            do=f"--set {'survey' if of_survey else 'quality'}.echoes=waveforms",
         )
     held = any(store.receipt(MEASURE_PULSE.name, s.key) for s in strips)
     return bool(strips) and not lacking and (asked or not held)

@@ -162,7 +162,11 @@ def _chunks_of_tiles(plan: Plan) -> dict[str, list[str]]:
     if not _known or _known[0][0] is not plan:
         chunks: dict[str, list[str]] = {}
         for stage, part in plan.splits:
-            if stage == SPLIT_ECHOES.name and plan.indexed["index", part.split("-")[0]].meta["pulses"]:
+            if (
+                stage == SPLIT_ECHOES.name
+                and not plan.returns
+                and plan.indexed["index", part.split("-")[0]].meta["pulses"]
+            ):
                 for key in plan.splits[stage, part].meta["tiles"]:
                     chunks.setdefault(key, []).append(part)
         _known[:] = [(plan, chunks)]

@@ -47,9 +47,10 @@ def unit_of(quantity: str) -> str:
     return UNITS[COUNTS if quantity.startswith(STEPS) else quantity]
 
 
-def quantities_of(source: Source) -> Quantities:
-    """By the header alone; of a file whose waveforms cannot be read those of its returns."""
-    if source.has_waves and source.waves.kind != "none":
+def quantities_of(source: Source, waves: bool = True) -> Quantities:
+    """By the header alone; of a file whose waveforms cannot be read, or are left aside (without `waves`), those of its
+    returns."""
+    if waves and source.has_waves and source.waves.kind != "none":
         step = source.scaling.step if isinstance(source, BeamSource) else 1.0
         return Quantities(COUNTS if step == 1.0 else f"{STEPS}{step:.9g}", FITTED)
     names = _extra_names(source.header) if isinstance(source, LasSource) else set()

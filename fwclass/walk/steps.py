@@ -176,7 +176,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     plan = replace(plan, returns=plan.returns and left_aside(plan, runner.store))
     plan = replace(plan, providers=providers(plan, stages))
     if plan.returns:
-        runner.display.say(f"note: {LEFT_ASIDE}")
+        runner.display.say(f"note: {LEFT_ASIDE} ({'quality' if plan.judges else 'survey'}.echoes: waveforms has them)")
     splits = runner.do(_of_strips(plan) + SPLIT_REFERENCE.tasks(plan))
     _check_widths(config, plan.names, splits, runner.store)
     plan = replace(plan, splits=splits)

@@ -55,8 +55,9 @@ class Workflow:
         config = config if self.settle is None else self.settle(config)
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
-        returns = self.by_returns is not None and self.by_returns(config)
-        plan = replace(plan_with_features(config, self.stages), declares=columns, returns=returns)
+        judges = self.by_returns is not None
+        returns = config.survey.echoes == "returns" or (self.by_returns is not None and self.by_returns(config))
+        plan = replace(plan_with_features(config, self.stages), declares=columns, returns=returns, judges=judges)
         ours = {id(stage) for stage in STAGES}
         more = check_reads(plan, [stage for stage in self.stages if id(stage) not in ours])
         plan = replace(plan, computed=tuple(dict.fromkeys((*plan.computed, *more))))
