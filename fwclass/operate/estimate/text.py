@@ -36,9 +36,10 @@ def _head(plan: Plan) -> list[str]:
     area = min((box.xmax - box.xmin) * (box.ymax - box.ymin), tiles.number * tiles.size**2) / 1e6
     number = several(len(facts.sources), "strip" if facts.simulated else "file")
     number += " still to be simulated" * facts.simulated
+    pulses = f"{counts.pulses.sum():,.0f} pulses and " if any(s.waves for s in facts.sources) else ""
     lines = [
         f"survey      {plan.config.survey.name}: {number}, {counts.points.sum():,.0f} points, "
-        f"about {counts.pulses.sum():,.0f} pulses and {counts.echoes.sum():,.0f} echoes on {area:,.2f} km²",
+        f"about {pulses}{counts.echoes.sum():,.0f} echoes on {area:,.2f} km²",
         f"tiles       {tiles.number:,} of {tiles.size:g} m, each with {plan.halo:g} m of its neighbours; "
         f"{tiles.counts.sum() / max(1, tiles.number):,.0f} echoes on average, "
         f"{tiles.counts.max() * plan.crowding:,.0f} in the fullest",
