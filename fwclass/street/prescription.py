@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.street.answers import Answer
 from fwclass.street.params import StreetParams
+from fwclass.street.sphere_kernels import UNIT
 
 STRAY = (2.0, 98.0)
 """% of a segment's crown returns that lie below and above its band: single ones may be wrong."""
@@ -56,69 +57,119 @@ class Segment:
         return ",".join(v if isinstance(v, str) else str(v) if isinstance(v, int) else f"{v:.3f}" for v in values)
 
 
+SPLIT, HALF = 21, 1 << 20
+"""Bits of y and of z in a key of a return, in units of `UNIT`, and the zero of either: up to 1 km is told apart."""
+
+HELD = 200_000
+"""Returns that are held before equal ones are counted together, as of a vehicle that stands."""
+
+MOST = 1_000_000
+"""Different returns of a segment; of more, y and z are rounded down to twice the unit, and so on."""
+
+
 @dataclass
 class _Open:
-    """What is known of a segment that the scanner is in."""
+    """What is known of a segment that the scanner is in; returns of one voxel along the road, y and z are counted."""
 
-    y: list[NDArray] = field(default_factory=list)
-    z: list[NDArray] = field(default_factory=list)
-    x: list[NDArray] = field(default_factory=list)
-    first: tuple[float, float] = (math.nan, math.nan)
-    last: tuple[float, float] = (math.nan, math.nan)
+    base: int
+    first: tuple[float, float]
+    last: tuple[float, float]
+    keys: list[NDArray[np.int64]] = field(default_factory=list)
+    counts: list[NDArray[np.int64]] = field(default_factory=list)
+    held: int = 0
+    kept: int = 0
+
+    def add(self, cell: int, y: NDArray[np.float32], z: NDArray[np.float32]) -> None:
+        """Returns at `y` and `z` [m] in the voxel `cell` along the road."""
+        keys = np.full(len(y), cell - self.base, np.int64)
+        for axis in (y, z):
+            units = np.rint(axis.astype(np.float64) / UNIT).clip(-HALF, HALF - 1).astype(np.int64)
+            keys = (keys << SPLIT) | (units + HALF)
+        self.keys.append(keys)
+        self.counts.append(np.ones(len(keys), np.int64))
+        self.held += len(keys)
+        if self.held > max(HELD, 2 * self.kept):
+            self.count()
+
+    def count(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Different keys, ascending, and how many returns have each."""
+        keys, counts = (np.concatenate(v) if v else np.empty(0, np.int64) for v in (self.keys, self.counts))
+        for bits in range(SPLIT):
+            even = ((1 << SPLIT) - 1) >> bits << bits
+            keys, which = np.unique(keys & (-1 << 2 * SPLIT | even << SPLIT | even), return_inverse=True)
+            counts = np.bincount(which, counts, len(keys)).astype(np.int64)
+            if len(keys) <= MOST:
+                break
+        self.keys, self.counts, self.held, self.kept = [keys], [counts], len(keys), len(keys)
+        return keys, counts
+
+    def returns(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+        """Voxel along the road, y and z [m] of different returns, and how many there are of each."""
+        keys, counts = self.count()
+        of_axes = (((keys >> bits) & ((1 << SPLIT) - 1)) - HALF for bits in (SPLIT, 0))
+        y, z = (units.astype(np.float64) * UNIT for units in of_axes)
+        return np.asarray((keys >> 2 * SPLIT) + self.base, np.int64), y, z, counts
+
+
+def percentiles(values: NDArray[np.float64], counts: NDArray[np.int64], of: tuple[float, ...]) -> list[float]:
+    """As `numpy.percentile` of `values` (n,), each as often as `counts` (n,) says."""
+    order = np.argsort(values, kind="stable")
+    ends = np.cumsum(counts[order])
+    made = []
+    for share in of:
+        at = (int(ends[-1]) - 1) * (share / 100.0)
+        low = math.floor(at)
+        a, b = (float(values[order][np.searchsorted(ends, min(k, ends[-1] - 1), "right")]) for k in (low, low + 1))
+        made.append(b - (b - a) * (1.0 - (at - low)) if at - low >= 0.5 else a + (b - a) * (at - low))
+    return made
 
 
 class Prescriber:
-    """Takes answers in order; gives segments when the scanner has left them. Holds one segment of road."""
+    """Takes answers in order; gives segments when the scanner has left them. Holds one segment of road, in memory that
+    does not grow while the vehicle stands."""
 
     def __init__(self, params: StreetParams, crown: int) -> None:
         self.params, self.crown = params.prescription, crown
         self._height, self._reach = params.mounting.height, max(params.radii)
-        self._number: int | None = None
-        self._open = _Open()
+        self._number = 0
+        self._open: _Open | None = None
 
     def take(self, answer: Answer) -> Iterator[Segment]:
         """The segments that this answer shows to be left."""
-        number = math.floor(answer.place / self.params.segment)
-        if self._number is not None and number != self._number:
-            yield from self._closed()
-        self._number = number
-        here = self._open
-        if math.isnan(here.first[0]):
-            here.first = (answer.time, answer.place)
-        here.last = (answer.time, answer.place)
+        number, cell = (math.floor(answer.place / v) for v in (self.params.segment, self.params.voxel))
+        if number != self._number:
+            yield from self.rest()
+        here, now = self._open, (answer.time, answer.place)
+        if here is None:
+            base = math.floor(number * self.params.segment / self.params.voxel) - 1
+            here = self._open = _Open(base, now, now)
+        self._number, here.last = number, now
         crown = answer.classification == self.crown
         if crown.any():
-            here.y.append(answer.y[crown].astype(float))
-            here.z.append(answer.z[crown].astype(float))
-            here.x.append(np.full(int(crown.sum()), answer.place))
+            here.add(cell, answer.y[crown], answer.z[crown])
 
     def rest(self) -> Iterator[Segment]:
         """The segments that the scanner was in when answers ended."""
-        if self._number is not None:
-            yield from self._closed()
-
-    def _closed(self) -> Iterator[Segment]:
-        here, number = self._open, self._number or 0
-        self._open, self._number = _Open(), None
-        if not here.y:
+        here, self._open = self._open, None
+        if here is None or not here.held:
             return
-        x, y, z = (np.concatenate(v) for v in (here.x, here.y, here.z))
+        x, y, z, counts = here.returns()
         for side, of in (("left", y >= 0), ("right", y < 0)):
-            if int(of.sum()) >= self.params.fewest:
-                yield self._segment(side, number, here, x[of], np.abs(y[of]), z[of] + self._height)
+            if int(counts[of].sum()) >= self.params.fewest:
+                yield self._segment(side, here, x[of], np.abs(y[of]), z[of] + self._height, counts[of])
 
-    def _segment(self, side: str, number: int, here: _Open, x: NDArray, y: NDArray, z: NDArray) -> Segment:
-        edge = self.params.voxel
-        cells = np.floor(np.stack([x, y, z], axis=1) / edge).astype(np.int64)
+    def _segment(self, side: str, here: _Open, x: NDArray, y: NDArray, z: NDArray, counts: NDArray) -> Segment:
+        edge, number, returns = self.params.voxel, self._number, int(counts.sum())
+        cells = np.concatenate([x[:, None], np.floor(np.stack([y, z], axis=1) / edge).astype(np.int64)], axis=1)
         volume = len(np.unique(cells, axis=0)) * edge**3
         seconds = here.last[0] - here.first[0]
         speed = (here.last[1] - here.first[1]) / seconds if seconds > 0 else math.nan
         begin, end = number * self.params.segment, (number + 1) * self.params.segment
         way = begin + self.params.nozzle - (end + self._reach)
         left = way / speed if speed > 0 else math.nan
-        low, high, near, far = (float(v) for of in (z, y) for v in np.percentile(of, STRAY))
+        low, high, near, far = (v for of in (z, y) for v in percentiles(of, counts, STRAY))
         return Segment(
-            side, begin, end, low, high, near, far, len(x), volume, len(x) / volume, speed, self.params.nozzle, left
+            side, begin, end, low, high, near, far, returns, volume, returns / volume, speed, self.params.nozzle, left
         )
 
 

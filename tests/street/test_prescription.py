@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from streetmaker import config
 
+from fwclass.street import prescription
 from fwclass.street.answers import Answer
 from fwclass.street.prescription import segments
 from fwclass.street.prescription_map import write_map
@@ -57,6 +58,51 @@ def test_a_vehicle_that_stands_has_no_speed():
     assert len(made) == 1
     assert made[0].speed == 0 or math.isnan(made[0].speed)
     assert math.isnan(made[0].seconds)
+
+
+def noisy(frames, seed=1):
+    """Of a vehicle that drives, and then stands: every range is another by some millimetres."""
+    random = np.random.default_rng(seed)
+    for k in range(frames):
+        y, z = (
+            np.rint(1024 * random.normal(0, 0.01, 200)) / 1024 + np.linspace(a, b, 200) for a, b in ((-5, 4), (1, 3))
+        )
+        codes = np.where(np.arange(200) % 3, 5, 2).astype(np.uint8)
+        place = min(0.01 * k, 0.6)
+        yield Answer(k, 0.025 * k, place, codes, codes, y.astype(np.float32), z.astype(np.float32))
+
+
+def test_segments_are_the_same_however_few_returns_are_held(monkeypatch):
+    made = [list(segments(noisy(200), config().street, 5))]
+    monkeypatch.setattr(prescription, "HELD", 300)
+    made.append(list(segments(noisy(200), config().street, 5)))
+    assert made[0] == made[1] and len(made[0]) == 6
+
+
+def test_percentiles_of_counted_values_are_those_of_all():
+    random = np.random.default_rng(3)
+    for n in (1, 2, 3, 50, 977):
+        values, counts = random.normal(0, 1, n), random.integers(1, 9, n)
+        of = (0.0, 2.0, 49.7, 98.0, 100.0)
+        whole = np.percentile(np.repeat(values, counts), of)
+        assert prescription.percentiles(values, counts, of) == whole.tolist()
+
+
+@pytest.mark.parametrize("spread", [0.01, 10.0], ids=["of a scanner", "of a sender that means harm"])
+def test_memory_does_not_grow_while_the_vehicle_stands(spread, monkeypatch):
+    """It took 24 bytes for every return, for as long as it stood: 2 GB an hour."""
+    monkeypatch.setattr(prescription, "HELD", 2_000)
+    monkeypatch.setattr(prescription, "MOST", 20_000)
+    prescriber, random = prescription.Prescriber(config().street, 5), np.random.default_rng(1)
+    crown, most = np.full(1000, 5, np.uint8), 0
+    for k in range(300):
+        y, z = (random.normal(3, spread, 1000).astype(np.float32) for _ in "yz")
+        assert not list(prescriber.take(Answer(k, 0.025 * k, 0.6, crown, crown, y, z)))
+        most = max(most, prescriber._open.held)
+    assert most <= 3 * 20_000
+    made = list(prescriber.rest())
+    assert sum(s.returns for s in made) == 300 * 1000
+    assert all(abs(s.near) < 3.1 for s in made)
 
 
 def test_the_map_is_read_by_geopandas(tmp_path):
