@@ -9,7 +9,7 @@ nowhere.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from fwclass.read.pls_waves import Samplings, find, read_records, waves_of
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.pulsewaves import RETURNING
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
+from fwclass.units import METRES_PER_NS
 
 Floats = NDArray[np.float64]
 
@@ -51,10 +52,15 @@ AS_FAR = 1.25
 LOWEST_FLIGHT = 20.0
 """m, nearer to the sensor no airborne scanner sees anything."""
 
+UNLIKE_LIGHT, TOO_FAR = 0.005, 1.0
+"""Share by which beam vectors are longer or shorter than light's way in air, and metres that first samples then lie
+off, from which they are wrong: air and projections make 0.002, and water is entered where anchors are."""
+
 AT_SENSOR = 5.0
 """Metres from the place where beams meet within which first samples lie at the sensor itself."""
 
 BEGIN = "the time of the first sample after it (begin_ns)"
+LENGTH = "the beam vectors are as long as"
 HORIZONTAL = "the sign of their horizontal parts is wrong"
 TURNED: dict[str, Callable[[Floats], Floats]] = {
     HORIZONTAL: lambda beam: beam * (-1.0, -1.0, 1.0),
@@ -70,14 +76,17 @@ TURNED: dict[str, Callable[[Floats], Floats]] = {
 class FirstSamples:
     """Of every pulse, in the order of time: the place of its first sample (n, 3) [m], the unit vector of its beam away
     from the sensor (n, 3), the distance from the sensor to that sample that the file gives, and from that sample to the
-    last one [m], both (n,) and NaN where they are not known; and whether a time of the first sample is missing, where
-    a table may have it."""
+    last one [m], both (n,) and NaN where they are not known; whether a time of the first sample is missing, where a
+    table may have it; the length of the stored vector over light's way in air, and how far the first sample lies from
+    the anchor [m], both (n,), or (0,) where that is a return."""
 
     place: Floats
     beam: Floats
     distance: Floats
     length: Floats
     untimed: bool = False
+    speed: Floats = field(default_factory=lambda: np.empty(0))
+    way: Floats = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def none(cls) -> FirstSamples:
@@ -116,6 +125,8 @@ def check_beams(source: Source) -> None:
 
 
 def _remedy(wrong: str, source: Source) -> str:
+    if LENGTH in wrong:
+        return "export the file again, with beam vectors of 0.1499 metres a nanosecond, or times in nanoseconds"
     if HORIZONTAL in wrong and source.mirrored:
         return "leave --mirror-beams (read.mirror_beams) out"
     if HORIZONTAL in wrong:
@@ -135,6 +146,8 @@ def _remedy(wrong: str, source: Source) -> str:
 def beam_fault(source: Source) -> str:
     """What is wrong with the beams of `source`, as a sentence; "" if nothing is, or too little is there to tell."""
     firsts = _first_samples(source)
+    if wrong := _speed_fault(firsts):
+        return wrong
     place, beam = firsts.place, firsts.beam
     crossing = meeting(place, beam)
     if crossing.sound:
@@ -159,6 +172,20 @@ def sensor_height(source: Source) -> tuple[float, float] | None:
         return None
     height, first = float(crossing.height), float(np.nanmedian(firsts.place[:, 2]))
     return (height, first) if np.isfinite([height, first]).all() else None
+
+
+def _speed_fault(firsts: FirstSamples) -> str:
+    """That beam vectors are not as long as light's way, and places far from the anchors wrong by it; "" where not."""
+    if len(firsts.speed) < GROUP:
+        return ""
+    speed, way = float(np.median(firsts.speed)), float(np.median(np.abs(firsts.way)))
+    off = abs(1.0 - 1.0 / speed) * way
+    if abs(speed - 1.0) <= UNLIKE_LIGHT or off <= TOO_FAR:
+        return ""
+    return (
+        f"{LENGTH} {speed:.4g} times light's way there and back in air: first samples, {way:.0f} m from the anchors, "
+        f"lie {off:.0f} m off"
+    )
 
 
 def _distance_fault(crossing: Meeting, firsts: FirstSamples, ranged: bool) -> str:
@@ -233,7 +260,7 @@ def _first_samples(source: Source) -> FirstSamples:
     """Of the first pulses of a file, one row a pulse."""
     if not source.has_waves or source.waves.kind == "none" or source.n_records == 0:
         return FirstSamples.none()
-    last, untimed = min(source.n_records, LOOKED_AT), False
+    last, untimed, speed, way = min(source.n_records, LOOKED_AT), False, np.empty(0), np.empty(0)
     if isinstance(source, PulseSource):
         kinds = Samplings.of(source)
         waves = find(source, read_records(source, 0, last), kinds, waves_of(source))
@@ -241,14 +268,17 @@ def _first_samples(source: Source) -> FirstSamples:
         row, first = np.unique(parts.pulse, return_index=True)
         step, time = waves.step[row], waves.time[row]
         place = waves.anchor[row] - parts.begin[first, None] * step
-        distance = waves.anchor_range[row] + parts.begin[first] * np.linalg.norm(step, axis=1)
+        speed = np.linalg.norm(step, axis=1)
+        way = parts.begin[first] * speed
+        distance = waves.anchor_range[row] + way
         length = np.full(len(row), np.nan)
     elif isinstance(source, BeamSource):
         rows = turn_beams(source.layout.read(0, last), source)
         rows = rows.take(rows.fault == 0)
         step, time, place = rows.step, rows.time, rows.ends()[0]
         row, speed = np.arange(len(rows)), np.linalg.norm(step, axis=1)
-        distance = rows.anchor_range + rows.begin * speed
+        way = rows.begin * speed
+        distance = rows.anchor_range + way
         length = np.maximum(0, rows.samples.lengths - 1) * rows.spacing * speed
         untimed = not source.layout.timed
     else:
@@ -265,4 +295,5 @@ def _first_samples(source: Source) -> FirstSamples:
         place, step = project_beams(source.crs, CRS.from_user_input(source.target), place, step, source.path)
     order = np.argsort(time, kind="stable")
     beam = -step / np.linalg.norm(step, axis=1, keepdims=True)
-    return FirstSamples(place[order], beam[order], distance[order], length[order], untimed)
+    speed = speed / METRES_PER_NS
+    return FirstSamples(place[order], beam[order], distance[order], length[order], untimed, speed, way)

@@ -52,7 +52,10 @@ VIRTUAL = 3
 
 GEOGRAPHIC = CRS.from_epsg(4979)
 NEAR = 0.02
-"""A spacing is the round number (half a nanosecond) that it is so near to, as a share."""
+"""A spacing is the round number (half a nanosecond) that it is so near to, as a share; near to none it is wrong."""
+
+RADIANS = (np.pi, 0.5 * np.pi)
+"""Longitude and latitude up to which numbers are radians: as degrees they lie in the sea off Africa."""
 
 
 @dataclass(frozen=True)
@@ -227,6 +230,14 @@ def open_footprints(path: Path) -> tuple[FootprintLayout, str, CRS, list[tuple[s
         nowhere = utm_of(np.zeros(1), np.zeros(1))
         return FootprintLayout(path, beams, last, tuple(names.items()), 1.0, nowhere.to_wkt()), kind, nowhere, []
     lon, lat = first[known, 0], first[known, 1]
+    if np.abs(lon).max() <= RADIANS[0] and np.abs(lat).max() <= RADIANS[1]:
+        raise InputError(
+            "longitude and latitude look like radians",
+            where=path,
+            expected="degrees",
+            got=f"{lon.min():.6g} to {lon.max():.6g}, {lat.min():.6g} to {lat.max():.6g}: as degrees in the sea",
+            do="bring them into degrees first",
+        )
     system = utm_of(lon, lat)
     middle = float(np.median(lon % 360.0))
     wide = float(np.abs((lon - middle + 180.0) % 360.0 - 180.0).max())
@@ -243,7 +254,15 @@ def open_footprints(path: Path) -> tuple[FootprintLayout, str, CRS, list[tuple[s
     long = np.linalg.norm(flat[: len(some)] - flat[len(some) :], axis=1) / samples[some] / METRES_PER_NS
     spacing = float(np.median(long))
     near = max(0.5, round(2.0 * spacing) / 2.0)
-    spacing = near if abs(spacing / near - 1.0) <= NEAR else spacing
+    if abs(spacing / near - 1.0) > NEAR:
+        raise InputError(
+            "the places of first and last samples do not fit their number",
+            where=path,
+            expected="half nanoseconds of 0.15 m there and back between samples, to 2 %",
+            got=f"{spacing:.4g} ns, {spacing * METRES_PER_NS:.4g} m (median)",
+            do="are heights in metres, longitude and latitude in degrees?",
+        )
+    spacing = near
     notes = [("projected", f"degrees into {system.name}, the zone of the median shot; heights above the ellipsoid")]
     if np.isfinite(noise).any():
         notes.append(("noise", f"{float(np.nanmedian(noise)):.3g} as the file has it (median)"))

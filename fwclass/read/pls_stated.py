@@ -18,6 +18,9 @@ OWN, ALL = 0.5, 0.9
 """Share of the pulses whose waves begin and end when they state it, below which something is wrong; and the share that
 do so in another order, or with times of another unit, which tells what."""
 
+ANOTHER = 0.1
+"""Share by which the stated length of waves is another: one sample more or less is the writer's way to count."""
+
 WRAPS = 1 << 15
 """Stated times have 16 bits with a sign: longer ones are known but for this many units."""
 
@@ -64,6 +67,16 @@ def stated_fault(source: PulseSource, records: NDArray[Any], pulses: Pulses, kin
             f"{100 * _alike(ends, stated).mean():.0f} % of them as their own pulse does"
         )
     length = ends[:, 1:] - ends[:, :1]
+    told = _wrapped((stated[:, 1:] - stated[:, :1]).astype(np.float64))
+    long = np.flatnonzero((length[:, 0] > 0.0) & (told[:, 0] > 0.0))
+    if len(long) >= FEW and (np.abs(_wrapped(ends - stated))[long, 0] <= 1.0).mean() >= ALL:
+        ratio = float(np.median(told[long, 0] / length[long, 0]))
+        unlike = abs(ratio - 1.0) > ANOTHER
+        if unlike and (np.abs(told - ratio * length)[long, 0] <= 1.0 + ratio).mean() >= ALL:
+            return (
+                f"waves begin as the pulses state it, and last {1 / ratio:.3g} times as long: the sample spacing of "
+                "their descriptor is another"
+            )
     for factor, words in UNITS.items():
         begins = np.abs(_wrapped(factor * ends[:, 0] - stated[:, 0])) <= factor
         if begins.mean() >= ALL and (stated[:, 0] != 0).mean() >= ALL and (length > 0.0).any():

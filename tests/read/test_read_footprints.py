@@ -110,9 +110,23 @@ def put(name, values):
     return change
 
 
+def scaled(factor, *names):
+    """All places of these axes in another unit."""
+
+    def change(f):
+        for name in [n for n in f if n.startswith(names)]:
+            values = f[name][:]
+            del f[name]
+            f[name] = ((values + 180.0) % 360.0 - 180.0) * factor if name.startswith("LON") else values * factor
+
+    return change
+
+
 @pytest.mark.parametrize(
     ("write", "change", "words"),
     [
+        (lvis, scaled(3.28084, "Z"), "do not fit their number"),
+        (lvis, scaled(np.pi / 180.0, "LON", "LAT"), "look like radians"),
         (lvis, drop("LAT0"), "missing"),
         (lvis, put("Z0", np.zeros(7)), "equally long"),
         (lvis, put("Z0", np.full(300, np.nan)), "no waveform"),

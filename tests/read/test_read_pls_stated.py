@@ -11,6 +11,7 @@ from lasmaker import METRES_PER_NS
 from plsmaker import Pulse, survey, write_pls
 
 from fwclass.errors import InputError
+from fwclass.read.beams import check_beams
 from fwclass.read.pls_info import pulse_info
 from fwclass.read.pls_read import check_pls
 from fwclass.read.pulsewaves import PulseSource, open_pls
@@ -142,3 +143,30 @@ def test_a_header_that_no_axes_fit_says_nothing(tmp_path: Path) -> None:
     raw[304:352] = struct.pack("<6d", *(0.0, 1.0) * 3)
     path.write_bytes(raw)
     check_pls(rewrite(path, unstated))
+
+
+@pytest.mark.parametrize(("spacing", "words"), [(2.0, "last 2 times as long"), (0.5, "last 0.5 times as long")])
+def test_a_sample_spacing_that_stated_times_contradict_is_refused(tmp_path: Path, spacing: float, words: str) -> None:
+    path = survey(tmp_path / "a.pls", 120, two_segments=0.0).path
+    raw, start = records(path)
+    at = raw.rfind(struct.pack("<f", 1.0), 0, start)
+    raw[at : at + 4] = struct.pack("<f", spacing)
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="do not fit each other") as refused:
+        check_pls(open_pls(path))
+    assert words in str(refused.value)
+    check_pls(rewrite(path, unstated))  # nothing tells
+
+
+@pytest.mark.parametrize("speed", [0.8, 1.02, 1.3])
+def test_beams_that_are_not_as_fast_as_light_are_refused(tmp_path: Path, speed: float) -> None:
+    """Anchors at the sensor: all places were off by as much of the flying height, in silence."""
+    path = oblong(tmp_path)
+
+    def stretch(rows) -> None:
+        xyz = columns(rows)
+        xyz[:, 3:] = xyz[:, :3] + np.rint((xyz[:, 3:] - xyz[:, :3]) * speed).astype(np.int32)
+
+    with pytest.raises(InputError, match=f"{speed:g} times light's way"):
+        check_beams(rewrite(path, stretch))
+    check_beams(rewrite(oblong(tmp_path), lambda rows: None))
