@@ -110,8 +110,8 @@ def _seams(facts: Mapping[str, Any]) -> list[str]:
         )
     if left_out:
         notes.append(
-            f"{number(left_out)} echoes took no part: windows are drawn until they hold run.seam_check_echoes (a square "
-            "metre counts as 3 at least), or 16 million cells of the terrain."
+            f"{number(left_out)} echoes took no part: windows are drawn until they hold run.seam_check_echoes (a "
+            "square metre counts as 3 at least), or 16 million cells of the terrain."
         )
     if share > FLAGS_LIMIT.get(facts["method"], RASTER_LIMIT) or off > CELLS_LIMIT:
         notes.append("That is more than it should be: choose larger blocks or a wider halo (ground.block, block_halo).")
