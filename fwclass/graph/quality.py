@@ -248,7 +248,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    4,
+    5,
     "survey",
     "cell",
     deliver_quality,

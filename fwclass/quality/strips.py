@@ -142,6 +142,11 @@ def _strip(
     return facts
 
 
+ASTRAY = (20, 0.5)
+"""Places, and their share of all, that two strips see further apart than `max_step`, from which a strip is wrong: that
+one sees a flat roof where the other sees flat ground is the exception."""
+
+
 def strip_remarks(facts: Mapping[str, Any]) -> list[str]:
     """What the differences of strips cannot tell, in words."""
     strips = facts["strips"]
@@ -152,6 +157,13 @@ def strip_remarks(facts: Mapping[str, Any]) -> list[str]:
             else "a pause of less than quality.line_gap joins lines"
         )
         return [f"there is one strip: nothing tells how well strips agree ({how})"]
+    apart, every = facts["apart"], facts["apart"] + facts["pairs"]
+    if apart >= ASTRAY[0] and apart > ASTRAY[1] * every:
+        return [
+            f"{apart:,} of {every:,} places where two strips see something flat are further apart than one surface can "
+            "be (quality.planes.max_step): beams, times, units or the trajectory of a strip are wrong, or the area is "
+            "all roofs and walls"
+        ]
     if not facts["pairs"]:
         return [
             f"no two of the {len(strips)} strips see one flat surface: nothing tells how well they agree "

@@ -9,6 +9,7 @@ import pytest
 from fwclass.errors import QualityError
 from fwclass.quality.judge import judge_quality
 from fwclass.quality.params import QualityParams
+from fwclass.quality.strips import strip_remarks
 
 VOIDS = {"largest": [{"area": 40.0}, {"area": 20.0}]}
 MADE: dict[str, Any] = {
@@ -53,3 +54,12 @@ def test_what_nobody_knows_meets_no_threshold(base: dict[str, Any]) -> None:
         judge_quality(unknown, QualityParams(**{**base["quality"], "max_dz": 0.1}))
     with pytest.raises(QualityError, match="nothing tells the root mean square difference from check points"):
         judge_quality({**unknown, "check_points": {"all": None}}, QualityParams(**{**base["quality"], "max_rmse_z": 1}))
+
+
+@pytest.mark.parametrize(("apart", "pairs", "told"), [(74, 8, True), (30, 0, True), (5, 0, False), (40, 60, False)])
+def test_strips_that_lie_metres_apart_are_told(apart: int, pairs: int, told: bool) -> None:
+    """Beams of a wrong sign put strips so far apart that hardly a pair counted, and nothing was said."""
+    strip = {"times": [0.0, 1.0], "pairs": pairs, "group": 0}
+    facts = {"strips": [strip, strip], "pairs": pairs, "apart": apart, "by": "files"}
+    said = [r for r in strip_remarks(facts) if "further apart than one surface can" in r]
+    assert bool(said) == told and (not told or f"{apart} of {apart + pairs}" in said[0])
