@@ -69,6 +69,32 @@ def below(directory: Path, name: str) -> Path:
     return path
 
 
+def open_below(directory: Path, name: str, flags: int) -> int:
+    """A handle of ``directory / name``, a file on a disk that is no link: opened by `flags`, without waiting.
+
+    Raises
+    ------
+    InputError
+        As `below`; or it is a link, a pipe, a device or a socket.
+    OSError
+        As `os.open`.
+    """
+    path = below(directory, name)
+    if not path.is_symlink():  # the words; that none is followed is the flag's
+        handle = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+        kind = stat.S_IFMT(os.fstat(handle).st_mode)
+        if kind == stat.S_IFREG:
+            return handle
+        os.close(handle)
+    raise InputError(
+        "this is no file of the directory itself",
+        where=path,
+        expected="a file on a disk, or nothing",
+        got="a link" if path.is_symlink() else _KINDS.get(kind, "something else"),
+        do="remove it",
+    )
+
+
 def path_matches(parts: Sequence[str], pattern: Sequence[str], hidden: bool = False) -> bool:
     """Whether `glob` would find the path of `parts` by `pattern`; ``**`` stands for any number of directories.
 

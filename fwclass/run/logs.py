@@ -13,7 +13,8 @@ import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from fwclass.errors import StoreError
+from fwclass.errors import InputError, StoreError
+from fwclass.paths import below, open_below
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import RunLocation, address_of
 from fwclass.store.url import Url
@@ -46,13 +47,13 @@ def log_attempt(location: RunLocation, stage: str, part: str, fields: Mapping[st
         with contextlib.suppress(StoreError):
             location.objects.put(f"logs/{stage}/{part}.log", text.encode())
         return
-    path = location / "logs" / stage / f"{part}.log"
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, InputError):  # no log through a link to elsewhere
+        name = f"logs/{stage}/{part}.log"
         try:
-            _append(path, text)
+            _append(location, name, text)
         except FileNotFoundError:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _append(path, text)
+            below(location, name).parent.mkdir(parents=True, exist_ok=True)
+            _append(location, name, text)
 
 
 def remove_logs(location: RunLocation, parts: Iterable[tuple[str, str]]) -> None:
@@ -62,12 +63,13 @@ def remove_logs(location: RunLocation, parts: Iterable[tuple[str, str]]) -> None
             with contextlib.suppress(StoreError):
                 location.objects.delete([f"logs/{stage}/{part}.log"])
         else:
-            with contextlib.suppress(OSError):
-                (location / "logs" / stage / f"{part}.log").unlink()
+            with contextlib.suppress(OSError, InputError):
+                below(location, f"logs/{stage}/{part}.log").unlink()
 
 
-def _append(path: Path, text: str) -> None:
-    with path.open("ab") as stream:
+def _append(root: Path, name: str, text: str) -> None:
+    path = root / name
+    with os.fdopen(open_below(root, name, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab") as stream:
         stream.write(text.encode())
         size = stream.tell()
     if size > LIMIT:

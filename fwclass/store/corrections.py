@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fwclass.errors import LockedError, StoreError, system_error
 from fwclass.formats.echo_labels import MOST_BYTES, MOST_ROWS, EchoLabels, echo_labels_bytes, read_echo_labels
+from fwclass.paths import below
 from fwclass.store.atomic import write_bytes
 from fwclass.store.bucket import Remote
 from fwclass.store.directory import ANY
@@ -86,7 +87,7 @@ def check_writable(location: RunLocation) -> None:
             location.objects.put(key, b"")
             location.objects.delete([key])
             return
-        labels = (location / CORRECTIONS).parent
+        labels = below(location, CORRECTIONS).parent
         beside = (labels if labels.exists() else location) / f".{uuid.uuid4().hex}"
         write_bytes(beside, b"")
         beside.unlink()
@@ -129,7 +130,7 @@ def _add(location: RunLocation, change: Change) -> EchoLabels:
         )
     data = echo_labels_bytes(EchoLabels.joined([before, new]))
     if not isinstance(location, Remote):
-        write_bytes(location / CORRECTIONS, data)
+        write_bytes(below(location, CORRECTIONS), data)
     elif mark is None:
         location.objects.put_new(CORRECTIONS, data)
     else:

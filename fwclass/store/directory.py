@@ -109,7 +109,7 @@ class Directory:
 
     def put(self, key: str, text: str) -> None:
         """Write a small file, whoever wrote it before; `OSError` (a directory) or `StoreError` where that fails."""
-        write_text(self.root / key, text)
+        write_text(path_below(self.root, key), text)
 
     def look(self, key: str) -> Looks | None:
         """What tells without reading whether a file is another one, None where there is none."""
@@ -130,13 +130,13 @@ class Directory:
 
     def put_over(self, key: str, text: str, mark: Mark) -> Mark:
         """As `put_new`, over the version `mark` of it (`LostRace` where it is another one by now)."""
-        write_text(self.root / key, text, flush=False)
+        write_text(path_below(self.root, key), text, flush=False)
         return mark
 
     def delete(self, keys: Iterable[str]) -> None:
         """Remove files; those that are gone already count as removed."""
         for key in keys:
-            (self.root / key).unlink(missing_ok=True)
+            path_below(self.root, key).unlink(missing_ok=True)
 
     def delete_below(self, below: str, first: str) -> None:
         """Remove a directory, its file `first` before all others: without it the rest means nothing."""
@@ -169,7 +169,10 @@ class Directory:
     def making(self, stage: str, part: str) -> Iterator[tuple[Path, Callable[[], None]]]:
         """A directory of this host to make a part in, and what raises `StoreError` where it was taken away meanwhile;
         `under_way` tells of the part until it ends."""
-        with staged(self.root / "store" / "staging", stage, part) as directory, watched(directory) as check:
+        with (
+            staged(path_below(self.root, f"store/staging/{stage}").parent, stage, part) as directory,
+            watched(directory) as check,
+        ):
             yield directory, check
 
     def finish(self, path: Path, delivered: bool) -> None:

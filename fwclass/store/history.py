@@ -18,6 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fwclass.paths import below, open_below
 from fwclass.store.atomic import sync
 from fwclass.store.lock import SCHEDULE, STATE, WRITER
 
@@ -50,14 +51,14 @@ def append(location: Path | Remote, line: Mapping[str, Any]) -> None:
 
 
 def _append(root: Path, line: Mapping[str, Any]) -> None:
-    path = root / "store" / NAME
+    path = below(root, f"store/{NAME}")
     path.parent.mkdir(parents=True, exist_ok=True)
     text = (json.dumps(line, sort_keys=True, allow_nan=False) + "\n").encode()
-    with _alone(path.parent):
+    with _alone(root):
         if path.exists() and path.stat().st_size + len(text) > HISTORY_BYTES:
             path.replace(path.with_name(EARLIER))
         new = not path.exists()
-        handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
+        handle = open_below(root, f"store/{NAME}", os.O_RDWR | os.O_APPEND | os.O_CREAT)
         try:
             os.write(handle, (b"\n" if _torn(handle) else b"") + text)
             os.fsync(handle)
@@ -113,9 +114,9 @@ def _torn(handle: int) -> bool:
 
 
 @contextlib.contextmanager
-def _alone(directory: Path) -> Iterator[None]:
+def _alone(root: Path) -> Iterator[None]:
     """One writer at a time, so that none writes into a file that another has just put away."""
-    with (directory / "history.lock").open("a") as stream:
+    with os.fdopen(open_below(root, "store/history.lock", os.O_WRONLY | os.O_CREAT), "wb") as stream:
         fcntl.flock(stream.fileno(), fcntl.LOCK_EX)
         yield
 

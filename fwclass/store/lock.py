@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import json
 import os
 import socket
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from fwclass.errors import LockedError, StoreError, visible
+from fwclass.paths import below, open_below, open_regular
 
 
 @dataclass(frozen=True)
@@ -55,9 +57,10 @@ def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
 
     The lock is the kernel's (`flock`) and goes with the process that held it, so none is left behind by a crash.
     """
-    path = root / "store" / lock.name
+    path = below(root, f"store/{lock.name}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+") as stream:
+    handle = open_below(root, f"store/{lock.name}", os.O_RDWR | os.O_APPEND | os.O_CREAT)
+    with os.fdopen(handle, "r+") as stream:
         if not _try_lock(stream.fileno()):
             raise LockedError(lock.refusal, where=root, got=holder_text(_facts(stream) or {}), do=lock.do)
         stream.seek(0)
@@ -81,7 +84,7 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     """
     path = root / "store" / lock.name
     try:
-        with path.open() as stream:
+        with io.TextIOWrapper(open_regular(path), errors="replace") as stream:
             facts = _facts(stream)
             if facts is not None and facts.get("host") == socket.gethostname() and not _locked(stream.fileno()):
                 return None  # it was killed and left its name

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import glob
 import json
+import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,11 @@ from fwclass import paths
 from fwclass.errors import InputError, StoreError
 from fwclass.operate.request import Request
 from fwclass.paths import below, path_matches
+from fwclass.run.logs import log_attempt, remove_logs
+from fwclass.store.corrections import WRITING, check_writable
+from fwclass.store.directory import Directory
+from fwclass.store.history import append as append_history
+from fwclass.store.lock import SCHEDULE, WRITER, holder, writer
 from fwclass.store.params import StoreParams
 from fwclass.store.run_store import Store
 from fwclass.survey.files import _matches
@@ -237,3 +245,72 @@ def test_a_run_whose_parts_would_lie_elsewhere_is_refused_at_once(name: str, tmp
     with pytest.raises(StoreError, match="put the whole run directory there"):
         Store(run).generations.check_links()
     assert list(disk.iterdir()) == []
+
+
+LINKED = [f"store/{name}" for name in ("lock", "schedule.lock", "corrections.lock", "history.lock", "history.jsonl")]
+
+
+@pytest.mark.parametrize("name", [*LINKED, "logs/tile/1_2.log"])
+def test_what_is_held_or_appended_to_is_no_link(name: str, tmp_path: Path) -> None:
+    """A lock empties its file: a link in an unpacked run directory emptied whatever it led to; a log added lines."""
+    root, victim = tmp_path / "run", tmp_path / "victim"
+    victim.write_text("dear")
+    (root / name).parent.mkdir(parents=True)
+    (root / name).symlink_to(victim)
+    using(root, name)
+    assert victim.read_text() == "dear" and (root / name).is_symlink()
+    victim.unlink()
+    using(root, name)
+    assert not victim.exists()
+
+
+def using(root: Path, name: str) -> None:
+    """Do what writes to `name`; told, or left."""
+    locks = {lock.name: lock for lock in (WRITER, SCHEDULE, WRITING)}
+    if name.startswith("logs"):
+        log_attempt(root, "tile", "1_2", {"status": "failed", "message": "`touch x`"})
+        return
+    with pytest.raises(InputError, match="no file of the directory itself"):
+        if name.rpartition("/")[2] in locks:
+            with writer(root, locks[name.rpartition("/")[2]]):
+                pass
+        else:
+            append_history(root, {"when": "2026"})
+
+
+@pytest.mark.parametrize("name", ["store", "store/staging", "store/failures", "labels", "logs"])
+def test_nothing_is_written_or_removed_through_a_directory_that_is_a_link(name: str, tmp_path: Path) -> None:
+    root, outside = tmp_path / "run", tmp_path / "out"
+    (outside / "tile").mkdir(parents=True)
+    for kept in ("tile/1_2.json", "tile/1_2.log", "lock"):
+        (outside / kept).write_text("dear")
+    (root / name).parent.mkdir(parents=True)
+    (root / name).symlink_to(outside)
+    files = Directory(root)
+    uses: list[Callable[[], object]] = [
+        lambda: files.put("store/failures/tile/1_2.json", "{}"),
+        lambda: files.delete(["store/failures/tile/1_2.json"]),
+        lambda: files.making("tile", "1_2").__enter__(),
+        lambda: writer(root).__enter__(),
+        lambda: check_writable(root),
+        lambda: log_attempt(root, "tile", "1_2", {"status": "done"}),
+        lambda: remove_logs(root, [("tile", "1_2")]),
+    ]
+    for use in uses:
+        with contextlib.suppress(InputError):
+            use()
+    assert sorted(p.relative_to(outside).as_posix() for p in outside.rglob("*")) == [
+        "lock",
+        "tile",
+        "tile/1_2.json",
+        "tile/1_2.log",
+    ]
+    assert {p.read_text() for p in outside.rglob("*") if p.is_file()} == {"dear"}
+
+
+def test_a_pipe_in_the_place_of_a_lock_keeps_nobody_waiting(tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    os.mkfifo(tmp_path / "store" / WRITER.name)
+    for use in (lambda: holder(tmp_path), lambda: writer(tmp_path).__enter__()):
+        with pytest.raises(InputError, match="this is no file"):
+            use()

@@ -14,6 +14,7 @@ from fwclass.operate.estimate.estimate import MIB
 from fwclass.operate.estimate.picture import plan_picture
 from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.operate.estimate.whole import Plan, as_json
+from fwclass.paths import below
 from fwclass.store.atomic import move_into_place, write_json
 from fwclass.temporary import temporary_directory
 
@@ -34,7 +35,7 @@ def check_free(root: Path, overwrite: bool) -> None:
 
 def deliver(plan: Plan, root: Path) -> tuple[Path, ...]:
     """Write the polygons, the picture and the numbers; each appears whole. Return their paths."""
-    target = root / "plan"
+    target = below(root, f"plan/{NAMES[0]}").parent
     paths = tuple(target / n for n in NAMES)
     target.mkdir(parents=True, exist_ok=True)
     with temporary_directory("plan", target) as directory:
