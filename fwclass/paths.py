@@ -141,7 +141,7 @@ def strange_kind(path: str | Path) -> str:
         return ""
 
 
-def open_regular(path: Path) -> BinaryIO:
+def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading, without waiting.
 
     Raises

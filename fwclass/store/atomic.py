@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from fwclass.errors import DamagedError, StoreError
+from fwclass.paths import open_regular
 
 _BLOCK = 1 << 20
 
@@ -34,7 +35,7 @@ def bytes_digest(data: bytes) -> str:
 def file_digest(path: Path) -> str:
     """Digest of a file's bytes, 32 hex digits of BLAKE2b."""
     state = hashlib.blake2b(digest_size=16)
-    with path.open("rb", buffering=0) as stream:
+    with open_regular(path) as stream:
         while block := stream.read(_BLOCK):
             state.update(block)
     return state.hexdigest()
@@ -127,8 +128,9 @@ def from_json(data: bytes, where: object) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """Plain data of a file; `DamagedError` where it is none."""
-    return from_json(path.read_bytes(), path)
+    """Plain data of a file; `DamagedError` where it is none, `InputError` for a pipe."""
+    with open_regular(path) as stream:
+        return from_json(stream.read(), path)
 
 
 @contextmanager

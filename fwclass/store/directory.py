@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 from fwclass.errors import StoreError
 from fwclass.paths import below as path_below
+from fwclass.paths import open_regular
 from fwclass.store.atomic import (
     clear_staged,
     file_digest,
@@ -98,8 +99,8 @@ class Directory:
     def get(self, key: str) -> tuple[bytes, Mark] | None:
         """Bytes and mark of a file, None where there is none."""
         try:
-            with open(f"{self.root}/{key}", "rb", buffering=0) as stream:  # noqa: PTH123 (half the time of Path)
-                return stream.readall(), ANY
+            with open_regular(f"{self.root}/{key}") as stream:  # half the time of Path
+                return stream.read(), ANY
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             return None
 

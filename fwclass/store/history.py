@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import io
 import json
 import os
 import re
@@ -18,7 +19,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fwclass.paths import below, open_below
+from fwclass.paths import below, open_below, open_regular
 from fwclass.store.atomic import sync
 from fwclass.store.lock import SCHEDULE, STATE, WRITER
 
@@ -96,7 +97,7 @@ def is_run(location: Path | Remote) -> bool:
 def _lines(root: Path) -> Iterator[dict[str, Any]]:
     for name in (EARLIER, NAME):
         try:
-            stream = (root / "store" / name).open(encoding="utf-8", errors="replace")
+            stream = io.TextIOWrapper(open_regular(root / "store" / name), "utf-8", "replace")
         except FileNotFoundError:
             continue
         with stream:

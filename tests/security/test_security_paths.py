@@ -18,9 +18,11 @@ from fwclass.errors import InputError, StoreError
 from fwclass.operate.request import Request
 from fwclass.paths import below, path_matches
 from fwclass.run.logs import log_attempt, remove_logs
+from fwclass.store.atomic import file_digest, read_json
 from fwclass.store.corrections import WRITING, check_writable
 from fwclass.store.directory import Directory
 from fwclass.store.history import append as append_history
+from fwclass.store.history import lines as history_lines
 from fwclass.store.lock import SCHEDULE, WRITER, holder, writer
 from fwclass.store.params import StoreParams
 from fwclass.store.run_store import Store
@@ -314,3 +316,17 @@ def test_a_pipe_in_the_place_of_a_lock_keeps_nobody_waiting(tmp_path: Path) -> N
     for use in (lambda: holder(tmp_path), lambda: writer(tmp_path).__enter__()):
         with pytest.raises(InputError, match="this is no file"):
             use()
+
+
+@pytest.mark.parametrize(
+    "name", ["store/run.json", "store/tile/1_2/receipt.json", "store/history.jsonl", "manifest.json"]
+)
+def test_a_pipe_in_the_place_of_what_a_run_has_noted_keeps_nobody_waiting(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    os.mkfifo(tmp_path / name)
+    uses: dict[str, Callable[[], object]] = {
+        "store/history.jsonl": lambda: list(history_lines(tmp_path)),
+        "manifest.json": lambda: (read_json(tmp_path / name), file_digest(tmp_path / name)),
+    }
+    with pytest.raises(InputError, match="this is no file"):
+        uses.get(name, lambda: Directory(tmp_path).get(name))()
