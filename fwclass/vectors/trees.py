@@ -196,12 +196,32 @@ def crowns(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, params: T
     return tree
 
 
+def _cropped(counts: Counts, window: Window, params: TreeParams) -> tuple[Counts, Window]:
+    """`counts` and `window` without what lies further from all vegetation than a cell can see."""
+    near = math.ceil((2.0 * params.reach + 2.0 * _TRUNCATE * params.widest) / window.cell)
+    high = counts.top > 0.0
+    part = []
+    for axis in (0, 1):
+        some = np.flatnonzero(high.any(axis=1 - axis))
+        first, last = (int(some[0]), int(some[-1])) if len(some) else (0, 0)
+        part.append(slice(max(0, first - near), min(high.shape[axis], last + near + 1)))
+    rows, cols = part
+    inner = Window(
+        window.cell, window.col + cols.start, window.row + rows.start, cols.stop - cols.start, rows.stop - rows.start
+    )
+    return counts.within((rows, cols)), inner
+
+
 def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> Shapes:
     """The trees whose tops lie in `core`, part of `window`: `COLUMNS` of each, by row and column of the top, and the
     outline of its crown [m]."""
+    counts, window = _cropped(counts, window, params)
     surface = canopy(counts, window.cell, params)
     places = tops(surface, window.cell, params)
     places = np.concatenate([places, tops_beside(surface, places, window.cell, params)])
+    seen = core.grown(math.ceil(2.0 * params.reach / window.cell))  # what may share cells with a crown of the core
+    at = places + (window.row - seen.row, window.col - seen.col)
+    places = places[((at >= 0) & (at < (seen.nrows, seen.ncols))).all(axis=1)]
     places = places[np.lexsort((places[:, 1], places[:, 0]))]
     tree = crowns(surface, places, window.cell, params)
     rows, polygons = [], []
