@@ -220,7 +220,7 @@ def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> S
     places = tops(surface, window.cell, params)
     places = np.concatenate([places, tops_beside(surface, places, window.cell, params)])
     seen = core.grown(math.ceil(2.0 * params.reach / window.cell))  # what may share cells with a crown of the core
-    at = places + (window.row - seen.row, window.col - seen.col)
+    at = places + np.array([window.row - seen.row, window.col - seen.col])
     places = places[((at >= 0) & (at < (seen.nrows, seen.ncols))).all(axis=1)]
     places = places[np.lexsort((places[:, 1], places[:, 0]))]
     tree = crowns(surface, places, window.cell, params)
