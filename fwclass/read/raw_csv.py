@@ -27,7 +27,7 @@ from fwclass.read.raw_columns import (
     check_columns,
     kind_of_direction,
 )
-from fwclass.read.text_blocks import line_blocks, row_marks, rows_between, rows_of
+from fwclass.read.text_blocks import LONGEST_LINE, line_blocks, row_marks, rows_between, rows_of
 
 HEAD = 65_536
 """Bytes that metadata and heading have at most."""
@@ -39,6 +39,8 @@ CLOSE = 0.66
 """Likeness of a comment's first word to a key from which it is taken for a slip."""
 
 _LIST_MARKS = str.maketrans("[](){};,", " " * 8)
+
+csv.field_size_limit(max(csv.field_size_limit(), LONGEST_LINE))  # of the whole process: csv has no other way to say it
 
 
 @dataclass(frozen=True)
@@ -76,10 +78,15 @@ class CsvLayout(Layout):
         return beam_rows(numbers, lists, self.settings, self.direction, first)
 
     def _cells(self, lines: list[bytes], first: int) -> tuple[dict[str, NDArray[np.float64]], dict[str, Ragged]]:
-        cells = list(csv.reader((line.decode("utf-8", "replace") for line in lines), delimiter=self.delimiter))
+        try:
+            cells = list(csv.reader((line.decode("utf-8", "replace") for line in lines), delimiter=self.delimiter))
+        except csv.Error as fault:
+            raise self._wrong("a row cannot be read, or a later one", first, "quotes that end", fault) from None
         for k, row in enumerate(cells):
             if len(row) != len(self.columns):
                 raise self._wrong("a row has another number of columns", first + k, len(self.columns), len(row))
+        if len(cells) != len(lines):
+            raise self._wrong("a quote does not end in its row, or in a later one", first, len(lines), len(cells))
         numbers: dict[str, NDArray[np.float64]] = {}
         lists: dict[str, Ragged] = {}
         for at, name in enumerate(self.columns):

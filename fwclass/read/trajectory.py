@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import io
 import re
 import warnings
 from collections.abc import Sequence
@@ -202,8 +203,12 @@ def _text(path: Path, head: bytes) -> _Columns:
     skip, delimiter, columns, geographic = _layout(path, head)
     encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else "latin-1"
     try:
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # "no data" is told better further up
-            values = np.loadtxt(path, delimiter=delimiter, skiprows=skip, usecols=columns, ndmin=2, encoding=encoding)
+        with (
+            open_regular(path) as file,
+            io.TextIOWrapper(file, encoding) as text,  # of a name numpy would unpack .gz, .bz2 and .xz
+            warnings.catch_warnings(action="ignore", category=UserWarning),  # "no data" is told better further up
+        ):
+            values = np.loadtxt(text, delimiter=delimiter, skiprows=skip, usecols=columns, ndmin=2)
     except (ValueError, IndexError, OverflowError) as fault:
         raise InputError(
             "a line of the trajectory is no row of numbers",

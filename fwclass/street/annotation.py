@@ -25,6 +25,8 @@ HEAD = ("begin", "end", "y0", "y1", "z0", "z1", "kind", "class")
 KINDS = ("include", "exclude", "rest")
 LARGEST = 1 << 24
 """Bytes of a file: some 300 000 rectangles."""
+MOST_SIDE_BY_SIDE = 1000
+"""Rectangles at one place of the road: every frame there is held against all of them."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,10 @@ def read_boxes(path: Path) -> list[Box]:
             text = stream.read().decode("utf-8-sig")
         except UnicodeDecodeError as fault:
             raise InputError("the annotation is no text", where=path, got=str(fault)[:100]) from fault
-    lines = list(enumerate(csv.reader(text.splitlines()), 1))
+    try:
+        lines = list(enumerate(csv.reader(text.splitlines()), 1))
+    except csv.Error as fault:
+        raise InputError("the annotation is no table", where=path, expected=",".join(HEAD), got=fault) from fault
     lines = [(n, row) for n, row in lines if row and not row[0].lstrip().startswith("#")]
     if not lines or tuple(c.strip() for c in lines[0][1]) != HEAD:
         raise InputError(
@@ -94,7 +99,21 @@ def read_boxes(path: Path) -> list[Box]:
             got="\n    ".join(["", *wrong[:20]]),
             do="mend these lines; nothing was written",
         )
+    _check_crowd(boxes, path)
     return boxes
+
+
+def _check_crowd(boxes: Sequence[Box], path: Path) -> None:
+    begins, ends = (np.sort([getattr(b, name) for b in boxes]) for name in ("begin", "end"))
+    there = np.arange(1, len(boxes) + 1) - np.searchsorted(ends, begins, "right")
+    if len(boxes) and there.max() > MOST_SIDE_BY_SIDE:
+        raise InputError(
+            "too many rectangles lie at one place of the road",
+            where=path,
+            expected=f"at most {MOST_SIDE_BY_SIDE:,}",
+            got=f"{there.max():,} at {begins[there.argmax()]:g} m",
+            do="annotate shorter slices, or with fewer rectangles",
+        )
 
 
 def _box(line: int, row: list[str]) -> Box | str:
@@ -119,17 +138,15 @@ def _box(line: int, row: list[str]) -> Box | str:
     return Box(line, begin, end, y0, y1, z0, z1, kind, code)
 
 
-def overlaps(boxes: Sequence[Box]) -> list[tuple[Box, Box]]:
+def overlaps(boxes: Sequence[Box]) -> Iterator[tuple[Box, Box]]:
     """Pairs that give one place two classes: the later one wins."""
     includes = sorted((b for b in boxes if b.kind == "include"), key=lambda b: b.begin)
-    pairs = []
     for k, one in enumerate(includes):
         for other in includes[k + 1 :]:
             if other.begin >= one.end:
                 break
             if one.code != other.code and one.meets(other):
-                pairs.append((one, other))
-    return pairs
+                yield one, other
 
 
 class Labeller:

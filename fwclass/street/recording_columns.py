@@ -34,9 +34,9 @@ def check_columns(names: Iterable[str], path: Path) -> None:
         if name not in COLUMNS:
             raise InputError(
                 "a column is unknown",
-                where=f"{path}: column {name}",
+                where=f"{path}: column {name[:80]}",
                 expected=", ".join(COLUMNS),
-                got=name,
+                got=name[:80],
                 do=f"{nearest(name, COLUMNS)}, or leave it out",
             )
     if twice := sorted({n for n in present if present.count(n) > 1}):

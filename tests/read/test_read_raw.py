@@ -221,6 +221,19 @@ def test_bad_samples_of_a_text(tmp_path, cell):
     assert source.census.faults[0] == 19
 
 
+def test_a_long_cell_is_read_and_a_quote_without_end_refused(tmp_path):
+    """csv takes 131 072 letters if nobody asks for more: longer waveforms ended with a traceback."""
+    path = write_csv(tmp_path / "a.csv", scene(pulses=20).columns(), TOLD)
+    lines = path.read_text().splitlines()
+    lines[5] = ",".join([*lines[5].split(",")[:-1], "10 " * 50_000])
+    path.write_text("\n".join(lines))
+    assert open_source(path).census.faults[0] == 20
+    lines[5] = ",".join([*lines[5].split(",")[:-1], '"' + "10 " * 50_000])
+    path.write_text("\n".join([*lines[:6], *lines[6:] * 80]))
+    with pytest.raises(InputError, match="row"):
+        open_source(path)
+
+
 def test_one_pulse(tmp_path):
     las, places, _ = echoes(write_parquet(tmp_path / "a.parquet", scene(pulses=1).columns(), TOLD))
     assert len(las.x) == 1 and np.linalg.norm(places - scene(pulses=1).place) < 0.05

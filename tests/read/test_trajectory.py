@@ -141,6 +141,13 @@ def test_other_files_are_refused_in_words(content: str | bytes, crs: str | None,
         read_trajectory(written(tmp_path, content), crs)
 
 
+@pytest.mark.parametrize("ending", [".gz", ".bz2", ".xz"])
+def test_text_is_text_whatever_its_name_says(ending: str, tmp_path: Path) -> None:
+    """numpy unpacks by the name; a text under `.xz` ended with a traceback."""
+    found = read_trajectory(written(tmp_path, "1 2 3 4\n2 3 4 5\n", f"path{ending}"))
+    np.testing.assert_array_equal(matrix(found), [[1, 2, 3, 4], [2, 3, 4, 5]])
+
+
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "huge.sbet"
     with path.open("wb") as file:

@@ -64,6 +64,27 @@ def test_boxes_that_overlap_are_told(tmp_path):
     assert any("lines 2 and 3: class 5 and 6 overlap" in text for text in made["remarks"])
 
 
+def test_a_crowd_of_rectangles_is_refused_and_few_of_their_pairs_are_named(tmp_path):
+    """Pairs grow with the square of the rectangles: 3 000 lines took 1.1 GB."""
+    crowd = "".join(f"0,2,-9,0,1,9,include,{5 + k % 2}\n" for k in range(1001))
+    (tmp_path / "a.csv").write_text(HEAD + crowd)
+    with pytest.raises(InputError, match="too many rectangles lie at one place of the road"):
+        read_boxes(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text(HEAD + "".join(f"{k},{k + 1},-9,0,1,9,include,5\n" for k in range(1001)))
+    assert len(read_boxes(tmp_path / "a.csv")) == 1001
+    made = annotated(tmp_path, crowd[: 100 * (len(crowd) // 1001)], out=False)
+    assert sum("overlap" in text for text in made["remarks"]) == 21
+    assert "more rectangles overlap" in made["remarks"]
+
+
+@pytest.mark.parametrize("letters", [140_000, 5_000_000])
+def test_a_field_too_long_for_a_table_is_refused_in_words(letters, tmp_path):
+    """Of a process that reads waveforms as text, csv takes longer ones (`read.raw_csv`)."""
+    (tmp_path / "a.csv").write_text(HEAD + "0,2,-9,0,1,9,include," + "5" * letters + "\n")
+    with pytest.raises(InputError, match="no table" if letters > 1 << 22 else "no table|cannot be used"):
+        read_boxes(tmp_path / "a.csv")
+
+
 def test_all_that_is_wrong_is_told_at_once(tmp_path):
     (tmp_path / "a.csv").write_text(
         HEAD

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,9 @@ MOST_SHOWN = 200_000
 """Returns of a picture; of more, evenly chosen ones."""
 
 MOST_PICTURES = 200
+
+MOST_OVERLAPS = 20
+"""Pairs of rectangles that are named."""
 
 Seen = tuple[list[Any], list[Any], list[Any]]
 
@@ -61,9 +65,11 @@ def annotate(
             if not ahead:
                 ahead.append((place, place + slice_))
             if preview is not None:
+                seen = _seen(frame, placed)
                 for begin, end in {*slices, *ahead}:
                     if begin <= place < end:
-                        _keep(slices.setdefault((begin, end), ([], [], [])), frame, placed)
+                        for column, values in zip(slices.setdefault((begin, end), ([], [], [])), seen, strict=True):
+                            column.append(values)
             yield frame
 
     if out is None:
@@ -89,11 +95,11 @@ def annotate(
     }
 
 
-def _keep(columns: Seen, frame: Frame, placed: Any) -> None:
+def _seen(frame: Frame, placed: Any) -> tuple[Any, Any, Any]:
+    """y, z [m] and labels of a frame's returns: one copy, however many slices show them."""
     here = ~np.isnan(placed.r)
-    columns[0].append(placed.y[here] * UNIT)
-    columns[1].append(placed.z[here] * UNIT)
-    columns[2].append(np.zeros(int(here.sum()), np.uint8) if frame.labels is None else frame.labels[here])
+    labels = np.zeros(int(here.sum()), np.uint8) if frame.labels is None else frame.labels[here]
+    return placed.y[here] * UNIT, placed.z[here] * UNIT, labels
 
 
 def _remarks(boxes: list[Box], labeller: Labeller) -> list[str]:
@@ -102,10 +108,12 @@ def _remarks(boxes: list[Box], labeller: Labeller) -> list[str]:
         for box, held in zip(boxes, labeller.held, strict=True)
         if not held and box.kind != "rest"
     ]
-    return said + [
+    pairs = list(islice(overlaps(boxes), MOST_OVERLAPS + 1))
+    said += [
         f"lines {a.line} and {b.line}: class {a.code} and {b.code} overlap; the later line wins"
-        for a, b in overlaps(boxes)
+        for a, b in pairs[:MOST_OVERLAPS]
     ]
+    return said + ["more rectangles overlap"] * (len(pairs) > MOST_OVERLAPS)
 
 
 def _pictures(
