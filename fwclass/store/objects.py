@@ -23,6 +23,7 @@ from fwclass.store.url import Url
 
 T = TypeVar("T")
 MIB = 1 << 20
+CREDENTIALS = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
 LEAST = 3
 """Times that a request is made before it is given up."""
 MOST_COPIED = 5 * 10**9
@@ -288,6 +289,14 @@ def _open_store(url: str, params: StoreParams) -> Any:
     if url.startswith("memory://"):
         with _guard:
             return _memory.setdefault(url, MemoryStore())
+    for name in CREDENTIALS:
+        if not os.environ.get(name, "").isprintable():  # the library panics where it becomes a header
+            raise ConfigError(
+                "a credential has a character that cannot be seen",
+                where=name,
+                expected="one line, without its end",
+                do=f"set it again: {name}=$(tr -d '\\r\\n' < FILE)",
+            )
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
     limits: dict[str, Any] = {
         "client_options": {

@@ -43,4 +43,12 @@ def url_of(text: str, where: str) -> Url:
             got=text,
             do="check the address",
         )
+    if ":" in bucket or ("@" in bucket and not scheme.startswith("abfs")):  # there it is container@account
+        raise ConfigError(
+            "an address of object storage holds no user and no key",
+            where=where,
+            expected="for example s3://bucket/directory",
+            got=text,
+            do="give credentials in the environment (docs/many-machines.md), and make a new key if this was one",
+        )
     return Url("/".join([f"{scheme}://{bucket}", *parts]))

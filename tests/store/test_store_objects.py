@@ -103,6 +103,26 @@ def test_the_user_is_told_of_missing_credentials(s3: Server, monkeypatch: pytest
         Objects(Url("s3://bucket-of-mine/run"), quick(patience=0.2, timeout=0.2)).get("a")
 
 
+@pytest.mark.parametrize("name", ["AWS_ACCESS_KEY_ID", "AWS_SESSION_TOKEN"])
+def test_a_credential_with_the_end_of_a_line_is_refused_and_not_shown(
+    name: str, s3: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The library panicked, with a traceback."""
+    monkeypatch.setenv(name, "hush\r\n")
+    with pytest.raises(ConfigError, match=f"cannot be seen[\\s\\S]*{name}") as told:
+        Objects(s3.url(), quick()).get("a")
+    assert "hush" not in str(told.value)
+
+
+@pytest.mark.parametrize("text", ["s3://me:hush@bucket/run", "s3://me@bucket/run", "abfss://me:hush@account/run"])
+def test_an_address_with_a_key_is_refused_and_not_shown(text: str) -> None:
+    """`run` told it, with the key, where the history could not be written."""
+    with pytest.raises(ConfigError, match="no user and no key") as told:
+        url_of(text, "--out")
+    assert "hush" not in str(told.value)
+    assert url_of("abfss://files@account.dfs.core.windows.net/run", "--out")
+
+
 @pytest.mark.parametrize("text", ["ftp://host/x", "s3://", "s3://bucket/../x", "http://host/x"])
 def test_an_address_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="no place on object storage"):
