@@ -142,7 +142,8 @@ def overlaps(boxes: Sequence[Box]) -> Iterator[tuple[Box, Box]]:
     """Pairs that give one place two classes: the later one wins."""
     includes = sorted((b for b in boxes if b.kind == "include"), key=lambda b: b.begin)
     for k, one in enumerate(includes):
-        for other in includes[k + 1 :]:
+        for at in range(k + 1, len(includes)):
+            other = includes[at]
             if other.begin >= one.end:
                 break
             if one.code != other.code and one.meets(other):
