@@ -183,7 +183,7 @@ def _check_degrees(shapes: Shapes, source: CRS, where: object) -> None:
             where=where,
             expected=f"degrees of {source.name}",
             got=f"coordinates up to {most:.1f}",
-            do="name the system they are in: --set survey.reference.crs=EPSG:<code>",
+            do=f"name the system they are in: {NAME_CRS}, or crs of the section that names the file",
         )
 
 
@@ -193,5 +193,5 @@ def _no_place_fault(where: object, number: int, got: str) -> InputError:
         where=f"{where}: feature {number}" if number else where,
         expected="coordinates where both systems are defined",
         got=got,
-        do="check the coordinate system of the polygons (survey.reference.crs)",
+        do="check the coordinate system of the file (survey.reference.crs, or crs of the section that names it)",
     )

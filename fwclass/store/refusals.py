@@ -12,6 +12,11 @@ _CREDENTIALS = (
 )
 _ADVICE = (
     ("169.254.169.254", "object storage needs credentials, and there are none", _CREDENTIALS),
+    (
+        "object with invalid path",
+        "object storage holds an object with a name that no run gives",
+        "remove it with the storage's own tools: nothing can be listed beside it; nobody but runs should write there",
+    ),
     ("NoSuchBucket", "there is no such bucket", "check the bucket's name, AWS_REGION and AWS_ENDPOINT_URL"),
     ("incorrectly configured region", "the bucket lies in another region", "set AWS_REGION to the bucket's region"),
     ("RequestTimeTooSkewed", "this host's clock is wrong", "set the clock; requests are signed with the time"),
@@ -55,4 +60,4 @@ def lasting(fault: BaseException) -> bool:
     kind, text = type(fault).__name__, str(fault)
     if kind in ("PermissionDeniedError", "UnauthenticatedError", "NotSupportedError", "InvalidPathError"):
         return True
-    return any(sign in text for sign, _, _ in _ADVICE[:4]) or re.search(r"status code: 40[0134]\b", text) is not None
+    return any(sign in text for sign, _, _ in _ADVICE[:5]) or re.search(r"status code: 40[0134]\b", text) is not None

@@ -81,6 +81,15 @@ def test_a_server_that_stays_in_trouble_is_named(s3: Server) -> None:
     assert "AWS_ENDPOINT_URL" in str(told.value)
 
 
+@pytest.mark.parametrize("key", ["run/\x1b[31m/receipt.json", "run//x"])
+def test_an_object_of_a_name_that_no_run_gives_is_told(s3: Server, key: str) -> None:
+    url = s3.url()
+    s3.client.put_object(Bucket=url.split("/")[2], Key=key, Body=b"x")
+    with pytest.raises(StoreError, match="an object with a name that no run gives") as told:
+        list(Objects(url, quick(patience=0.2)).list())
+    assert "\x1b" not in str(told.value) and "remove it" in str(told.value)
+
+
 @pytest.mark.faults
 def test_a_request_that_hangs_is_given_up(s3: Server) -> None:
     objects = Objects(s3.url(), quick(timeout=0.3, patience=0.5))
