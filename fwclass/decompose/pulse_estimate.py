@@ -72,10 +72,7 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
     waves = usable(waves)
     if waves.pulses.rows == 0:
         return SystemPulse.gaussian(params.width or params.fallback_width)
-    kinds, group = channel_groups(waves)
-    clips = clip_levels(waves, kinds, group)
-    reached = np.where(group >= 0, clips[group], waves.pulses["saturation"])
-    waves = replace(waves, pulses=waves.pulses.with_columns({"saturation": reached}))
+    waves, kinds, group, clips = with_clips(waves)
     level, noise = rough_levels(waves, group)
     peak, height, width = bright_peaks(waves, level, noise, params)
     guess = half_sample_mode(width[peak >= 0]) if (peak >= 0).sum() >= FEWEST else math.nan
@@ -175,6 +172,15 @@ def usable(waves: Waveforms) -> Waveforms:
     sound = np.isfinite(spacing) & (spacing > 0.0) & np.isfinite(top) & (np.diff(waves.offsets) > 0)
     order = np.lexsort((waves.pulses["segment_start"], waves.pulses["pulse"]))
     return rows_of(waves, order[sound[order]])
+
+
+def with_clips(waves: Waveforms) -> tuple[Waveforms, Floats, NDArray[np.int64], Floats]:
+    """Waveforms whose saturation is the level that their channel clips at [DN], their `channel_groups`, float64
+    (channels, 2) and int64 (waveforms,), and these levels, float64 (channels,)."""
+    kinds, group = channel_groups(waves)
+    clips = clip_levels(waves, kinds, group)
+    reached = np.where(group >= 0, clips[group], waves.pulses["saturation"])
+    return replace(waves, pulses=waves.pulses.with_columns({"saturation": reached})), kinds, group, clips
 
 
 def bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulseParams) -> tuple[NDArray, Floats, Floats]:

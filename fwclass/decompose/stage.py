@@ -113,7 +113,7 @@ def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
     floored = (zeros > FLOORED * length) & (highest > 0)
     pulses = waves.pulses["pulse"][rows]
     waveforms = len(np.unique(pulses))
-    some = (highest > 0) & (lowest < waves.pulses["saturation"][rows])
+    some = (highest > 0) & ~(lowest >= waves.pulses["saturation"][rows])  # none is known: not at it
     blank = waveforms - len(np.unique(pulses[some]))
     odd = {"downward": down, "floored": floored, "swapped": _swapped(samples, first)}
     return {"waveforms": waveforms, "blank": blank} | {k: len(np.unique(pulses[v])) for k, v in odd.items()}

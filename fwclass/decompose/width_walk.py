@@ -6,8 +6,8 @@ import numpy as np
 
 from fwclass.decompose.params import PulseParams
 from fwclass.decompose.pulse_align import narrowest
-from fwclass.decompose.pulse_channels import channel_groups, clip_levels, rough_levels
-from fwclass.decompose.pulse_estimate import bright_peaks, usable
+from fwclass.decompose.pulse_channels import rough_levels
+from fwclass.decompose.pulse_estimate import bright_peaks, usable, with_clips
 from fwclass.waveforms import Waveforms
 
 CLASSES = 8
@@ -31,10 +31,7 @@ def width_walk(waves: Waveforms, params: PulseParams) -> list[tuple[float, float
     waves = usable(waves)
     if waves.pulses.rows == 0:
         return []
-    kinds, group = channel_groups(waves)
-    clips = clip_levels(waves, kinds, group)
-    top = np.where(group >= 0, clips[group], waves.pulses["saturation"])
-    waves = Waveforms(waves.pulses.with_columns({"saturation": top}), waves.returns, waves.samples, waves.offsets)
+    waves, _, group, _ = with_clips(waves)
     level, noise = rough_levels(waves, group)
     peak, height, width = bright_peaks(waves, level, noise, params)
     spacing = waves.pulses["sample_spacing"].astype(np.float64)

@@ -58,6 +58,11 @@ def epsg_of(crs: CRS) -> int | None:
     return None if code is None else int(code)
 
 
+def describe_crs(crs: CRS | None) -> dict[str, Any] | None:
+    """Its ``name``, ``epsg`` code and whether it is ``projected``, for JSON; None where there is none."""
+    return {"name": crs.name, "epsg": epsg_of(crs), "projected": bool(crs.is_projected)} if crs else None
+
+
 def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
     for record in header.records(_WKT, _USERS):
         text = record.body.split(b"\0")[0].decode("utf-8", "replace").strip()

@@ -17,6 +17,10 @@ from fwclass.quality.planes import PlanePairs
 
 By = Literal["files", "times"]
 
+ASTRAY = (20, 0.5)
+"""Places, and their share of all, that two strips see further apart than `max_step`, from which a strip is wrong: that
+one sees a flat roof where the other sees flat ground is the exception."""
+
 
 def strips_by(wanted: str, between_files: int, between_lines: int) -> By:
     """What strips are told by: as `wanted`, or where that is auto by files, unless pairs of planes between lines inside
@@ -140,11 +144,6 @@ def _strip(
             _finite_or_none(v[number, k]) for v in (adjustment.values, adjustment.errors)
         )
     return facts
-
-
-ASTRAY = (20, 0.5)
-"""Places, and their share of all, that two strips see further apart than `max_step`, from which a strip is wrong: that
-one sees a flat roof where the other sees flat ground is the exception."""
 
 
 def strip_remarks(facts: Mapping[str, Any]) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.formats.area_of_use import place_faults, time_faults
-from fwclass.formats.crs import epsg_of
+from fwclass.formats.crs import describe_crs
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beam_source import FAULTS, BeamSource
 from fwclass.read.beams import beam_fault
@@ -36,7 +36,7 @@ def beam_rows_info(source: BeamSource) -> dict[str, Any]:
         "pulses": census.pulses,
         "scales": list(source.scales),
         "offsets": list(source.offsets),
-        "crs": {"name": crs.name, "epsg": epsg_of(crs), "projected": bool(crs.is_projected)} if crs else None,
+        "crs": describe_crs(crs),
         "bounds": list(source.bounds) if flat else None,
         "header_bounds": None,
         "gps_time": list(census.gps) if np.isfinite(census.gps).all() else None,

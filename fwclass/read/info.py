@@ -14,7 +14,7 @@ from fwclass.errors import InputError, visible
 from fwclass.formats import vector
 from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.checks import first_hole
-from fwclass.formats.crs import epsg_of
+from fwclass.formats.crs import describe_crs
 from fwclass.formats.flat import flat_faults
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
@@ -137,7 +137,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         "points": source.n_points,
         "scales": list(source.scales),
         "offsets": list(source.offsets),
-        "crs": {"name": crs.name, "epsg": epsg_of(crs), "projected": bool(crs.is_projected)} if crs else None,
+        "crs": describe_crs(crs),
         "bounds": [*tally.low.tolist(), *tally.high.tolist()] if has_points else None,
         "header_bounds": [_finite(v) for v in source.bounds],
         "gps_time": list(tally.gps) if np.isfinite(tally.gps[0]) else None,

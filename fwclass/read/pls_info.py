@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.formats.area_of_use import place_faults, time_faults
-from fwclass.formats.crs import epsg_of
+from fwclass.formats.crs import describe_crs
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beams import beam_fault
 from fwclass.read.pls_stated import misfit_of
@@ -69,7 +69,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
         "pulses": source.n_records,
         "scales": list(source.scales),
         "offsets": list(source.offsets),
-        "crs": {"name": crs.name, "epsg": epsg_of(crs), "projected": bool(crs.is_projected)} if crs else None,
+        "crs": describe_crs(crs),
         "bounds": [*tally.low.tolist(), *tally.high.tolist()] if np.isfinite(tally.low).all() else None,
         "header_bounds": [float(v) if np.isfinite(v) else None for v in source.bounds],
         "gps_time": list(tally.gps) if np.isfinite(tally.gps).all() else None,

@@ -126,10 +126,10 @@ def axes_fault(source: PulseSource, pulses: Pulses, kinds: Samplings) -> str:
         f"the sign of the beams' {n} is wrong": (anchor, step * k)
         for n, k in {"x": (-1, 1, 1), "y": (1, -1, 1), "x and y (--mirror-beams)": (-1, -1, 1)}.items()
     }
-    words = next((n for n, (a, b) in changed.items() if inside(a, b) >= SURE), "")
-    return f"{100 * known:.0f} % of the samples lie in the header's bounds, and all would otherwise: {words}" * bool(
-        words
-    )
+    for words, (moved, turned) in changed.items():
+        if inside(moved, turned) >= SURE:
+            return f"{100 * known:.0f} % of the samples lie in the header's bounds, and all would otherwise: {words}"
+    return ""
 
 
 def _alike(ends: NDArray[np.float64], stated: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import InputError, visible
-from fwclass.formats.crs import epsg_of
+from fwclass.formats.crs import describe_crs
 from fwclass.read.polygons import PolygonLayer, layers, open_polygons, read_polygons, values_of
 
 MOST_VALUES = 40
@@ -66,7 +66,7 @@ def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
         "name": opened.layer,
         "features": opened.features,
         "geometry": opened.geometry,
-        "crs": {"name": crs.name, "epsg": epsg_of(crs), "projected": bool(crs.is_projected)} if crs else None,
+        "crs": describe_crs(crs),
         "bounds": bounds,
         "fields": dict(opened.fields),
         "values": _values(opened) if 0 < opened.features <= MAX_TABLE else {},

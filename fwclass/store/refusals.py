@@ -10,6 +10,8 @@ _CREDENTIALS = (
     "give the process credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or the host's role), with the right to "
     "list, read, write and delete below this address; every worker needs them too"
 )
+_BUSY = "SlowDown"
+"""The answer that another try may not get."""
 _ADVICE = (
     ("169.254.169.254", "object storage needs credentials, and there are none", _CREDENTIALS),
     (
@@ -20,7 +22,7 @@ _ADVICE = (
     ("NoSuchBucket", "there is no such bucket", "check the bucket's name, AWS_REGION and AWS_ENDPOINT_URL"),
     ("incorrectly configured region", "the bucket lies in another region", "set AWS_REGION to the bucket's region"),
     ("RequestTimeTooSkewed", "this host's clock is wrong", "set the clock; requests are signed with the time"),
-    ("SlowDown", "object storage is overloaded", "run the same again later, or with a smaller store.parallel"),
+    (_BUSY, "object storage is overloaded", "run the same again later, or with a smaller store.parallel"),
 )
 
 
@@ -60,4 +62,7 @@ def lasting(fault: BaseException) -> bool:
     kind, text = type(fault).__name__, str(fault)
     if kind in ("PermissionDeniedError", "UnauthenticatedError", "NotSupportedError", "InvalidPathError"):
         return True
-    return any(sign in text for sign, _, _ in _ADVICE[:5]) or re.search(r"status code: 40[0134]\b", text) is not None
+    return (
+        any(sign in text for sign, _, _ in _ADVICE if sign != _BUSY)
+        or re.search(r"status code: 40[0134]\b", text) is not None
+    )

@@ -21,16 +21,16 @@ def mark_corners(line, stays, tolerance):  # type: ignore[no-untyped-def]
 
     Source: Douglas and Peucker 1973.
     """
-    todo = np.empty((len(line) + 1, 2), np.int64)
+    pending = np.empty((len(line) + 1, 2), np.int64)
     count, last = 0, 0
     for k in range(1, len(line)):
         if stays[k]:
-            todo[count] = last, k
+            pending[count] = last, k
             count += 1
             last = k
     while count:
         count -= 1
-        a, b = todo[count]
+        a, b = pending[count]
         ax, ay = line[b, 0] - line[a, 0], line[b, 1] - line[a, 1]
         length = math.hypot(ax, ay)
         worst, most = -1, tolerance
@@ -45,6 +45,6 @@ def mark_corners(line, stays, tolerance):  # type: ignore[no-untyped-def]
                 worst, most = k, off
         if worst >= 0:
             stays[worst] = True
-            todo[count] = a, worst
-            todo[count + 1] = worst, b
+            pending[count] = a, worst
+            pending[count + 1] = worst, b
             count += 2
