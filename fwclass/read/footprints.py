@@ -9,10 +9,8 @@ GEDI L1B product data dictionary, versions 1 and 2 (groups BEAMxxxx; indices of 
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from pyproj import CRS
 from fwclass.errors import InputError
 from fwclass.formats.projected import project, utm_of
 from fwclass.read.beam_source import LONGEST, BeamRows, Floats, Layout, Ragged
+from fwclass.read.hdf5_arrays import array_in, open_hdf5, overstated, reach, rows_of
 from fwclass.units import METRES_PER_NS
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -31,24 +30,12 @@ BLOCK = 5_000
 WIDEST = 10.0
 """Degrees of longitude on either side of the middle, and of latitude, that one plane can hold to 1 %."""
 
-TIMES = 200
-"""Bytes of a data set over those of its file: compressed waveforms reach 10."""
-
 FEWEST_BYTES = 16
 """A shot has at least so many of a file, its places alone have 48; `SHOTS` need not."""
 SHOTS = 10_000
 
-CHUNK = 64 << 20
-"""Bytes of a chunk, which is unpacked again for every block of shots; writers make chunks of up to a few MiB."""
-
 GAP = 1_000_000
 """Samples between two shots that are read rather than passed over."""
-
-SHUFFLE, FLETCHER32 = 2, 3
-PACKINGS = {1: "deflate", 4: "szip", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
-"""HDF5's numbers of filters, and h5py's; one of these may have packed a chunk, once."""
-VIRTUAL = 3
-"""HDF5's number of a data set that is put together from others."""
 
 GEOGRAPHIC = CRS.from_epsg(4979)
 NEAR = 0.02
@@ -89,7 +76,7 @@ class FootprintLayout(Layout):
 
     def read(self, first: int, last: int) -> BeamRows:
         names, parts = dict(self.names), []
-        with _file(self.path) as file:
+        with open_hdf5(self.path) as file:
             for beam in self.beams:
                 a, b = max(first - beam.first, 0), min(last - beam.first, beam.shots)
                 if a < b or not self.n_rows:
@@ -139,9 +126,9 @@ class _Shots:
     def column(self, name: str, otherwise: float) -> Floats:
         if name not in self.names:
             return np.full(self.last - self.first, otherwise)
-        data = _data(self.path, self.group, self.names[name])
+        data = array_in(self.path, self.group, self.names[name])
         with np.errstate(invalid="ignore"):
-            return np.asarray(data[self.first : self.last], np.float64)
+            return np.asarray(rows_of(self.path, data, self.first, self.last), np.float64)
 
     def place(self, which: str) -> Floats:
         """Longitude, latitude, height (n, 3); NaN for what cannot be one."""
@@ -152,7 +139,7 @@ class _Shots:
         return place
 
     def table(self, name: str) -> NDArray[Any]:
-        return np.asarray(_data(self.path, self.group, self.names[name])[self.first : self.last])
+        return rows_of(self.path, array_in(self.path, self.group, self.names[name]), self.first, self.last)
 
     def table_or_none(self, name: str, rows: int) -> Ragged:
         return Ragged.of_table(self.table(name)) if name in self.names else Ragged.none(rows)
@@ -162,7 +149,7 @@ class _Shots:
         n = self.last - self.first
         if name not in self.names:
             return Ragged.none(n)
-        data = _data(self.path, self.group, self.names[name])
+        data = array_in(self.path, self.group, self.names[name])
         start, count = self.column(f"{name} start", 1.0) - 1.0, self.column(f"{name} count", 0.0)
         sound = (start >= 0) & (count >= 0) & (count <= LONGEST) & (start + count <= data.shape[0])
         at, size = (np.where(sound, v, 0.0).astype(np.int64) for v in (start, count))
@@ -192,7 +179,7 @@ class _Shots:
                 first, last = ends[rows[0]], ends[rows[-1] + 1]
                 places = np.arange(first, last) + np.repeat(at[rows] - low - ends[rows], size[rows])
                 with np.errstate(invalid="ignore"):  # signalling NaN of a damaged file
-                    values[first:last] = data[low : int(end[run].max())][places]
+                    values[first:last] = rows_of(self.path, data, low, int(end[run].max()))[places]
         return Ragged(values, ends)
 
 
@@ -214,13 +201,13 @@ def open_footprints(path: Path) -> tuple[FootprintLayout, str, CRS, list[tuple[s
         `h5py` is not installed; no HDF5, neither LVIS L1B nor GEDI L1B, a data set is missing or does not fit the
         others; shots too far apart for one plane.
     """
-    with _file(path) as file:
-        groups = sorted(k for k in file if re.fullmatch(r"BEAM\d{4}", k) and _reach(path, file, f"{k}/rxwaveform"))
+    with open_hdf5(path) as file:
+        groups = sorted(k for k in file if re.fullmatch(r"BEAM\d{4}", k) and reach(path, file, f"{k}/rxwaveform"))
         kind = "GEDI L1B" if groups else "LVIS L1B"
         names, last, beams = _gedi(path, file, groups) if groups else _lvis(path, file)
         total, size = sum(b.shots for b in beams), path.stat().st_size
         if total > max(SHOTS, size / FEWEST_BYTES):
-            raise _overstated(path, f"{total} shots", "shots of some bytes each")
+            raise overstated(path, f"{total} shots", "shots of some bytes each")
         every = [_Shots(path, file[b.group], names, 0, b.shots) for b in beams]
         first, end = (np.concatenate([shots.place(which) for shots in every]) for which in ("first", "end"))
         samples = np.concatenate([shots.column("rx count", last + 1.0) for shots in every]) - 1.0
@@ -279,7 +266,7 @@ def _lvis(path: Path, file: Any) -> tuple[dict[str, str], int, tuple[Beam, ...]]
         "rx": "rxwave",
     }
     names = _named(path, there, wanted, {"tx": "txwave", "time": "time"}, "LVIS L1B")
-    shape = _data(path, file, names["rx"], 2).shape
+    shape = array_in(path, file, names["rx"], 2).shape
     if shape[1] != last + 1:
         raise InputError(
             "the last sample's place is not that of the waveforms' last sample",
@@ -289,7 +276,7 @@ def _lvis(path: Path, file: Any) -> tuple[dict[str, str], int, tuple[Beam, ...]]
             do="the file is damaged, or of an unknown version",
         )
     if "tx" in names:
-        _data(path, file, names["tx"], 2)
+        array_in(path, file, names["tx"], 2)
     _same_length(path, file, names, shape[0])
     return names, last, (Beam("/", 0, 0, int(shape[0])),)
 
@@ -309,10 +296,10 @@ def _gedi(path: Path, file: Any, groups: list[str]) -> tuple[dict[str, str], int
     beams, at = [], 0
     names: dict[str, str] = {}
     for name in groups:
-        there = {n: n for n in (*wanted.values(), *more.values()) if _reach(path, file[name], n)}
+        there = {n: n for n in (*wanted.values(), *more.values()) if reach(path, file[name], n)}
         here = _named(path, there, wanted, more, f"GEDI L1B, {name}")
         names = here if not names else {k: v for k, v in names.items() if k in here}
-        shots = int(_data(path, file[name], here["rx start"]).shape[0])
+        shots = int(array_in(path, file[name], here["rx start"]).shape[0])
         _same_length(path, file[name], here, shots)
         beams.append(Beam(name, int(name[4:], 2) if set(name[4:]) <= {"0", "1"} else int(name[4:]), at, shots))
         at += shots
@@ -338,96 +325,8 @@ def _named(
 
 def _same_length(path: Path, group: Any, names: Mapping[str, str], shots: int) -> None:
     for key, name in names.items():
-        data = _data(path, group, name)
+        data = array_in(path, group, name)
         if data.shape[0] != shots and not (key in ("rx", "tx") and len(data.shape) == 1):
             raise InputError(
                 "data sets are not equally long", where=f"{path}: {name}", expected=f"{shots} shots", got=data.shape[0]
             )
-
-
-def _data(path: Path, group: Any, name: str, dimensions: int = 0) -> Any:
-    """A data set of numbers in this very file, not larger than it can be."""
-    data = _reach(path, group, name)
-    layout: Any = data.id.get_create_plist() if hasattr(data, "chunks") else None
-    virtual = layout is not None and layout.get_layout() == VIRTUAL  # whose shape is asked of other files
-    shape = None if layout is None or virtual else data.shape
-    sound = shape is not None and data.dtype.kind in "iuf" and len(shape) in ((dimensions,) if dimensions else (1, 2))
-    if not sound or data.external:
-        raise InputError(
-            "this is no array of numbers",
-            where=f"{path}: {name}",
-            expected=f"numbers in {dimensions or 'one or two'} dimensions, in the file itself",
-            got="a data set of other files" if virtual else f"{getattr(data, 'dtype', type(data).__name__)} {shape}",
-        )
-    if data.nbytes > TIMES * path.stat().st_size:
-        raise _overstated(f"{path}: {name}", data.nbytes, f"at most {TIMES * path.stat().st_size} bytes")
-    filters = [layout.get_filter(k)[0] for k in range(layout.get_nfilters())]
-    packings = [f for f in filters if f not in (SHUFFLE, FLETCHER32)]
-    if len(packings) > 1 or not set(packings) <= set(PACKINGS):
-        raise InputError(
-            "a data set is packed in another way",
-            where=f"{path}: {name}",
-            expected=f"once, by one of {', '.join(PACKINGS.values())}",
-            got=", ".join(PACKINGS.get(f, f"filter {f}") for f in packings),
-            do="repack it, for example with h5repack -f GZIP=4",
-        )
-    if data.chunks and math.prod(data.chunks) * data.dtype.itemsize > CHUNK:
-        raise InputError(
-            "the chunks of a data set are too large",
-            where=f"{path}: {name}",
-            expected=f"at most {CHUNK} bytes",
-            got=math.prod(data.chunks) * data.dtype.itemsize,
-            do="repack it, for example with h5repack",
-        )
-    return data
-
-
-def _overstated(where: object, got: object, expected: str) -> InputError:
-    return InputError(
-        "a data set counts more than the file can hold",
-        where=where,
-        expected=expected,
-        got=got,
-        do="the file is damaged or cut short; download it again",
-    )
-
-
-def _reach(path: Path, group: Any, name: str) -> Any:
-    """What `name` is below `group`, None for nothing; `InputError` where a link on the way leads elsewhere, maybe to
-    another file, which HDF5 would open whatever it is."""
-    import h5py
-
-    for part in name.split("/"):
-        link = group.get(part, getlink=True) if isinstance(group, h5py.Group) else None
-        if link is None:
-            return None
-        if not isinstance(link, h5py.HardLink):
-            raise InputError(
-                "a link leads elsewhere",
-                where=f"{path}: {name}",
-                expected="data in the file itself",
-                got=f"{type(link).__name__} {getattr(link, 'filename', '')} {link.path}",
-                do="repack it, for example with h5repack, or copy what it leads to",
-            )
-        group = group[part]
-    return group
-
-
-@contextmanager
-def _file(path: Path) -> Iterator[Any]:
-    try:
-        import h5py
-    except ImportError:
-        raise InputError(
-            "HDF5 cannot be read: the package h5py is not installed", where=path, do="pip install 'fwclass[hdf5]'"
-        ) from None
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            yield file
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as fault:
-        raise InputError(
-            "the HDF5 file cannot be read",
-            where=path,
-            got=(str(fault).splitlines() or [type(fault).__name__])[0][:200],
-            do="it is cut short or damaged; download it again",
-        ) from None

@@ -13,7 +13,7 @@ from commandline import fwclass
 from pyproj import Transformer
 
 from fwclass.errors import InputError
-from fwclass.read import footprints
+from fwclass.read import footprints, hdf5_arrays
 from fwclass.read.info import info
 
 h5py = pytest.importorskip("h5py")
@@ -194,9 +194,22 @@ def packed_twice(f):
     f["RXWAVE"].id.write_direct_chunk((0, 0), zlib.compress(once, 9), 0)
 
 
+def swelling(f):
+    """A chunk of 8 bytes a shot that unpacks to a gigabyte, of 1 MB."""
+    made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    made.set_chunk((300,))
+    made.set_filter(h5py.h5z.FILTER_DEFLATE, 0, (9,))
+    del f["TIME"]
+    h5py.h5d.create(f.id, b"TIME", h5py.h5t.IEEE_F64LE, h5py.h5s.create_simple((300,)), made)
+    packing = zlib.compressobj(9)
+    f["TIME"].id.write_direct_chunk(
+        (0,), b"".join(packing.compress(bytes(1 << 20)) for _ in range(1024)) + packing.flush()
+    )
+
+
 def chunk_of_all(f):
     """A chunk that is unpacked for every block of shots."""
-    size = footprints.CHUNK + 1
+    size = hdf5_arrays.CHUNK + 1
     del f["TIME"]
     f.create_dataset("TIME", (300,), "i1", chunks=(size,), maxshape=(None,), compression="gzip")
 
@@ -215,6 +228,7 @@ def other_order(f):
         (gedi, put("BEAM0000/geolocation", h5py.SoftLink("/BEAM0000/geolocation")), "a link leads elsewhere"),
         (lvis, of_other_files, "a data set of other files"),
         (lvis, packed_twice, "packed in another way"),
+        (lvis, swelling, "counts more than the file can hold"),
         (lvis, chunk_of_all, "chunks of a data set are too large"),
         (gedi, other_order, "another order than the shots"),
     ],
