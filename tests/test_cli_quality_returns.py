@@ -64,11 +64,11 @@ def test_tiles_and_chunks_change_no_byte(place: Path) -> None:
 
 
 def test_waveforms_on_request_and_where_the_run_has_them(place: Path) -> None:
-    facts, told = run(place, "run", "quality.echoes=waveforms")
+    facts, told = run(place, "run", "survey.echoes=waveforms")
     assert "judged_by" not in facts and "left aside" not in told and "pulse" in stages(place, "run")
     again, told = run(place, "run")
     assert again == facts and "computed" not in told.split("report")[0]
-    asked, _ = run(place, "run", "quality.echoes=returns")
+    asked, _ = run(place, "run", "survey.echoes=returns")
     assert asked["judged_by"] == "returns"
 
 
@@ -77,14 +77,14 @@ def test_pulses_without_returns_are_decomposed(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text("survey: {name: waves, sources: ['a*.pls'], crs: EPSG:32633}\n")
     facts, _ = run(tmp_path, "run")
     assert "judged_by" not in facts and "pulse" in stages(tmp_path, "run")
-    ended = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "no", *WORDS, "--set", "quality.echoes=returns")
-    assert ended.returncode == 2 and "no returns to judge by" in ended.stderr and "a0.pls" in ended.stderr
+    ended = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "no", *WORDS, "--set", "survey.echoes=returns")
+    assert ended.returncode == 2 and "no returns" in ended.stderr and "a0.pls" in ended.stderr
 
 
 def test_the_plan_and_the_graph_follow(place: Path) -> None:
     named = {}
     for echoes in ("auto", "waveforms"):
-        words = ("plan", place / "s.yaml", "--workflow", "quality", "--json", "--set", f"quality.echoes={echoes}")
+        words = ("plan", place / "s.yaml", "--workflow", "quality", "--json", "--set", f"survey.echoes={echoes}")
         graph = fwclass(*words, "--graph")
         planned = fwclass(*words, "--out", place / echoes)
         assert graph.returncode == planned.returncode == 0, graph.stderr + planned.stderr

@@ -91,8 +91,9 @@ class SurveySection(Section):
 
     `directory` is relative to the survey's file; null: beside it, or, of a `simulated` survey, in the run directory,
     into which it is simulated; ``data:NAME`` lies below the directory that the environment variable FWCLASS_DATA names,
-    and `origin` says where its files can be had. `echoes` of files with waveforms are found in these, or the files' own
-    ``returns``, their waveforms left aside. `crs`, if given, is used for
+    and `origin` says where its files can be had. `echoes` of files with waveforms are found in these (``waveforms``),
+    or the files' own ``returns``, their waveforms left aside; ``auto``: returns for a workflow that they are enough
+    for, where every file has some and the run does not hold echoes of waveforms. `crs`, if given, is used for
     all files, whatever they name; `none` goes without. `features`: what the classifier decides by, a list of columns or
     the name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
     `base_model`: of one that keeps rows that it has learned from; they are learned from beside the survey's labels, by
@@ -103,7 +104,7 @@ class SurveySection(Section):
     directory: str | None
     origin: str | None
     simulated: bool
-    echoes: Literal["waveforms", "returns"]
+    echoes: Literal["auto", "waveforms", "returns"]
     sources: tuple[str, ...] = Field(min_length=1)
     crs: str | None
     reference: ReferenceSection

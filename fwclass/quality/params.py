@@ -52,9 +52,6 @@ class QualityParams(Params):
 
     Attributes
     ----------
-    echoes : what a run of quality alone is judged by: the sources' returns, their waveforms left aside (returns), the
-        echoes found in waveforms (waveforms), or returns where every file has some and the run does not hold echoes of
-        waveforms (auto).
     cell : edge of the cells that echoes and pulses are counted in [m]; a whole number of them is a block.
     void_spacings : a void counts from the square of so many mean pulse spacings on.
     strips : what a strip is: each source file (files), each uninterrupted span of GPS time whatever the files (times),
@@ -71,7 +68,6 @@ class QualityParams(Params):
     max_rmse_z : root mean square difference from the check points, at most [m].
     """
 
-    echoes: Literal["auto", "returns", "waveforms"]
     cell: float = Field(ge=0.1, le=256)
     void_spacings: float = Field(ge=1, le=1000)
     strips: Literal["auto", "files", "times"]

@@ -89,7 +89,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     area = shape_file("quality.area", config.quality.area, config, directory, digests, crs, box)
     corrections = reference_corrections(config, directory, digests, runner.store.where)
     digests.save()
-    waves, both = config.survey.echoes == "waveforms", zip(places, opened, strict=True)
+    waves, both = config.survey.echoes != "returns", zip(places, opened, strict=True)
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}
     more_files = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more_files)

@@ -16,7 +16,7 @@ from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, label_
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import check_left
 from fwclass.graph.label import READ_POLYGONS
-from fwclass.graph.left_aside import LEFT_ASIDE, left_aside
+from fwclass.graph.left_aside import LEFT_ASIDE, takes_returns
 from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE, check_class_codes
 from fwclass.graph.quantities import check_learned, joint_quantities, mixed_note
@@ -173,10 +173,10 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     indexed = require_all(runner, INDEX.tasks(plan))
     survey = replace(survey, strips=tuple(s for s in survey.strips if index_name(s) in indexed))
     plan = replace(plan, files=survey, indexed=indexed)
-    plan = replace(plan, returns=plan.returns and left_aside(plan, runner.store))
+    plan = replace(plan, returns=plan.returns and takes_returns(plan, runner.store))
     plan = replace(plan, providers=providers(plan, stages))
     if plan.returns:
-        runner.display.say(f"note: {LEFT_ASIDE} ({'quality' if plan.judges else 'survey'}.echoes: waveforms has them)")
+        runner.display.say(f"note: {LEFT_ASIDE} (survey.echoes: waveforms has them)")
     splits = runner.do(_of_strips(plan) + SPLIT_REFERENCE.tasks(plan))
     _check_widths(config, plan.names, splits, runner.store)
     plan = replace(plan, splits=splits)

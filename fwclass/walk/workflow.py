@@ -28,7 +28,7 @@ class Workflow:
 
     Without a `walk` of its own it goes from files to tiles, makes all stages and writes the report. `settle` gives the
     configuration that it runs by; with it classes, labels and training areas need not be in the survey's file.
-    `by_returns`: whether the sources' returns are enough for it, where there are some; their waveforms are left aside.
+    `by_returns`: the sources' returns are enough for it, where `survey.echoes` is ``auto``.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Workflow:
     stages: tuple[Stage, ...]
     walk: Walk | None = None
     settle: Callable[[Config], Config] | None = None
-    by_returns: Callable[[Config], bool] | None = None
+    by_returns: bool = False
 
     @property
     def classifies(self) -> bool:
@@ -55,9 +55,10 @@ class Workflow:
         config = config if self.settle is None else self.settle(config)
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
-        judges = self.by_returns is not None
-        returns = config.survey.echoes == "returns" or (self.by_returns is not None and self.by_returns(config))
-        plan = replace(plan_with_features(config, self.stages), declares=columns, returns=returns, judges=judges)
+        returns = config.survey.echoes == "returns" or (self.by_returns and config.survey.echoes == "auto")
+        plan = replace(
+            plan_with_features(config, self.stages), declares=columns, returns=returns, judges=self.by_returns
+        )
         ours = {id(stage) for stage in STAGES}
         more = check_reads(plan, [stage for stage in self.stages if id(stage) not in ours])
         plan = replace(plan, computed=tuple(dict.fromkeys((*plan.computed, *more))))

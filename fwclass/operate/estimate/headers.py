@@ -171,7 +171,7 @@ def facts_of(source: Source) -> SourceFacts:
     return SourceFacts(source.path, source.n_points, pulses, waves, size, box, point_format=source.point_format)
 
 
-def left_aside(plan: Plan, facts: SurveyFacts) -> tuple[Plan, SurveyFacts]:
+def with_returns(plan: Plan, facts: SurveyFacts) -> tuple[Plan, SurveyFacts]:
     """`plan` and `facts` as they are where the waveforms of files that all have returns too are left aside."""
     if not plan.returns or any(s.waves and not s.points for s in facts.sources):
         return replace(plan, returns=False), facts

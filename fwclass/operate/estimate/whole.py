@@ -13,7 +13,7 @@ from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
 from fwclass.operate.estimate.density import costs_at_density, too_dense
 from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimate_run, propose_size
-from fwclass.operate.estimate.headers import SurveyFacts, left_aside
+from fwclass.operate.estimate.headers import SurveyFacts, with_returns
 from fwclass.operate.estimate.limits import Limit, Room, allowed_mib, limits
 from fwclass.operate.estimate.measured import MeasuredCosts, measure_costs, measured_base
 from fwclass.operate.estimate.spread import Spread, spread_of
@@ -61,7 +61,7 @@ def make_plan(
     """The plan of `stages`, which are planned by `begun` (`Workflow.begin`), by the costs of section `plan`, or, as far
     as it goes, by receipts of a dry run, `trial`."""
     config, told = begun.config, facts
-    begun, facts = left_aside(begun, facts)
+    begun, facts = with_returns(begun, facts)
     size, counts = config.tile.size, Counts.of(config, facts)
     observed = measure_costs(trial, config.plan.stages, amounts(begun, facts, size, stages)) if trial else None
     costs = observed.costs if observed else costs_at_density(begun, facts)
