@@ -23,6 +23,7 @@ CONFIGURATIONS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
 
 CACHE = "NUMBA_CACHE_DIR"
 THREADS = "NUMBA_NUM_THREADS"
+SUMS = "OPENBLAS_NUM_THREADS"
 CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF"}
 """For this process's own children: nothing is imported from where they start, no grid of a datum is fetched."""
 
@@ -43,6 +44,7 @@ def isolate() -> None:
         _set(name, value)
     if not os.environ.get(THREADS, "1").isdecimal() or int(os.environ.get(THREADS, "1")) == 0:
         _set(THREADS, "1")  # what numba ends with a traceback for; no kernel has threads of its own
+    _set(SUMS, "1")  # as dask starts workers: last digits of long sums of numpy's depend on it
     if not sys.warnoptions:  # of libraries, with paths of the installation; what is wrong is told in words
         warnings.simplefilter("ignore")
         _set("PYTHONWARNINGS", "ignore")

@@ -61,3 +61,21 @@ def test_numba_s_own_settings_do_not_end_a_command(tmp_path: Path) -> None:
         env=os.environ | {"NUMBA_NUM_THREADS": "0", "PYTHONPATH": str(Path(__file__).parents[1])},
     )
     assert told.returncode == 0, told.stderr
+
+
+def test_sums_do_not_depend_on_the_threads_that_the_environment_asks_for() -> None:
+    """Workers have one thread for linear algebra; what runs without workers must have as many."""
+    code = (
+        "import fwclass.__main__, numpy as n; v = n.random.default_rng(0).normal(size=(2, 100_000)); print(v[0] @ v[1])"
+    )
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"OPENBLAS_NUM_THREADS": threads, "PYTHONPATH": str(Path(__file__).parents[1])},
+        ).stdout
+        for threads in ("1", "2", "4")
+    }
+    assert len(told) == 1, told
