@@ -5,19 +5,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from unittest import mock
 
 import lasmaker
 from cases import SURVEY, Case, patch
+from commandline import fwclass
 from mutate import FORGED, Field, Files
 from seeds import Seed
 
+from fwclass.store import arrays
 from fwclass.store.atomic import bytes_digest
 from fwclass.store.receipts import Receipt
 from fwclass.store.seal import seal, unseal
@@ -30,10 +31,6 @@ FOOT = 300
 """Bytes at the end of a Parquet file in which its counts, sizes and places stand."""
 
 
-GROUPED = "import fwclass.store.arrays as a; a.SMALL = 0; from fwclass.cli import main; main()"
-"""The program, with arrays of any size in Zarr."""
-
-
 @cache
 def _ran(kind: str) -> Files:
     """The small survey, run into `r`; links of the run directory are left out. ``waved``: of waveforms, and
@@ -42,9 +39,9 @@ def _ran(kind: str) -> Files:
         folder = Path(name)
         (folder / "c.yaml").write_text(SURVEY.replace("size: 20.0", "size: 5.0"))
         patch(folder) if kind == "run" else lasmaker.survey(folder / "a.las", pulses=60, n_samples=40, where="internal")
-        program = ["-m", "fwclass"] if kind != "grouped" else ["-c", GROUPED]
-        words = [sys.executable, *program, "run", "c.yaml", "--out", "r", "--workers", "0"]
-        ended = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+        small = 0 if kind == "grouped" else arrays.SMALL
+        with mock.patch.object(arrays, "SMALL", small):  # in this process: what it loads, no input need load again
+            ended = fwclass("run", "c.yaml", "--out", "r", "--workers", "0", cwd=folder)
         assert ended.returncode == 0, ended.stderr
         request = folder / "r" / "store" / "run.json"
         asked = unseal(json.loads(request.read_text()))

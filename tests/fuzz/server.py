@@ -3,7 +3,8 @@ words, as a user would. What is loaded and compiled is so once.
 
 Reads lines ``COMMAND CASE RECIPE`` or ``COMMAND * NUMBER`` (a drawn one) and answers with a line of JSON each. An input
 may take `CPU_FIXED` s + `CPU_EACH` s a byte of the processor (`CPU_EACH_OF_RUNS` of a run) and grow by the `memory` of
-its command + `MEMORY_EACH` bytes a byte beyond what that takes for the sound files.
+its command + `MEMORY_EACH` bytes a byte beyond what that takes for the sound files, which are tried only where an input
+does more than is allowed without them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import sys
 import tempfile
 import time
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[k]) for k in (0, 1, 2)]
@@ -92,14 +93,23 @@ class Server:
 
         case = case_of(command, name)
         known = name.partition("~")[0]
-        for sound in cases_of(command) if "~" in name else (known,):  # what lies there may be sound for another case
-            if (command, sound) not in self._own:
-                self._own[command, sound] = 0
-                answer = self._forked(command, sound, case_of(command, sound).seed.files)
-                self._own[command, sound] = int(answer["grown"])
         files = case.sealed(applied(case.seed.files, recipe))
-        own = max(n for (c, case), n in self._own.items() if c == command and (case == known or "~" in name))
-        return {"seed": name, "recipe": recipe, **self._forked(command, known, files, own)}
+        sound = cases_of(command) if "~" in name else (known,)  # what lies there may be sound for another case
+        own = self._taken(command, sound) if self._covers else 0  # lines that sound files reach are not new
+        answer = self._forked(command, known, files, own)
+        if answer["told"] and not self._covers and (own := self._taken(command, sound)):
+            answer = self._forked(command, known, files, own)
+        return {"seed": name, "recipe": recipe, **answer}
+
+    def _taken(self, command: str, names: Iterable[str]) -> int:
+        """The most memory [bytes] that the sound files of the named cases take."""
+        from commands import case_of
+
+        for name in names:
+            if (command, name) not in self._own:
+                answer = self._forked(command, name, case_of(command, name).seed.files)
+                self._own[command, name] = int(answer["grown"])
+        return max(self._own[command, name] for name in names)
 
     def _forked(self, command: str, name: str, files: dict[str, bytes], own: int = 0) -> dict[str, object]:
         """How the command ended with these files, in a process of its own; `own`: what it takes for sound ones."""
