@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from hypothesis import settings
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as in the command, and before numpy is there: more wait busily
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import order  # noqa: E402 - found by the path above
 import tiers  # noqa: E402
+from defaults import BASE  # noqa: E402
 
 from fwclass.isolation import kernel_cache  # noqa: E402
 
@@ -71,4 +74,4 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def base() -> dict[str, Any]:
     """`conf/base.yaml` as it stands."""
-    return yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())
+    return BASE

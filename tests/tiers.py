@@ -44,7 +44,11 @@ ABOVE_ROOMS = (
 DRAWING = ("fwclass.publish.waveform_pictures", "fwclass.publish.figures")
 """What draws with matplotlib, at up to a second a picture."""
 
-ELSEWHERE = ("bench", "bounds", "faults", "frozen", "run", "security", "store", "uncompiled", "*fuzz*", "test_cli*")
+ELSEWHERE = (
+    *("bench", "bounds", "faults", "frozen", "run", "security", "store", "uncompiled", "*fuzz*", "test_cli*"),
+    *("test_*_sklearn.py", "test_train_others.py", "test_train_search.py"),  # loading scikit-learn takes two seconds
+    *("test_docs_messages.py", "test_imports.py"),  # they parse the whole program
+)
 """Folders and files of other tiers: with ``--unit`` they are not even read."""
 
 REAL_DATA = "shared_data"
@@ -116,10 +120,12 @@ def _held(cell: Any) -> Any:
         return None
 
 
+@functools.cache
 def _is_ours(file: str | None) -> bool:
     return file is not None and TESTS in Path(file).parents
 
 
+@functools.cache
 def _names(code: CodeType) -> set[str]:
     inner = (_names(one) for one in code.co_consts if isinstance(one, CodeType))
     return set(code.co_names).union(*inner)
@@ -127,7 +133,11 @@ def _names(code: CodeType) -> set[str]:
 
 def _is_further(used: Any) -> bool:
     own = "__name__" if inspect.ismodule(used) else "__module__"
-    module = used if isinstance(used, str) else getattr(used, own, "")
+    return _is_further_name(str(used if isinstance(used, str) else getattr(used, own, "")))
+
+
+@functools.cache
+def _is_further_name(module: str) -> bool:
     return any(f"{module}.".startswith(f"{one}.") for one in (*STARTING, *ABOVE_ROOMS, *DRAWING))
 
 

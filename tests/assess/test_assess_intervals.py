@@ -44,6 +44,7 @@ def test_width_is_that_of_independent_blocks():
     assert low < each.mean() < high
 
 
+@pytest.mark.statistics
 def test_covers_the_truth_as_often_as_it_says():
     """95 of 100 surveys of 40 blocks: the percentile interval of 40 falls short by a point or two."""
     r = np.random.default_rng(3)

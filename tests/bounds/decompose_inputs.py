@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import yaml
+from defaults import BASE
 
 from fwclass.decompose import fitting
 from fwclass.decompose.deconvolution import backscatter_samples
@@ -24,7 +23,6 @@ from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, Waveforms
 
-BASE = yaml.safe_load((Path(__file__).parents[2] / "conf" / "base.yaml").read_text())
 PARAMS = DecomposeParams(**BASE["decompose"])
 MANY = {"max_echoes": 64, "detection": 0.5, "split_gain": 0.1, "widest": 20.0, "tail_share": 0.0}
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 8, 12, 40, 64, 98)

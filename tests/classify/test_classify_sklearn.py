@@ -1,18 +1,15 @@
 """The forest and scikit-learn's must be equally good on the same rows."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE as DEFAULTS
 
 from fwclass.classify.stage import votes
 from fwclass.model import FORMAT, assemble
 from fwclass.train.stage import TrainParams, grow_tree
 
 ensemble = pytest.importorskip("sklearn.ensemble")
-ROOT = Path(__file__).resolve().parents[2]
-BASE = TrainParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["train"])
+BASE = TrainParams(**DEFAULTS["train"])
 
 
 def problem(n, seed):

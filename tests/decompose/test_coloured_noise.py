@@ -118,6 +118,7 @@ def at_most(share, n, limit):
     return share <= limit + 3.0 * np.sqrt(limit / n)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("n", [8000, pytest.param(60_000, marks=pytest.mark.slow)])
 def test_errors_reach_the_bound_of_correlated_noise_and_are_stated(params, correlated, n):
     waves, truth, clear = singles(n, phi=PHI)
@@ -131,6 +132,7 @@ def test_errors_reach_the_bound_of_correlated_noise_and_are_stated(params, corre
     assert (np.abs(standard - 1.0) <= 0.05 + 3 * sd).all(), (standard, sd)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("n", [50_000, pytest.param(400_000, marks=pytest.mark.slow)])
 def test_correlated_noise_makes_no_echoes(params, correlated, n):
     waves, _ = wm.noise_only(n, seed=19, phi=PHI)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE as DEFAULTS
 from scipy.stats import f as fisher
 from wavemaker import FWHM, Pulse, mix, noise_only, ringing, rows_of, simulate, skewed, survey_mix, waves_of
 
@@ -19,7 +18,7 @@ from fwclass.decompose.pulse_template import gaussian_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.errors import InputError
 
-BASE = yaml.safe_load((Path(__file__).parents[2] / "conf" / "base.yaml").read_text(encoding="utf-8"))["pulse"]
+BASE = DEFAULTS["pulse"]
 
 
 def params_of(**changes) -> PulseParams:

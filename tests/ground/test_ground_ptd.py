@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE
 from scipy.spatial import cKDTree
 
 from fwclass.grid import Window
@@ -21,7 +21,7 @@ from fwclass.ground.tin.tin import tin_of, tin_raster
 ROOT = Path(__file__).resolve().parents[2]
 ISPRS = ROOT / ".." / "shared" / "data" / "isprs"
 URBAN = ROOT / ".." / "shared" / "data" / "ign_hd"
-PARAMS = GroundParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text(encoding="utf-8"))["ground"])
+PARAMS = GroundParams(**BASE["ground"])
 METHODS = ("ptd", "iptd")
 EAST, NORTH = 512_000.0, 5_403_000.0
 

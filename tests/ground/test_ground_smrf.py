@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE
 
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import ground_points
@@ -17,7 +17,7 @@ from fwclass.ground.raster.lattice import lowest_points, window_over
 
 ROOT = Path(__file__).resolve().parents[2]
 ISPRS = ROOT / ".." / "shared" / "data" / "isprs"
-GROUND = GroundParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["ground"])
+GROUND = GroundParams(**BASE["ground"])
 PARAMS = GROUND.smrf.sized(GROUND.max_building_size)
 PINGEL = PARAMS.model_copy(
     update={

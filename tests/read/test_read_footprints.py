@@ -182,7 +182,7 @@ def of_other_files(f):
 
 
 def packed_twice(f):
-    """A chunk of a gigabyte, of 2 kB."""
+    """A chunk of 16 MB, of 150 bytes."""
     made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     made.set_chunk((300, 400))
     for _ in range(2):
@@ -190,7 +190,7 @@ def packed_twice(f):
     del f["RXWAVE"]
     h5py.h5d.create(f.id, b"RXWAVE", h5py.h5t.STD_U16LE, h5py.h5s.create_simple((300, 400)), made)
     packing = zlib.compressobj(9)
-    once = b"".join(packing.compress(bytes(1 << 20)) for _ in range(1024)) + packing.flush()
+    once = b"".join(packing.compress(bytes(1 << 20)) for _ in range(16)) + packing.flush()
     f["RXWAVE"].id.write_direct_chunk((0, 0), zlib.compress(once, 9), 0)
 
 

@@ -1,10 +1,9 @@
 """The parts that weigh features join to what the whole forest gives, and the model's card holds it."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import yaml
+from defaults import BASE as DEFAULTS
 
 from fwclass.graph import learn
 from fwclass.graph.stage import StageInputs
@@ -16,7 +15,7 @@ from fwclass.train.importance import importance
 from fwclass.train.sample import Sample
 from fwclass.train.stage import TrainParams, grow_trees
 
-BASE = yaml.safe_load((Path(__file__).resolve().parents[2] / "conf" / "base.yaml").read_text())["train"]
+BASE = DEFAULTS["train"]
 CLASSES = (ClassDef("ground", 2, (2,)), ClassDef("tree", 5, (5,)))
 NAMES = ("zc", "width", "amplitude")
 

@@ -8,7 +8,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE
 from scipy.spatial import cKDTree
 from tolerances import FLOAT64_UNIT
 
@@ -17,11 +17,9 @@ from fwclass.simulate.flight import fire
 from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip
 from fwclass.simulate.trace import FOOTPRINT, MAX_CANDIDATES, _through, gather, to_ground
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 def settings(**changes: Any) -> SimulateParams:
-    base = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text(encoding="utf-8"))["simulate"]
+    base = BASE["simulate"]
     return SimulateParams(**{**base, "size": 110.0, "strips": 3, "seed": 4, **changes})
 
 

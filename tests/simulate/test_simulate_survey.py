@@ -10,6 +10,7 @@ import laspy
 import numpy as np
 import pytest
 import yaml
+from defaults import BASE
 from pydantic import ValidationError
 from tolerances import FLOAT32_RTOL, FLOAT64_UNIT
 
@@ -20,13 +21,12 @@ from fwclass.simulate.scene import WATER, in_gap, terrain
 from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip, write_trajectory
 from fwclass.units import METRES_PER_NS
 
-ROOT = Path(__file__).resolve().parents[2]
 BLOCK = {4: 28, 9: 30}
 PACKET = np.dtype([("index", "u1"), ("offset", "<u8"), ("size", "<u4"), ("location", "<f4"), ("v", "<f4", 3)])
 
 
 def settings(**changes: Any) -> SimulateParams:
-    base = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text(encoding="utf-8"))["simulate"]
+    base = BASE["simulate"]
     return SimulateParams(**{**base, "size": 110.0, "strips": 3, "seed": 4, "chunk": 4096, **changes})
 
 

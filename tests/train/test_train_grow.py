@@ -1,19 +1,17 @@
 """A tree against the paper's rule in plain Python, and against the laws of its structure."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE as DEFAULTS
 
 from fwclass.hashing import GOLDEN, hash_keys, mix, seed_for
 from fwclass.model import LEAF
 from fwclass.train.gain import entropy_table
 from fwclass.train.stage import TrainParams, grow_tree
 
-ROOT = Path(__file__).resolve().parents[2]
-BASE = TrainParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["train"])
+BASE = TrainParams(**DEFAULTS["train"])
 MASK = (1 << 64) - 1
 
 

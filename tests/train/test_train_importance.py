@@ -1,10 +1,8 @@
 """Permutation importance: the definition in plain Python, what it must see, and that parts do not change it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE as DEFAULTS
 
 from fwclass.errors import ConfigError
 from fwclass.model import LEAF, ClassDef
@@ -14,8 +12,7 @@ from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_trees, out_of_bag
 
-ROOT = Path(__file__).resolve().parents[2]
-BASE = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["train"]
+BASE = DEFAULTS["train"]
 CLASSES = tuple(ClassDef(n, c, (c,)) for n, c in zip("xyz", (2, 5, 6), strict=True))
 
 

@@ -1,11 +1,10 @@
 """Classifiers trained by scikit-learn, kept as arrays, must give scikit-learn's own answers."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE
 from tolerances import FLOAT32_UNIT, FLOAT64_UNIT
 
 from fwclass.classify.boosted import probabilities, raw_scores
@@ -25,8 +24,6 @@ ensemble = pytest.importorskip("sklearn.ensemble")
 svm = pytest.importorskip("sklearn.svm")
 threadpoolctl = pytest.importorskip("threadpoolctl")
 
-ROOT = Path(__file__).resolve().parents[2]
-BASE = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())
 NAMES = ("zc", "width", "amplitude", "echo_ratio_r100", "energy")
 
 

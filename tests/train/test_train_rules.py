@@ -1,10 +1,8 @@
 """Split rules, criteria, bags and weights: against plain Python, against each other, and by their laws."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE as DEFAULTS
 from pydantic import ValidationError
 
 from fwclass.errors import ConfigError
@@ -17,8 +15,7 @@ from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_tree, grow_trees
 from fwclass.train.weights import whole_weights
 
-ROOT = Path(__file__).resolve().parents[2]
-BASE = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["train"]
+BASE = DEFAULTS["train"]
 RULES = ("equal-width", "exact", "histogram")
 
 

@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE as DEFAULTS
 
 from fwclass.classes import SEVERAL, counterparts, one_to_one
 from fwclass.classify.stage import votes
@@ -16,8 +15,7 @@ from fwclass.schema import Table, canonical_key
 from fwclass.train.sample import Sample, review
 from fwclass.train.stage import TrainParams, candidates, card, grow_trees, merge, out_of_bag, train
 
-ROOT = Path(__file__).resolve().parents[2]
-BASE = TrainParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["train"])
+BASE = TrainParams(**DEFAULTS["train"])
 CLASSES = (ClassDef("ground", 2, (2, 9)), ClassDef("vegetation", 5, (3, 4, 5)), ClassDef("building", 6, (6,)))
 FEATURES = ("zc", "echo_ratio_r100", "amplitude", "number_of_echoes")
 

@@ -2,11 +2,10 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from defaults import BASE
 
 from fwclass.classify.shares import answer
 from fwclass.graph.machine_search import folds_of_squares, make_folds
@@ -19,7 +18,6 @@ from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 
 pytest.importorskip("sklearn")
-BASE = yaml.safe_load((Path(__file__).resolve().parents[2] / "conf" / "base.yaml").read_text())
 CLASSES = tuple(ClassDef(n, k + 2, (k + 2,)) for k, n in enumerate("abc"))
 PARAMS = TrainParams(**BASE["train"] | {"method": "rbf-svm"})
 
