@@ -107,7 +107,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
                 values,
                 channel_of,
                 _kind(noise, channel.growth if channel else 0.0),
-                _settings(params, own, step, look),
+                _settings(params, pulse, channel, step, look),
                 most,
                 int(lengths[some].max()),
                 look,
@@ -126,10 +126,10 @@ def _alike(
     channels: list[Channel],
     pulse: SystemPulse,
 ) -> Iterator[tuple[NDArray[np.int64], float, Channel | None, int]]:
-    """Rows that are fitted in one way, their sample spacing, their channel where its pulse is its own or its noise not
-    plain and white, and from how many samples it is foretold: as many as the waveform can spare at its start. Rows
-    whose spacing does not fit their pulse are left out."""
-    special = np.array([bool(c.phi) or c.growth > 0.0 or c.pulse is not None for c in channels] + [False])
+    """Rows that are fitted in one way, their sample spacing, their channel where it is special, and from how many
+    samples it is foretold: as many as the waveform can spare at its start. Rows whose spacing does not fit their pulse
+    are left out."""
+    special = np.array([c.special for c in channels] + [False])
     own = np.where(special[channel_of], channel_of, len(channels))
     most = np.array([len(c.phi) for c in channels] + [0])[own]
     order = np.clip((lengths - FEWEST) // SPARED, 0, most)
@@ -157,7 +157,18 @@ def _kind(noise: Autoregression, growth: float) -> Kind:
     return Kind(phi, 1.0 - float(phi.sum()), noise.innovation, spread, growth)
 
 
-def _settings(params: DecomposeParams, pulse: SystemPulse, spacing: float, look: Lookup) -> Settings:
+def further_share(channel: Channel | None, params: DecomposeParams) -> float:
+    """Share of the threshold from which a further echo of a waveform is told: of one in whose `channel` single echoes
+    leave more than noise (`misfit`), as much higher as what they leave; 1 where nothing is known of it."""
+    if channel is None or channel.misfit is None:
+        return 1.0
+    return min(params.further_detection * math.sqrt(max(channel.misfit, 1.0)), 1.0)
+
+
+def _settings(
+    params: DecomposeParams, strip: SystemPulse, channel: Channel | None, spacing: float, look: Lookup
+) -> Settings:
+    pulse = strip.of(channel)
     sigma = pulse.fwhm / (FWHM_PER_SIGMA * spacing)
     return Settings(
         detection=params.detection,
@@ -174,6 +185,7 @@ def _settings(params: DecomposeParams, pulse: SystemPulse, spacing: float, look:
         tail_reach=params.tail_reach / spacing,
         sigma=sigma,
         between=HIGHEST * 2.0 ** (spacing / pulse.fwhm) ** 2,
+        further=further_share(channel, params),
     )
 
 

@@ -47,6 +47,8 @@ class DecomposeParams(Params):
     Attributes
     ----------
     detection : least height of a peak after the matched filter, in standard deviations of the noise.
+    further_detection : share of `detection` that is asked of further echoes of a waveform, where what bright single
+        echoes leave under them is noise alone; as much more, up to all of it, as they leave more (`Channel.misfit`).
     split_gain : least drop of chi-square that pays for one more echo (three parameters).
     narrowest, widest : range of an echo's width, in pulse widths.
     separation : least distance of two echoes of a pulse [ns].
@@ -71,6 +73,7 @@ class DecomposeParams(Params):
     """
 
     detection: float = Field(gt=0.0)
+    further_detection: float = Field(ge=0.5, le=1.0)
     split_gain: float = Field(gt=0.0)
     narrowest: float = Field(ge=0.05, le=1.0)
     widest: float = Field(ge=1.0, le=100.0)

@@ -176,8 +176,9 @@ def is_peak(z, n, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def first_echoes(z, n, threshold, sigma, response, response_first, starts, most, p):  # type: ignore[no-untyped-def]
-    """Starting values of the peaks of `z` above `threshold`, at most the `most` highest; how many.
+def first_echoes(z, n, first, threshold, sigma, response, response_first, starts, most, p):  # type: ignore[no-untyped-def]
+    """Starting values of the peaks of `z` above `threshold`, at most the `most` highest, where the highest of all is
+    above `first`; how many.
 
     Of what the highest peak itself leaves around it (`response`), a receiver's ringing, no echo is made.
 
@@ -191,11 +192,13 @@ def first_echoes(z, n, threshold, sigma, response, response_first, starts, most,
     main = next_above(z, 0, n, threshold)
     if main == n:
         return 0
-    first, i = main, main + 1
+    begin, i = main, main + 1
     while i < n:
         main = i if z[i] > z[main] else main
         i = i + 1 if z[i] > threshold else next_above(z, i + 1, n, z[main])
-    i = first - 1
+    if z[main] <= first:
+        return 0
+    i = begin - 1
     while i < n - 1:
         i += 1
         if z[i] <= threshold:

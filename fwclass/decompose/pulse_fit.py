@@ -190,6 +190,7 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         filtered,
         n,
         threshold,
+        settings.further * threshold,
         settings.sigma,
         look.response,
         look.response_first,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.decompose.params import FEWEST, PulseParams
+from fwclass.decompose.fitting import further_share
+from fwclass.decompose.params import FEWEST, DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.waveforms import Waveforms
@@ -19,9 +20,11 @@ def recorded_pulse(outgoing: Waveforms, params: PulseParams) -> SystemPulse | No
     return pulse if pulse.echoes >= FEWEST else None
 
 
-def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None) -> list[dict[str, Any]]:
+def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: DecomposeParams) -> list[dict[str, Any]]:
     """Of every channel of the receiver, or of the strip where none is known: spacing [ns], saturation [DN], the width
-    of its pulse [ns], how many echoes or outgoing pulses it stands on, and how wide the outgoing pulse was recorded."""
+    of its pulse [ns], how many echoes or outgoing pulses it stands on, how wide the outgoing pulse was recorded, what
+    bright single echoes leave over the noise (`Channel.misfit`), and the share of the threshold that is therefore asked
+    of further echoes."""
     known = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
     rows = []
     for channel in pulse.channels or (None,):
@@ -34,6 +37,8 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None) -> list[dic
                 "echoes": own.echoes,
                 "outgoing": own.outgoing,
                 "recorded_fwhm": left and left.fwhm,
+                "misfit": channel and channel.misfit,
+                "further_detection": further_share(channel, params),
             }
         )
     return rows

@@ -30,6 +30,7 @@ class Settings(NamedTuple):
     tail_reach: float
     sigma: float
     between: float
+    further: float
 
 
 @inlined
@@ -156,7 +157,7 @@ def second_look(  # type: ignore[no-untyped-def]
             break
         variance, freedom = posterior(chi, used - 3.0 * count - 1.0, known)
         variance = min(variance, quiet[0])
-        threshold = surer(settings.detection, freedom) * math.sqrt(variance / look.energy)
+        threshold = settings.further * surer(settings.detection, freedom) * math.sqrt(variance / look.energy)
         _times(residual[pad:], weight[pad:], n, weighted[pad:])
         match_filter(weighted, pad, n, look.template, look.template_first, filtered)
         peak = _highest_peak(filtered, n, threshold)

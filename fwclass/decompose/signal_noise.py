@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
@@ -35,6 +36,10 @@ SURE = 3.0
 """Standard errors that the growth must reach to be believed; it is a sum over samples that also hold other faults."""
 ABSURD = 0.2
 """A shape that is off by so much is none, and what is left beside it tells nothing, as in samples without noise."""
+NEAR, BESIDE = 2.0, 0.1
+"""Samples are an echo's where it is higher than so many standard deviations of the noise, and beside it where lower."""
+HIGH = 20.0
+"""Standard deviations of the noise from which an echo tells whether its pulse is known."""
 NOTICED = 0.1
 """Share of the noise's variance that the growth must reach at the median echo's height to matter."""
 
@@ -70,23 +75,61 @@ def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposePar
     return tried
 
 
+def with_misfit(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> SystemPulse:
+    """`pulse` whose channels tell how much bright single echoes leave under them, over the noise beside them in the
+    same waveforms (`Channel.misfit`), where there are `FEWEST` such echoes. Depends on the set of waveforms only.
+
+    No allowance is made for an error of the shape or for noise that grows: what both leave looks like echoes.
+    """
+    channels = []
+    for channel in pulse.channels:
+        single = _single(waves, channel, pulse, params)
+        near, beside = single.signal > NEAR * channel.noise, single.signal < BESIDE * channel.noise
+        count, quiet = (np.bincount(single.row[m], minlength=len(single.height)) for m in (near, beside))
+        use = (single.height > HIGH * channel.noise) & (np.minimum(count, quiet) > 2 * PARAMETERS)
+        under, noise = (float((single.left[m & use[single.row]] ** 2).sum()) for m in (near, beside))
+        if use.sum() >= FEWEST and noise > 0.0:
+            misfit = (under / (count[use] - PARAMETERS).sum()) / (noise / quiet[use].sum())
+            channel = replace(channel, misfit=misfit)
+        channels.append(channel)
+    return replace(pulse, channels=tuple(channels))
+
+
+class _Single(NamedTuple):
+    """Samples of the waveforms of a channel that have one echo and reach no limit: what the fit leaves, made white,
+    the echo [DN], and the waveform of each; the echo's height in every waveform of the channel [DN], NaN in others."""
+
+    left: Floats
+    signal: Floats
+    row: NDArray[np.int64]
+    height: Floats
+
+
+def _single(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: DecomposeParams) -> _Single:
+    part = of_channel(waves, channel, MOST_SAMPLES)
+    fits = fit_waveforms(part, params, pulse)
+    lengths, rows = np.diff(part.offsets), part.pulses.rows
+    row = np.repeat(np.arange(rows), lengths)
+    one = (fits.count == 1) & (np.bincount(row, part.samples >= channel.clip, rows) == 0)
+    signal, noise = signal_of(fits, part, pulse, params), channel.autoregression
+    whole = np.arange(len(row)) - np.repeat(part.offsets[:-1], lengths) >= len(noise.phi)
+    use = np.flatnonzero(whole & one[row])
+    left = np.convolve(np.nan_to_num(part.samples - signal - fits.baseline[row]), noise.filter)[use]
+    height = np.full(rows, np.nan)
+    height[fits.row] = fits.amplitude
+    return _Single(left, signal[use], row[use], np.where(one, height, np.nan))
+
+
 def _bright(
     waves: Waveforms, channel: Channel, pulse: SystemPulse, params: DecomposeParams, pulse_gain: float
 ) -> tuple[Floats, Floats, float] | None:
     """Of every waveform of the channel with one bright echo, over the samples that it reaches: what (growth, square of
     the shape error, noise) add to the sum of the squared residuals over their variance, shape (n, 3), and what that sum
     has beyond its degrees of freedom; both over these. Also the median height [DN]."""
-    part = of_channel(waves, channel, MOST_SAMPLES)
-    fits = fit_waveforms(part, params, pulse)
-    lengths, rows = np.diff(part.offsets), part.pulses.rows
-    row = np.repeat(np.arange(rows), lengths)
-    full = np.bincount(row, part.samples >= channel.clip, rows) > 0
-    signal = signal_of(fits, part, pulse, params)
-    noise = channel.autoregression
-    whole = np.arange(len(row)) - np.repeat(part.offsets[:-1], lengths) >= len(noise.phi)
-    reached = np.flatnonzero(whole & (signal > BRIGHT * channel.noise) & ((fits.count == 1) & ~full)[row])
-    left = np.convolve(np.nan_to_num(part.samples - signal - fits.baseline[row]), noise.filter)[reached]
-    row, signal = row[reached], signal[reached]
+    single = _single(waves, channel, pulse, params)
+    noise, rows = channel.autoregression, len(single.height)
+    reached = single.signal > BRIGHT * channel.noise
+    left, row, signal = single.left[reached], single.row[reached], single.signal[reached]
     growing, shape = noise.innovation * signal, (pulse_gain * signal) ** 2
     plain = np.full(len(row), channel.noise**2 * noise.innovation)
     variance = plain + channel.growth * growing + pulse.of(channel).shape_error ** 2 * shape

@@ -306,6 +306,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=9)
+PULSE = Computation(name="pulse", version=10)
 PLACES = Computation(name="places", version=3)
-DECOMPOSE = Computation(name="decompose", version=12, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=13, writes=ECHO_COLUMNS)

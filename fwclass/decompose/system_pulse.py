@@ -38,6 +38,8 @@ class Channel:
         its samples are stored in.
     freedom : how well `noise` holds for every single waveform, as the number of samples whose own estimate would be
         as good (the prior degrees of freedom of Smyth 2004); 0 says nothing.
+    misfit : mean square of what bright single echoes leave under them over that of the noise beside them; 1 is a
+        perfect model. None: not known.
     """
 
     sample_spacing: float
@@ -50,6 +52,12 @@ class Channel:
     phi: tuple[float, ...] = ()
     growth: float = 0.0
     pulse: SystemPulse | None = None
+    misfit: float | None = None
+
+    @property
+    def special(self) -> bool:
+        """Whether its waveforms are fitted otherwise than those of plain white noise and the strip's pulse."""
+        return bool(self.phi) or self.growth > 0.0 or self.pulse is not None or self.misfit is not None
 
     @property
     def key(self) -> tuple[float, float]:
@@ -217,6 +225,7 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             phi=_coefficients(one["phi"], where),
             growth=_number(one, "growth", where, 0.0, 2.0**32),
             pulse=_own_pulse(one["pulse"], where),
+            misfit=None if one["misfit"] is None else _number(one, "misfit", where, 0.0, 1e300),
         )
         for one in stored
     )

@@ -17,7 +17,7 @@ from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pul
 from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
-from fwclass.decompose.signal_noise import with_signal_noise
+from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.width_walk import width_walk
@@ -175,7 +175,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         sample = join_samples(samples)
         recorded = recorded_pulse(join_samples(outgoing), params)
         pulse = with_correlated_noise(estimate_pulse(sample, params, recorded), sample, fit)
-        pulse = with_signal_noise(pulse, sample, fit)
+        pulse = with_misfit(with_signal_noise(pulse, sample, fit), sample, fit)
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
         noise = quiet_noise(sample, pulse, fit)
@@ -187,7 +187,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
     return {
         "pulse": describe(pulse),
         "noise": max((c.noise for c in pulse.channels), default=None),
-        "channels": channel_pulses(pulse, recorded),
+        "channels": channel_pulses(pulse, recorded, fit),
         "widths": width_walk(sample, params) if sampled else [],
         "sampled": sampled,
         **noise.facts,

@@ -191,7 +191,8 @@ _PULSE = {
             "echoes": COUNT,
             "outgoing": COUNT,
             "fwhm": NUMBER,
-            **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm"), _FIGURE),
+            "further_detection?": NUMBER,
+            **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm", "misfit?"), _FIGURE),
         }
     ],
     "widths?": [(NUMBER, NUMBER)],

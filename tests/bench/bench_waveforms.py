@@ -38,7 +38,7 @@ from fwclass.decompose.placement import AS_STORED  # noqa: E402
 from fwclass.decompose.plane_surface import planar, plane_surface  # noqa: E402
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse, join_samples  # noqa: E402
 from fwclass.decompose.quiet import with_correlated_noise  # noqa: E402
-from fwclass.decompose.signal_noise import with_signal_noise  # noqa: E402
+from fwclass.decompose.signal_noise import with_misfit, with_signal_noise  # noqa: E402
 from fwclass.decompose.stack_candidates import Surface, candidates  # noqa: E402
 from fwclass.decompose.stacking import stack  # noqa: E402
 from fwclass.decompose.stage import decompose  # noqa: E402
@@ -64,7 +64,8 @@ NAMES = ("A", "t", "width")
 @cache
 def receiver() -> SystemPulse:
     """The Gaussian pulse with the receiver that `estimate_pulse` sees in 20 000 waveforms of a survey."""
-    return replace(GAUSSIAN, channels=estimate_pulse(wm.survey_mix(20_000, seed=2)[0], PULSE).channels)
+    waves, _ = wm.survey_mix(20_000, seed=2)
+    return with_misfit(replace(GAUSSIAN, channels=estimate_pulse(waves, PULSE).channels), waves, PARAMS)
 
 
 def both_ways() -> tuple[tuple[str, SystemPulse], ...]:
@@ -423,7 +424,7 @@ def other_pulses(scale: float) -> list[Figure]:
 def asked(waves: Any) -> SystemPulse:
     """The pulse and receiver as the stage `pulse` sees them in a survey."""
     pulse = with_correlated_noise(estimate_pulse(waves, PULSE), waves, PARAMS)
-    return with_signal_noise(pulse, waves, PARAMS)
+    return with_misfit(with_signal_noise(pulse, waves, PARAMS), waves, PARAMS)
 
 
 def real_noise() -> dict[str, tuple[float, ...]]:

@@ -17,7 +17,7 @@ from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.shapes import lookup
-from fwclass.decompose.signal_noise import with_signal_noise
+from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stack_kernels import match_around, stack_groups
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.schema import Table
@@ -107,10 +107,14 @@ def samples(rng: np.random.Generator) -> np.ndarray:
 
 
 COLOURED = tuple(
-    Channel(step, 65535.0, 5.0, 1.0, 2.0, 20.0, 65535.0, phi, growth)
-    for step, phi, growth in ((0.5, (0.5, 0.1, -0.2, 0.3), 0.0), (1.0, (-0.6,), 0.2), (2.0, (1.4, -0.5), 1e4))
+    Channel(step, 65535.0, 5.0, 1.0, 2.0, 20.0, 65535.0, phi, growth, misfit=misfit)
+    for step, phi, growth, misfit in (
+        (0.5, (0.5, 0.1, -0.2, 0.3), 0.0, 1.0),
+        (1.0, (-0.6,), 0.2, 1.1),
+        (2.0, (1.4, -0.5), 1e4, None),
+    )
 )
-"""Receivers whose noise is correlated, and grows with the signal."""
+"""Receivers whose noise is correlated, and grows with the signal; what echoes leave is known of two."""
 
 
 def evaluate_anywhere() -> None:
@@ -185,7 +189,8 @@ def drive(inputs: int, seed: int) -> int:
                 backscatter_samples(waves(batch), 0, asked, PARAMS, pulse, AS_STORED)
             match_anywhere(batch, rng)
             estimated = estimate_pulse(waves(batch), PulseParams(**BASE["pulse"] | {"min_echoes": 8}))
-            with_signal_noise(with_correlated_noise(estimated, waves(batch), PARAMS), waves(batch), PARAMS)
+            estimated = with_correlated_noise(estimated, waves(batch), PARAMS)
+            with_misfit(with_signal_noise(estimated, waves(batch), PARAMS), waves(batch), PARAMS)
     for rows in (0, 1, 2, 9):
         pulse, xyz, found = np.sort(rng.integers(0, 4, rows)), rng.normal(0, 1e300, (rows, 3)), np.empty(rows, np.int64)
         nearest_of_pulse(pulse, xyz, pulse[: rows // 2], xyz * np.nan, found)

@@ -125,25 +125,25 @@ def wide_targets(n, seed=4, least=2.0, most=5.0):
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("n", [40, 61, 3000])
-def test_where_echoes_share_no_width_the_recorded_pulse_is_taken(params, n):
+def test_where_echoes_share_no_width_the_recorded_pulse_is_taken(params, fit, n):
     waves, recorded = wide_targets(n), recorded_pulse(sent(4.1), params)
     assert disagree(estimate_pulse(waves, params).fwhm, recorded.fwhm)
     pulse = estimate_pulse(waves, params, recorded)
     assert pulse.fwhm == recorded.fwhm and pulse.outgoing == recorded.echoes and pulse.echoes == 0
     assert pulse.channels == estimate_pulse(waves, params).channels
-    (told,) = channel_pulses(pulse, recorded)
+    (told,) = channel_pulses(pulse, recorded, fit)
     assert told["outgoing"] == recorded.echoes and told["fwhm"] == told["recorded_fwhm"]
     given = params.model_copy(update={"width": 5.0})
     assert estimate_pulse(waves, given, recorded).outgoing == 0, "the user's width holds"
 
 
 @pytest.mark.parametrize(("width", "widest"), [(4.1, 1.6), (5.2, 1.6), (3.0, 1.6), (8.2, 1.0)])
-def test_echoes_that_share_a_width_are_believed(params, width, widest):
+def test_echoes_that_share_a_width_are_believed(params, fit, width, widest):
     """A receiver other than the one that recorded the outgoing pulse: told, not overruled."""
     waves, recorded = of_width(width, widest=widest), recorded_pulse(sent(4.1), params)
     pulse = estimate_pulse(waves, params, recorded)
     assert pulse.to_json() == estimate_pulse(waves, params).to_json()
-    (told,) = channel_pulses(pulse, recorded)
+    (told,) = channel_pulses(pulse, recorded, fit)
     assert disagree(told["fwhm"], told["recorded_fwhm"]) == (width != 4.1)
 
 

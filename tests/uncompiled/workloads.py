@@ -281,7 +281,7 @@ def work_decompose(_: Path) -> Any:
 def work_correlated_noise(_: Path) -> Any:
     params, noise = conf.section("decompose"), {"phi": (0.5,), "growth": 0.05}
     waves, _truth = wavemaker.survey_mix(60, seed=4, **noise)
-    channel = Channel(1.0, 255.0, 10.0, 0.1, 1.5, 18.0, 255.0, (0.45, 0.02), 0.04)
+    channel = Channel(1.0, 255.0, 10.0, 0.1, 1.5, 18.0, 255.0, (0.45, 0.02), 0.04, misfit=1.0)
     pulse = SystemPulse("gaussian", 3.5, channels=(channel,))
     return with_correlated_noise(pulse, waves, params), decompose(waves, 0, params, pulse)
 

@@ -14,6 +14,7 @@ def describe(report: dict[str, Any]) -> str:
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
     if report["noise"]["lag1"] is not None:
         lines.append(f"noise        {_noise_words(report['noise'])}")
+    lines += [f"further      {text}" for text in further_words(report["noise"]["channels"])]
     lines += [f"places       {text}" for text in report["places"]["remarks"]]
     lines += [f"  ! {text}" for text in report["plausibility"]]
     if "waveforms" in report:
@@ -37,6 +38,22 @@ def _noise_words(noise: dict[str, Any]) -> str:
     if noise["noise_periodic"] > PERIODIC:
         words.append(f"{noise['noise_periodic']:.0%} of it comes back every {noise['noise_period']} samples")
     return "; ".join(words)
+
+
+def further_words(channels: list[dict[str, Any]]) -> list[str]:
+    """Of every channel, how high further echoes of a waveform must be, and why."""
+    lines = []
+    for c in (c for c in channels if c["sample_spacing"] is not None):
+        of = f"channel of {c['sample_spacing']:g} ns up to {c['saturation']:g} DN: " if len(channels) > 1 else ""
+        share = f"further echoes of a waveform need {c['further_detection']:.0%} of the threshold"
+        known = c["misfit"] is not None
+        why = (
+            f"single ones leave {c['misfit']:.2f} times the noise's variance"
+            if known
+            else "too few single ones are bright"
+        )
+        lines.append(f"{of}{share}; {why}")
+    return lines
 
 
 def _pulse_lines(pulse: dict[str, Any]) -> list[str]:
