@@ -17,6 +17,9 @@ from fwclass.street.frames import Frame, Scan
 MOST_BEAMS = 30_000
 """Of a frame; scanners have up to 25 200."""
 
+MOST_FRAMES = 1 << 63
+"""Numbers of frames lie below, as those of a stream do: they are kept in 64 bits."""
+
 FULL = 1.01
 """Turns that beams may go around: a step more than one."""
 
@@ -91,6 +94,14 @@ def frame_of(
             do="write the labels again",
         )
     number = numbers.get("frame", math.nan)
+    if abs(number) >= MOST_FRAMES:
+        raise InputError(
+            "a frame has a number that none has",
+            where=f"{path}: row {at + 1}",
+            expected="less than 2^63",
+            got=f"{number:g}",
+            do="write the numbers again, or leave the column out",
+        )
     own = scan_of(numbers, scan, len(ranges))
     check_scan(own, f"{path}: row {at + 1}")
     return Frame(

@@ -87,24 +87,40 @@ class ParquetRecording:
                     numbers = {n: _numbers(batch.column(n)) for n in self._names if n in NUMBERS}
                     for row in range(batch.num_rows):
                         here = {n: float(v[row]) for n, v in numbers.items()}
-                        ranges = _list(batch, "ranges", row, np.float32)
-                        labels = _list(batch, "labels", row, np.uint8) if "labels" in self._names else None
+                        ranges = _ranges(batch, row)
+                        labels = self._codes(batch, row, at) if "labels" in self._names else None
                         yield frame_of(at, here, ranges, labels, self._scan, self.path)
                         at += 1
         except (pa.ArrowException, OSError) as fault:
             raise damage_error(self.path, fault) from None
+
+    def _codes(self, batch: pa.RecordBatch, row: int, at: int) -> NDArray[np.uint8]:
+        """Labels of a row; 0 where there is none."""
+        values = batch.column("labels")[row].values
+        if values is None:
+            return np.empty(0, np.uint8)
+        codes = np.asarray(values.fill_null(0).to_numpy(zero_copy_only=False))
+        if codes.dtype != np.uint8:
+            wrong = ~((codes >= 0) & (codes <= 255) & (codes == np.floor(codes)))
+            if wrong.any():
+                raise InputError(
+                    "a label is no class code",
+                    where=f"{self.path}: row {at + 1}",
+                    expected="whole numbers from 0 (none) to 255",
+                    got=codes[wrong][0],
+                    do="write the labels again",
+                )
+        return codes.astype(np.uint8)
 
 
 def _numbers(column: pa.Array) -> NDArray[np.float64]:
     return np.asarray(column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False))
 
 
-def _list(batch: pa.RecordBatch, name: str, row: int, kind: Any) -> NDArray:
-    values = batch.column(name)[row].values
+def _ranges(batch: pa.RecordBatch, row: int) -> NDArray[np.float32]:
+    values = batch.column("ranges")[row].values
     if values is None:
-        return np.empty(0, kind)
-    if kind is np.uint8:
-        return np.asarray(values.cast(pa.uint8(), safe=False).fill_null(0).to_numpy(zero_copy_only=False))
+        return np.empty(0, np.float32)
     if values.null_count or values.type != pa.float32():
         values = values.cast(pa.float32(), safe=False).fill_null(np.nan)
     return np.asarray(values.to_numpy(zero_copy_only=False))

@@ -1,6 +1,10 @@
 """Rectangles by hand: applied in their order, checked, shown, continued."""
 
+import math
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from streetmaker import config, directory
 
@@ -97,3 +101,27 @@ def test_all_that_is_wrong_is_told_at_once(tmp_path):
     (tmp_path / "b.csv").write_text("x,y\n")
     with pytest.raises(InputError, match="another heading"):
         read_boxes(tmp_path / "b.csv")
+
+
+def test_a_slice_wider_than_any_road_is_shown(tmp_path):
+    """Its picture's name was 312 letters."""
+    made = annotated(tmp_path, "-1e308,1e308,,,,,rest,2\n", preview=True)
+    assert {p.rsplit("/", 1)[1] for p in made["pictures"]} == {"slice--1e+308.png"}
+
+
+def test_many_rectangles_without_returns_are_counted(tmp_path):
+    """100 000 lines were 6.8 MB of remarks, and pictures asked every frame for each."""
+    lines = "".join(f"{k * 1e-3:g},{k * 1e-3 + 5e-4:g},-9,0,100,101,include,5\n" for k in range(20_000))
+    made = annotated(tmp_path, lines, preview=True)
+    assert len(made["remarks"]) == 21
+    assert made["remarks"][-1] == "no return lies in 19,980 more rectangles"
+
+
+def test_a_recording_without_a_frame_is_told_where_it_would_be_written(tmp_path):
+    """It was told that the file beside the output is not there."""
+    columns = {"time": pa.array([math.nan]), "speed": pa.array([1.0]), "ranges": pa.array([[1.0, 2.0]])}
+    pq.write_table(pa.table(columns), tmp_path / "r.parquet")
+    (tmp_path / "a.csv").write_text(HEAD)
+    with pytest.raises(InputError, match="no frame of the recording can be used"):
+        annotate(tmp_path / "r.parquet", tmp_path / "a.csv", tmp_path / "o.parquet", None, 2.0, True, config().street)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "r.parquet"]

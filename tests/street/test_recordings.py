@@ -327,3 +327,28 @@ def test_ros2_bags_of_every_storage(tmp_path, storage, compression):
     if storage == "mcap":
         (file,) = (tmp_path / "bag").glob("*.mcap")
         assert len(list(open_recording(file, SCAN).frames())) == 5
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "words"),
+    [
+        ("labels", pa.array([[261, 0]]), "a label is no class code(.|\n)*261"),  # was 5
+        ("labels", pa.array([[-251, 0]]), "a label is no class code"),
+        ("labels", pa.array([[5.7, 0.0]]), "a label is no class code"),
+        ("labels", pa.array([[math.nan, 0.0]]), "a label is no class code"),
+        ("frame", pa.array([1e300]), "a frame has a number that none has"),  # an overflow where it was written
+        ("frame", pa.array([2**64 - 1], pa.uint64()), "a frame has a number that none has"),
+    ],
+)
+def test_numbers_that_would_become_others_are_refused(tmp_path, column, values, words):
+    columns = {"time": pa.array([0.0]), "ranges": pa.array([[1.0, 2.0]]), column: values}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    with pytest.raises(InputError, match=words):
+        list(open_recording(tmp_path / "a.parquet", SCAN).frames())
+
+
+def test_labels_of_a_wider_type_are_read(tmp_path):
+    columns = {"time": pa.array([0.0]), "ranges": pa.array([[1.0, 2.0]]), "labels": pa.array([[5.0, None]])}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    (frame,) = open_recording(tmp_path / "a.parquet", SCAN).frames()
+    assert frame.labels.tolist() == [5, 0]

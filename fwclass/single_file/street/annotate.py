@@ -23,8 +23,11 @@ MOST_SHOWN = 200_000
 
 MOST_PICTURES = 200
 
-MOST_OVERLAPS = 20
-"""Pairs of rectangles that are named."""
+MOST_NAMED = 20
+"""Rectangles, or pairs of them, that are named of each fault."""
+
+FAR = 1e7
+"""m of road, whose places a picture's name has to the centimetre."""
 
 Seen = tuple[list[Any], list[Any], list[Any]]
 
@@ -54,6 +57,8 @@ def annotate(
     track = Track(params)
     labeller = Labeller(boxes, track)
     slices: dict[tuple[float, float], Seen] = {(b.begin, b.end): ([], [], []) for b in boxes}
+    spans = list(slices)
+    begins, ends = np.array(spans).reshape(-1, 2).T
     last = annotated_end(boxes)
     ahead: list[tuple[float, float]] = [] if last is None else [(last, last + slice_)]
     places: list[float] = []
@@ -66,20 +71,22 @@ def annotate(
                 ahead.append((place, place + slice_))
             if preview is not None:
                 seen = _seen(frame, placed)
-                for begin, end in {*slices, *ahead}:
-                    if begin <= place < end:
-                        for column, values in zip(slices.setdefault((begin, end), ([], [], [])), seen, strict=True):
-                            column.append(values)
+                there = {spans[int(k)] for k in np.flatnonzero((begins <= place) & (place < ends))}
+                for span in there | {(begin, end) for begin, end in ahead if begin <= place < end}:
+                    for column, values in zip(slices.setdefault(span, ([], [], [])), seen, strict=True):
+                        column.append(values)
             yield frame
 
+    none = InputError("no frame of the recording can be used", where=source, do="fwclass street info")
     if out is None:
         for _ in labelled():
             pass
     else:
         with whole(out) as beside:
-            write_recording(beside, labelled())
+            if not write_recording(beside, labelled()):
+                raise none
     if not places:
-        raise InputError("no frame of the recording can be used", where=source, do="fwclass street info")
+        raise none
     pictures = _pictures(preview, slices, boxes, ahead[0]) if preview is not None else []
     return {
         "recording": str(source),
@@ -103,17 +110,16 @@ def _seen(frame: Frame, placed: Any) -> tuple[Any, Any, Any]:
 
 
 def _remarks(boxes: list[Box], labeller: Labeller) -> list[str]:
-    said = [
-        f"line {box.line}: no return lies in this rectangle ({box.kind})"
-        for box, held in zip(boxes, labeller.held, strict=True)
-        if not held and box.kind != "rest"
-    ]
-    pairs = list(islice(overlaps(boxes), MOST_OVERLAPS + 1))
+    empty = [b for b, held in zip(boxes, labeller.held, strict=True) if not held and b.kind != "rest"]
+    said = [f"line {box.line}: no return lies in this rectangle ({box.kind})" for box in empty[:MOST_NAMED]]
+    more = len(empty) - len(said)
+    said += [f"no return lies in {more:,} more rectangles"] * (more > 0)
+    pairs = list(islice(overlaps(boxes), MOST_NAMED + 1))
     said += [
         f"lines {a.line} and {b.line}: class {a.code} and {b.code} overlap; the later line wins"
-        for a, b in pairs[:MOST_OVERLAPS]
+        for a, b in pairs[:MOST_NAMED]
     ]
-    return said + ["more rectangles overlap"] * (len(pairs) > MOST_OVERLAPS)
+    return said + ["more rectangles overlap"] * (len(pairs) > MOST_NAMED)
 
 
 def _pictures(
@@ -127,7 +133,8 @@ def _pictures(
         y, z, codes = (np.concatenate(v) for v in held)
         few = slice(None, None, max(1, len(y) // MOST_SHOWN))
         inside = [b for b in boxes if b.begin < end and b.end > begin and b.kind != "rest"]
-        name = "next.png" if (begin, end) == ahead else f"slice-{begin:09.2f}.png"
+        place = f"{begin:09.2f}" if abs(begin) < FAR else f"{begin:g}"
+        name = "next.png" if (begin, end) == ahead else f"slice-{place}.png"
         title = f"{begin:g} to {end:g} m" + (": to be annotated" if (begin, end) == ahead else "")
         with whole(preview / name) as beside:
             beside.write_bytes(draw_slice(y[few], z[few], codes[few], inside, title))
