@@ -12,7 +12,7 @@ from urllib.parse import quote
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from fwclass.errors import first_few, several
+from fwclass.errors import first_few, several, visible
 from fwclass.publish.files import whole
 from fwclass.publish.ground_section import ground
 from fwclass.publish.overview_section import (
@@ -108,10 +108,12 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
 
 
 def environment() -> Environment:
-    """Jinja's environment of the pages: it escapes every text, and a name that is not given is an error."""
+    """Jinja's environment of the pages: it escapes every text, writes out what would turn one around, and a name that is
+    not given is an error."""
     env = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
+        finalize=lambda value: visible(value, "\n\t") if type(value) is str else value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

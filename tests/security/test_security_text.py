@@ -68,6 +68,15 @@ def test_the_report_shows_a_script_as_text(tmp_path: Path) -> None:
     assert hrefs and all(h.startswith(("./", "#")) and ".." not in h for h in hrefs)
 
 
+def test_the_report_writes_control_characters_out(tmp_path: Path) -> None:
+    """A coordinate system's name, of a file's own record, turned the line of the page around that it stood in."""
+    made = report()
+    made["crs"] = made["survey"] = ANSI
+    render_report(made, {}, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert not [c for c in ANSI if not c.isprintable() and c in page] and "\\u202eevil" in page
+
+
 def test_every_template_escapes() -> None:
     """No template switches escaping off, for a value or for a block."""
     made = environment()
