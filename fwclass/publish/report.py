@@ -108,8 +108,8 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
 
 
 def environment() -> Environment:
-    """Jinja's environment of the pages: it escapes every text, writes out what would turn one around, and a name that is
-    not given is an error."""
+    """Jinja's environment of the pages: it escapes every text, writes out what would turn one around, and a name that
+    is not given is an error."""
     env = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
