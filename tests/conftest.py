@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import tempfile
@@ -54,6 +55,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=[item for item in items if not item.get_closest_marker("unit")])
         items[:] = [item for item in items if item.get_closest_marker("unit")]
     items.sort(key=lambda item: order.place(item.nodeid))
+
+
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()  # some million objects of modules and tests, which stay: looking through them takes a twentieth
 
 
 @pytest.fixture(scope="session", autouse=True)

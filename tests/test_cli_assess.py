@@ -64,7 +64,8 @@ def test_all_may_train(tmp_path: Path) -> None:
 def test_a_model_that_nobody_tests_is_cross_validated(tmp_path: Path) -> None:
     """Out of bag every row has neighbours that trained: never the only figure."""
     path = small_survey(tmp_path)
-    words = ("--model", tmp_path / "m", "--no-assess", "--out", tmp_path / "t", "--json", "--overwrite")
+    loop = ("--out", tmp_path / "t", "--json", "--workers", "0")
+    words = ("--model", tmp_path / "m", "--no-assess", "--overwrite", *loop)
     blocks = ("--set", "select.block=5", "--set", "select.gap=1")
     ended = fwclass("train", path, *words, *blocks)
     result = json.loads(ended.stdout)
@@ -74,14 +75,15 @@ def test_a_model_that_nobody_tests_is_cross_validated(tmp_path: Path) -> None:
     one = fwclass("train", path, *words, "--set", "select.block=500")
     assert one.returncode == 0 and "cannot be cross-validated" in one.stderr, one.stderr
     assert json.loads(one.stdout)["cross_validation"] is None
-    tested = fwclass("train", path, "--model", tmp_path / "n", "--out", tmp_path / "t", "--json")
+    tested = fwclass("train", path, "--model", tmp_path / "n", *loop)
     assert json.loads(tested.stdout)["cross_validation"] is None and "in folds" not in tested.stderr
 
 
 def test_a_figure_of_a_given_model_is_told_as_that(tmp_path: Path) -> None:
     """Where it learned is not known here: of its own training places it would be far too good."""
     path = small_survey(tmp_path)
-    trained = fwclass("train", path, "--model", tmp_path / "new/place", "--no-assess", "--out", tmp_path / "t")
+    words = ("--model", tmp_path / "new/place", "--no-assess", "--out", tmp_path / "t", "--workers", "0")
+    trained = fwclass("train", path, *words)
     assert trained.returncode == 0, trained.stderr
     given = ("--set", f"survey.model={tmp_path / 'new/place'}", "--workers", "0")
     whole = fwclass("run", path, "--out", tmp_path / "a", *given, "--set", "areas.train=[]")
