@@ -193,6 +193,25 @@ def test_collecting_does_not_follow_a_link_out_of_the_run(tmp_path: Path) -> Non
     assert (outside / "a.las").exists()
 
 
+@pytest.mark.parametrize("name", ["store/simulate", "store/simulate/1_2"])
+def test_a_part_is_not_moved_through_a_link_out_of_the_run(name: str, tmp_path: Path) -> None:
+    """Its receipt was refused, its files lay out there by then, in place of what had that name."""
+    root, outside = tmp_path / "run", tmp_path / "out"
+    for kept in ("1_2/k1/mine", "k1/mine"):
+        (outside / kept).parent.mkdir(parents=True)
+        (outside / kept).write_text("dear")
+    (root / name).parent.mkdir(parents=True)
+    (root / name).symlink_to(outside)
+
+    def work(directory: Path) -> dict[str, int]:
+        (directory / "table").write_text("abc")
+        return {}
+
+    with pytest.raises(InputError, match="a link on the way leads to"):
+        Store(root).commit("simulate", "1_2", "k1", {}, "store", work)
+    assert sorted(p.name for p in outside.rglob("*") if p.is_file()) == ["mine", "mine"]
+
+
 @pytest.mark.parametrize("part", ["..", "a/b", "../../x", "a\n", ""])
 def test_a_part_has_a_name_of_its_own(part: str, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="cannot be the name of a part"):
