@@ -83,7 +83,14 @@ SET = click.option(
     "--set", "settings", multiple=True, metavar="SECTION.KEY=VALUE", help="Change one setting; may be repeated."
 )
 SCHEDULER = click.option("--scheduler", metavar="ADDR", help="Dask scheduler, e.g. tcp://host:8786.")
-WORKERS = click.option("--workers", type=click.IntRange(0), help="Processes on this machine; 0 runs a plain loop.")
+MOST_WORKERS = 10_000
+"""As of `run.workers`, whose section would take its time at every start."""
+WORKERS = click.option(
+    "--workers",
+    type=click.IntRange(0, MOST_WORKERS),
+    metavar="N",
+    help="Processes on this machine; 0 runs a plain loop.",
+)
 JSON = click.option("--json", "as_json", is_flag=True, help="JSON on standard output.")
 ACCEPT_IMPLAUSIBLE = click.option(
     "--accept-implausible",

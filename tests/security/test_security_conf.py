@@ -10,10 +10,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from commandline import fwclass
 
 from fwclass import conf
 from fwclass.cli import main  # noqa: F401 - what a command would have loaded is not counted
+from fwclass.cli.base import MOST_WORKERS
 from fwclass.conf.files import _mapping, merge, plain, read
+from fwclass.conf.sections import RunSection
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
 from fwclass.single_file.ground.params import ground_params
@@ -118,6 +121,14 @@ def refused(name: str, value: float) -> bool:
     except ConfigError:
         return True
     return False
+
+
+def test_workers_of_the_command_line_have_the_limit_of_the_configuration(tmp_path: Path) -> None:
+    """100 million took 5 GB and a traceback."""
+    ended = fwclass("run", tmp_path / "s.yaml", "--workers", 10**8)
+    assert ended.returncode == 2 and f"0<=x<={MOST_WORKERS}" in ended.stderr
+    (limit,) = (m.le for m in RunSection.model_fields["workers"].metadata if hasattr(m, "le"))
+    assert limit == MOST_WORKERS
 
 
 def test_every_number_that_decides_how_much_is_made_has_a_limit() -> None:
