@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,17 @@ class LocalPath(click.Path):
                 ctx,
             )
         return super().convert(_checked(value, param, ctx), param, ctx)
+
+
+class Finite(click.FloatRange):
+    """A number of a range, which is there: what is no number (``nan``) lies outside of none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number; usage error for ``nan`` and ``inf``."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{number} is no finite number", param, ctx)
+        return number
 
 
 class RunPlace(click.Path):

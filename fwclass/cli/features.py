@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, cli, little_garbage
+from fwclass.cli.base import JSON, OVERWRITE, PATH, Finite, cli, little_garbage
 from fwclass.cli.ground import CRS, METHOD, PARAM, PRESET
 
 SETS = click.option(
@@ -34,7 +34,9 @@ SETS = click.option(
 @click.option("--auto", is_flag=True, help="Adapt the filter's parameters to the points first.")
 @click.option("--own-ground", is_flag=True, help="Heights count from class 2 of the file; no filter.")
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
-@click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
+@click.option(
+    "--undulation", type=Finite(), default=0.0, help="Metres to take from the trajectory's heights: the geoid's height."
+)
 @click.option("--skip-missing", is_flag=True, help="Leave out features that the file cannot give, instead of an error.")
 @CRS
 @OVERWRITE

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, MIRROR_BEAMS, OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, MIRROR_BEAMS, OVERWRITE, PATH, SET, Finite, cli
 from fwclass.errors import FAILED, FwclassError
 
 
@@ -90,7 +90,9 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
 @click.argument("source", type=PATH)
 @click.argument("output", type=PATH)
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
-@click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
+@click.option(
+    "--undulation", type=Finite(), default=0.0, help="Metres to take from the trajectory's heights: the geoid's height."
+)
 @click.option(
     "--crs",
     metavar="EPSG:CODE",

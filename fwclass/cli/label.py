@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import OVERWRITE, PATH, RUN, SET, cli
+from fwclass.cli.base import OVERWRITE, PATH, RUN, SET, Finite, cli
 from fwclass.cli.status import chosen_tiles, run_at
 
 
@@ -84,9 +84,7 @@ def confirm(run: Any, places: Path, who: str) -> None:
 @click.argument("output", metavar="OUT", type=PATH)
 @click.option("--places", type=click.IntRange(1, 100_000), help="How many (default: suggest.places).")
 @click.option(
-    "--size",
-    type=click.FloatRange(1, 1000),
-    help="Edge of a place [m] (default: suggest.size, wider where echoes are few).",
+    "--size", type=Finite(1, 1000), help="Edge of a place [m] (default: suggest.size, wider where echoes are few)."
 )
 @SET
 @OVERWRITE

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_DRIFT, JSON, OVERWRITE, PATH, RUN, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import ACCEPT_DRIFT, JSON, OVERWRITE, PATH, RUN, SCHEDULER, SET, WORKERS, Finite, cli
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, nearest
 
@@ -167,7 +167,7 @@ def _code_list(context: click.Context, parameter: click.Parameter, text: str | N
     help="Points of these classes keep them, as 7,9,18 (classify.keep).",
 )
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET), for models that need ranges.")
-@click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights.")
+@click.option("--undulation", type=Finite(), default=0.0, help="Metres to take from the trajectory's heights.")
 @click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
 @ACCEPT_DRIFT
 @SET

@@ -9,15 +9,15 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, RUN, SET, cli
+from fwclass.cli.base import JSON, OVERWRITE, PATH, RUN, SET, Finite, cli
 from fwclass.cli.status import own_file, run_at
 from fwclass.errors import ConfigError
 
 
 @cli.command()
 @click.argument("run", type=RUN)
-@click.option("--share", type=click.FloatRange(0, 1, min_open=True), help="Of the borders (default: seams.share).")
-@click.option("--length", type=click.FloatRange(0, min_open=True), help="Metres of borders instead of a share.")
+@click.option("--share", type=Finite(0, 1, min_open=True), help="Of the borders (default: seams.share).")
+@click.option("--length", type=Finite(0, min_open=True), help="Metres of borders instead of a share.")
 @click.option("--shift", metavar="DX,DY", help="Of the grid, metres (default: half a tile).")
 @click.option("--gpkg", type=PATH, help="Write what was computed, and what differs, as polygons and points.")
 @SET

@@ -8,7 +8,18 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_DRIFT, ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import (
+    ACCEPT_DRIFT,
+    ACCEPT_IMPLAUSIBLE,
+    JSON,
+    OVERWRITE,
+    PATH,
+    SCHEDULER,
+    SET,
+    WORKERS,
+    Finite,
+    cli,
+)
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
@@ -194,7 +205,7 @@ def run(
 @click.argument("file", metavar="ANNOTATION", type=PATH)
 @click.option("--out", type=PATH, help="Parquet file that the recording is written to with its labels.")
 @click.option("--preview", type=PATH, help="Directory for pictures of the slices, and of the next one.")
-@click.option("--slice", "slice_", type=click.FloatRange(0.01), default=2.0, help="m of road of the next slice.")
+@click.option("--slice", "slice_", type=Finite(0.01), default=2.0, help="m of road of the next slice.")
 @CONF
 @SET
 @OVERWRITE

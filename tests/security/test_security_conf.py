@@ -123,6 +123,21 @@ def refused(name: str, value: float) -> bool:
     return False
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("seams", "RUN", "--share", "nan"),  # ended with 0, and had looked at what nobody knows
+        ("seams", "RUN", "--length", "inf"),
+        ("street", "annotate", "r.parquet", "a.csv", "--slice", "nan"),
+        ("suggest", "RUN", "OUT", "--size", "nan"),
+        ("decompose", "a.las", "b.laz", "--undulation", "nan"),  # the trajectory was blamed
+    ],
+)
+def test_what_is_no_number_is_none_on_the_command_line(words: tuple[str, ...], tmp_path: Path) -> None:
+    ended = fwclass(*words, cwd=tmp_path)
+    assert ended.returncode == 2 and "is no finite number" in ended.stderr, ended.stderr
+
+
 def test_workers_of_the_command_line_have_the_limit_of_the_configuration(tmp_path: Path) -> None:
     """100 million took 5 GB and a traceback."""
     ended = fwclass("run", tmp_path / "s.yaml", "--workers", 10**8)
