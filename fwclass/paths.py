@@ -46,8 +46,9 @@ def relative_fault(name: object) -> str:
     return next((fault for fault in map(name_fault, name.split("/")) if fault), "")
 
 
-def below(directory: Path, name: str) -> Path:
-    """``directory / name``, which lies below `directory` whatever links there are on the way.
+def below(directory: Path, name: str, links: bool = True) -> Path:
+    """``directory / name``, which lies below `directory` whatever links there are on the way; without `links` there
+    are none.
 
     Raises
     ------
@@ -56,8 +57,10 @@ def below(directory: Path, name: str) -> Path:
     """
     fault = relative_fault(name)
     path = directory / name if not fault else directory
-    if not fault and not path.parent.resolve().is_relative_to(directory.resolve()):
-        fault = f"a link on the way leads to {path.parent.resolve()}"
+    if not fault:
+        root, parent = directory.resolve(), path.parent.resolve()
+        if not parent.is_relative_to(root) or not (links or parent == (root / name).parent):
+            fault = f"a link on the way leads to {parent}"
     if fault:
         raise InputError(
             "a name leads out of the directory that it belongs to",

@@ -188,7 +188,7 @@ class Directory:
             for name in receipt.outputs:
                 move_into_place(directory / name, path_below(self.root, name))
         else:  # `Store.done` looks at every file: names that a power cut took are noticed, and the part is made again
-            move_into_place(directory, path_below(self.root, self.unit(receipt)), flush=False)
+            move_into_place(directory, path_below(self.root, self.unit(receipt), links=False), flush=False)
         for name, facts in receipt.outputs.items():
             remember(self.root / self.unit(receipt) / name, str(facts["digest"]))
 

@@ -193,10 +193,11 @@ def test_collecting_does_not_follow_a_link_out_of_the_run(tmp_path: Path) -> Non
     assert (outside / "a.las").exists()
 
 
+@pytest.mark.parametrize("where", ["out", "run/labels"])
 @pytest.mark.parametrize("name", ["store/simulate", "store/simulate/1_2"])
-def test_a_part_is_not_moved_through_a_link_out_of_the_run(name: str, tmp_path: Path) -> None:
-    """Its receipt was refused, its files lay out there by then, in place of what had that name."""
-    root, outside = tmp_path / "run", tmp_path / "out"
+def test_a_part_is_not_moved_through_a_link(name: str, where: str, tmp_path: Path) -> None:
+    """Its receipt was refused, its files lay there by then, in place of what had that name."""
+    root, outside = tmp_path / "run", tmp_path / where
     for kept in ("1_2/k1/mine", "k1/mine"):
         (outside / kept).parent.mkdir(parents=True)
         (outside / kept).write_text("dear")
