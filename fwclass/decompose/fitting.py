@@ -158,9 +158,12 @@ def _kind(noise: Autoregression, growth: float) -> Kind:
 
 
 def further_share(channel: Channel | None, params: DecomposeParams) -> float:
-    """Share of the threshold from which a further echo of a waveform is told: of one in whose `channel` single echoes
-    leave more than noise (`misfit`), as much higher as what they leave; 1 where nothing is known of it."""
-    if channel is None or channel.misfit is None:
+    """Share of the threshold, 0 to 1, that a further echo of a waveform must reach.
+
+    Where single echoes of its `channel` leave more than noise (`Channel.misfit`), it is as much higher; 1 where nothing
+    is known of that, and where the noise is correlated: its likeness to echoes is what a strip's sample knows least.
+    """
+    if channel is None or channel.misfit is None or channel.phi:
         return 1.0
     return min(params.further_detection * math.sqrt(max(channel.misfit, 1.0)), 1.0)
 

@@ -48,7 +48,8 @@ class DecomposeParams(Params):
     ----------
     detection : least height of a peak after the matched filter, in standard deviations of the noise.
     further_detection : share of `detection` that is asked of further echoes of a waveform, where what bright single
-        echoes leave under them is noise alone; as much more, up to all of it, as they leave more (`Channel.misfit`).
+        echoes leave under them is white noise alone; as much more, up to all of it, as they leave more
+        (`Channel.misfit`).
     split_gain : least drop of chi-square that pays for one more echo (three parameters).
     narrowest, widest : range of an echo's width, in pulse widths.
     separation : least distance of two echoes of a pulse [ns].

@@ -23,8 +23,8 @@ def recorded_pulse(outgoing: Waveforms, params: PulseParams) -> SystemPulse | No
 def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: DecomposeParams) -> list[dict[str, Any]]:
     """Of every channel of the receiver, or of the strip where none is known: spacing [ns], saturation [DN], the width
     of its pulse [ns], how many echoes or outgoing pulses it stands on, how wide the outgoing pulse was recorded, what
-    bright single echoes leave over the noise (`Channel.misfit`), and the share of the threshold that is therefore asked
-    of further echoes."""
+    bright single echoes leave over the noise (`Channel.misfit`), the share of the threshold that is therefore asked
+    of further echoes, and whether its noise is correlated."""
     known = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
     rows = []
     for channel in pulse.channels or (None,):
@@ -39,6 +39,7 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
                 "recorded_fwhm": left and left.fwhm,
                 "misfit": channel and channel.misfit,
                 "further_detection": further_share(channel, params),
+                "correlated": bool(channel and channel.phi),
             }
         )
     return rows

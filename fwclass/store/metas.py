@@ -192,6 +192,7 @@ _PULSE = {
             "outgoing": COUNT,
             "fwhm": NUMBER,
             "further_detection?": NUMBER,
+            "correlated?": FLAG,
             **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm", "misfit?"), _FIGURE),
         }
     ],

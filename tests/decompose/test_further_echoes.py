@@ -12,6 +12,7 @@ from fwclass import conf
 from fwclass.decompose.fitting import fit_waveforms, further_share
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses
 from fwclass.decompose.signal_noise import with_misfit
 from fwclass.decompose.system_pulse import SystemPulse
@@ -46,6 +47,16 @@ def test_where_single_echoes_leave_noise_alone_further_ones_are_found_lower(fit)
         false.append((len(got.row) - hits) / len(truth.count))
     assert found[1] > 0.969 and found[1] - found[0] > 0.002, found
     assert false[1] < false[0] + 5e-4, false
+
+
+def test_where_noise_is_correlated_the_whole_threshold_holds(fit):
+    """A strip's sample knows its likeness to echoes least: five of 900 echoes of flat ground had another below."""
+    waves, _ = wm.survey_mix(4000, seed=37, phi=(0.5,))
+    pulse = with_correlated_noise(estimate_pulse(waves, conf.section("pulse", ())), waves, fit)
+    (channel,) = with_misfit(pulse, waves, fit).channels
+    assert channel.phi and channel.misfit < 1.2 and further_share(channel, fit) == 1.0
+    (line,) = further_words(channel_pulses(replace(pulse, channels=(channel,)), None, fit))
+    assert "need 100% of the threshold" in line and line.endswith("and the noise is correlated")
 
 
 @pytest.mark.parametrize(

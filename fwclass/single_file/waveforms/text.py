@@ -46,12 +46,10 @@ def further_words(channels: list[dict[str, Any]]) -> list[str]:
     for c in (c for c in channels if c["sample_spacing"] is not None):
         of = f"channel of {c['sample_spacing']:g} ns up to {c['saturation']:g} DN: " if len(channels) > 1 else ""
         share = f"further echoes of a waveform need {c['further_detection']:.0%} of the threshold"
-        known = c["misfit"] is not None
-        why = (
-            f"single ones leave {c['misfit']:.2f} times the noise's variance"
-            if known
-            else "too few single ones are bright"
-        )
+        why = "too few single ones are bright"
+        if c["misfit"] is not None:
+            why = f"single ones leave {c['misfit']:.2f} times the noise's variance"
+        why += ", and the noise is correlated" * c["correlated"]
         lines.append(f"{of}{share}; {why}")
     return lines
 
