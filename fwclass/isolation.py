@@ -128,14 +128,14 @@ def _not_private(place: Path) -> str:
     try:
         for directory in (place.parent, place):
             directory.mkdir(mode=0o700, parents=directory == place.parent, exist_ok=True)
-        above, facts = place.parent.stat(), place.lstat()
+        link, above, facts = place.parent.lstat(), place.parent.stat(), place.lstat()
     except OSError as fault:
         return fault.strerror or type(fault).__name__
     if not stat.S_ISDIR(facts.st_mode):
         return "it is a link"
     if facts.st_uid != os.geteuid():
         return "it belongs to another user"
-    if above.st_uid not in (os.geteuid(), 0):
+    if not {link.st_uid, above.st_uid} <= {os.geteuid(), 0}:
         return "the directory above it belongs to another user"
     if facts.st_mode & 0o022 or (above.st_mode & 0o022 and not above.st_mode & stat.S_ISVTX):
         return "other users may write there"

@@ -1,11 +1,13 @@
 """Grid files that a coordinate system names: whoever makes it, PROJ and GDAL open what lies under the name.
 
 Names of PROJ's own grids (``us_noaa_conus.tif``) are looked for where it keeps them. A path leads anywhere, to a pipe
-that never answers for example, so no system that comes from a file is used with one.
+that never answers for example, so no system that comes from a file is used with one; nor with a name that lies in
+the current directory, where PROJ looks too.
 """
 
 from __future__ import annotations
 
+import os
 import re
 from typing import Any
 
@@ -18,6 +20,7 @@ _NAMED = re.compile(
     | PARAMETERFILE \s* [\[(] \s* "[^"]*" \s* , \s* "([^"]*)         # WKT 2
     | (?:grids|file|catalog|tinshift|model) \s* = \s* ["']? ([^\s"'+]+)    # PROJ's words: nadgrids, xy_grids …
     | init \s* = \s* (?!["']?(?:epsg|esri|ignf)\s*:) ["']? ([^\s"'+]+)     # a file of definitions
+    | init \s* = \s* ["']? (epsg|esri|ignf) \s* :                  # PROJ's own, which it looks for as a file first
     | "value" \s* : \s* "((?:[^"\\]|\\.)*)                           # PROJJSON: other values are numbers
     """,
     re.IGNORECASE | re.VERBOSE,
@@ -52,9 +55,11 @@ def paths_named(text: str) -> list[str]:
 
 
 def is_path(name: str) -> bool:
-    """A name that is not looked for among PROJ's own files alone."""
+    """A name that is not looked for among PROJ's own files alone: PROJ looks in the current directory too."""
     plain = name.strip().lstrip("@")
-    return plain.startswith(("~", ".")) or any(mark in plain for mark in "/\\:")
+    if plain.startswith(("~", ".")) or any(mark in plain for mark in "/\\:"):
+        return True
+    return plain != "null" and os.path.lexists(plain)
 
 
 def without_paths(crs: CRS) -> tuple[CRS, list[str]]:

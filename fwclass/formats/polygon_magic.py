@@ -42,8 +42,14 @@ HEAD = 65536
 """Bytes of a JSON file in which its type, or a member that tells it, must be found."""
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s"{}\[\]:,]+')
-_SYSTEM = re.compile(rb'"(?:c|\\u00[46]3)(?:r|\\u00[57]2)(?:s|\\u00[57]3)"\s*:\s*(?=\{)', re.IGNORECASE)
-"""The member crs, its letters as they are or as escapes."""
+_PLAIN = re.compile(rb"""(?:[^"'/]++|"(?:[^"\\]++|\\.)*+")*+""", re.DOTALL)
+"""JSON as far as its texts stand in double quotes and it has no comments: GDAL reads others too."""
+
+_SYSTEM = re.compile(
+    rb'"(?:c|\\u00[46]3)(?:r|\\u00[57]2)(?:s|\\u00[57]3)(?:(?:\\u0000|\0)(?:[^"\\]|\\.)*+)?"\s*:\s*(?=\{)',
+    re.IGNORECASE,
+)
+"""The member crs, its letters as they are or as escapes; to GDAL a name ends where it has a zero."""
 
 
 def check_format(path: Path) -> None:
@@ -124,6 +130,9 @@ def _json_fault(head: bytes) -> str:
 def _check_system(path: Path) -> None:
     """`InputError` where the coordinate system is an address, which GDAL would fetch; without it, it takes degrees."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        plain = _PLAIN.match(text)
+        if plain is not None and plain.end() < len(text):
+            raise _other(path, f'what JSON has not at byte {plain.end()}: a comment, or a text in other quotes than "')
         for key_of_system in _SYSTEM.finditer(text):
             for key, value in _members(
                 path, text[key_of_system.end() : key_of_system.end() + HEAD].decode("utf-8", "replace")
@@ -143,7 +152,7 @@ def _members(path: Path, text: str) -> list[tuple[str, str]]:
     members: list[tuple[str, str]] = []
 
     def note(pairs: list[tuple[str, Any]]) -> None:
-        members.extend((key.lower(), value) for key, value in pairs if isinstance(value, str))
+        members.extend((key.partition("\0")[0].lower(), value) for key, value in pairs if isinstance(value, str))
         members.extend(("", v) for _, value in pairs if isinstance(value, list) for v in value if isinstance(v, str))
 
     try:

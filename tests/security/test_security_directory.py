@@ -339,6 +339,17 @@ def test_nor_from_below_a_directory_of_another_user(home: Path) -> None:
     assert "the directory above it belongs to another user" in refused(home)
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a link away")
+def test_nor_through_a_link_above_it_that_another_user_made(home: Path, tmp_path: Path) -> None:
+    """In a directory that several may write to it leads to what this user has unpacked, say."""
+    (tmp_path / "unpacked" / home.name).mkdir(parents=True, mode=0o700)
+    home.parent.parent.mkdir(parents=True, exist_ok=True)
+    home.parent.symlink_to(tmp_path / "unpacked")
+    assert isolation._not_private(home) == ""
+    os.lchown(home.parent, 65534, 65534)
+    assert "the directory above it belongs to another user" in refused(home)
+
+
 def test_a_file_where_the_cache_should_be_is_told(home: Path, tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("")
     assert "compiled code cannot be kept in" in refused(home)

@@ -188,6 +188,57 @@ def test_a_file_that_another_member_names_is_refused(tmp_path: Path):
     assert ended.returncode == 1 and GRID in ended.stderr, ended.stderr
 
 
+def info(name: str, place: Path) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, as it may wait for a pipe."""
+    code = "from fwclass.cli import main; main()"
+    line = [sys.executable, "-c", code, "info", name]
+    return subprocess.run(line, cwd=place, capture_output=True, text=True, timeout=60)
+
+
+POLYGON = '"geometry": {"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [9, 9], [0, 0]]]}'
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+@pytest.mark.parametrize(
+    "system",
+    [
+        "'crs': {'type': 'name', 'properties': {'name': 'NAME'}}",
+        '"crs" /**/ : {"type": "name", "properties": {"name": "NAME"}}',
+        '"crs": /**/ {"type": "name", "properties": {"name": "NAME"}}',
+        '"crs\\u0000": {"type": "name", "properties": {"name": "NAME"}}',
+    ],
+)
+def test_a_system_in_what_gdal_takes_for_json_is_refused(tmp_path: Path, system: str):
+    """GDAL reads comments and single quotes in a file of one feature, and takes a name up to its zero."""
+    os.mkfifo(tmp_path / "pipe")
+    text = '{"type": "Feature", "properties": {"a/b": "it\'s //"}, ' + POLYGON
+    (tmp_path / "a.geojson").write_text(f"{text}}}")
+    assert fwclass("info", "a.geojson", cwd=tmp_path).returncode == 0
+    named = system.replace("NAME", PROJ4.format(tmp_path / "pipe"))
+    (tmp_path / "a.geojson").write_text(f"{text}, {named}}}")
+    ended = info("a.geojson", tmp_path)
+    assert ended.returncode == 1 and "not what its name says" in ended.stderr, ended.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+@pytest.mark.parametrize(
+    ("name", "write", "text"),
+    [
+        ("a.shp", shapefile, FORMS["WKT 1"]("grid.gsb")),
+        ("a.geojson", geojson, FORMS["PROJ"]("grid.gsb")),
+        ("b.geojson", geojson, "+init=epsg:32633"),
+    ],
+)
+def test_a_grid_is_not_taken_from_the_current_directory(tmp_path: Path, name: str, write, text: str):
+    """Which may be a stranger's: GDAL looks there for what PROJ does not have."""
+    write(tmp_path / name, text)
+    assert fwclass("info", name, cwd=tmp_path).returncode == 0
+    for pipe in ("grid.gsb", "epsg"):
+        os.mkfifo(tmp_path / pipe)
+    ended = info(name, tmp_path)
+    assert ended.returncode == 1 and "names the file" in ended.stderr, ended.stderr
+
+
 @pytest.mark.parametrize(
     "name",
     [
