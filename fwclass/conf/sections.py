@@ -15,6 +15,9 @@ from fwclass.grid import Box
 MOST_CODES = 255
 """Codes of classes that there are: 1 to 255."""
 
+Pattern = Annotated[str, Field(max_length=1000)]
+"""Of names of files; it takes time in proportion to the square of its brackets that stay open."""
+
 
 class Section(BaseModel):
     """Keys of a configuration: frozen, and closed to any other key."""
@@ -62,7 +65,7 @@ class ReferenceSection(Section):
     """
 
     kind: Literal["source", "cloud", "polygons", "echoes", "corrections", "none"]
-    files: tuple[str, ...] = ()
+    files: tuple[Pattern, ...] = ()
     field: str | None = None
     values: dict[str | int, str | int | None] = {}
     layer: str | None = None
@@ -105,7 +108,7 @@ class SurveySection(Section):
     origin: str | None
     simulated: bool
     echoes: Literal["auto", "waveforms", "returns"]
-    sources: tuple[str, ...] = Field(min_length=1)
+    sources: tuple[Pattern, ...] = Field(min_length=1)
     crs: str | None
     reference: ReferenceSection
     trajectory: TrajectorySection
@@ -119,7 +122,7 @@ class TrajectorySection(Section):
     """Where the sensor flew: files (text or SBET), and the height of the survey's zero above the ellipsoid [m], taken
     from their heights."""
 
-    files: tuple[str, ...]
+    files: tuple[Pattern, ...]
     undulation: float
 
 
@@ -133,7 +136,7 @@ class AreaFilesSection(Section):
     Of polygons only: `layer` of a file with several, `crs` where the file names no system or a wrong one.
     """
 
-    files: tuple[str, ...] = ()
+    files: tuple[Pattern, ...] = ()
     polygons: str | None = None
     layer: str | None = None
     crs: str | None = None

@@ -18,6 +18,9 @@ FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".json": "GeoJSON", ".s
 BESIDE = (".shx", ".dbf", ".prj", ".cpg")
 """What belongs to a Shapefile."""
 
+MOST_FIELDS = 4096
+"""Fields of a layer: the time to read one of them grows with the square of their number."""
+
 Header = dict[str, Any]
 """``layer, fields {name: type}, crs, features, geometry`` of a layer."""
 
@@ -66,6 +69,14 @@ def header(path: Path, layer: str | None, setting: str = "survey.reference.layer
         )
     chosen = layer or known[0]
     about = _query(path, lambda gdal, place: gdal.read_info(place, layer=chosen, force_feature_count=True))
+    if len(about["fields"]) > MOST_FIELDS:
+        raise InputError(
+            "a layer of more fields than any has",
+            where=f"{path}: layer {chosen}",
+            expected=f"at most {MOST_FIELDS:,}",
+            got=f"{len(about['fields']):,}",
+            do="export the polygons with the field of their classes alone",
+        )
     types = [str(np.dtype(t)) if t != "object" else "text" for t in about["dtypes"]]
     return {
         "layer": chosen,

@@ -189,6 +189,8 @@ def test_every_number_that_decides_how_much_is_made_has_a_limit() -> None:
         "survey.name=..",
         'survey.name="a\\nb"',
         "survey.name=" + "a" * 300,
+        "survey.sources=['" + "[" * 1_100 + "']",
+        "survey.trajectory.files=['" + "[" * 1_100 + "']",
         'survey.classes=[{name: "a\\e[31m", code: 2, codes: [2]}, {name: b, code: 6, codes: [6]}]',
     ],
 )
