@@ -16,6 +16,7 @@ from fwclass.errors import ConfigError, FwclassError, InputError, StoreError
 from fwclass.graph.own_stage import Adapter
 from fwclass.graph.stage import Plan, Stage, StageInputs
 from fwclass.graph.stages import STAGES
+from fwclass.paths import open_regular
 from fwclass.walk.workflow import Workflow
 
 _PREFIX = "fwclass_own_"
@@ -32,7 +33,8 @@ def own_workflow(path: Path) -> Workflow:
     """
     where = path.resolve()
     try:
-        digest = hashlib.sha256(where.read_bytes()).hexdigest()
+        with open_regular(where) as file:
+            digest = hashlib.sha256(file.read()).hexdigest()
     except OSError as fault:
         raise ConfigError(
             "the workflow's file cannot be read",

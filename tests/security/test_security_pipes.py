@@ -21,6 +21,7 @@ from fwclass.read.text import read_text
 from fwclass.read.trajectory import read_trajectory
 from fwclass.store.models import load_model
 from fwclass.survey.files import find_files
+from fwclass.workflows import workflow_of
 
 
 @pytest.fixture
@@ -63,6 +64,12 @@ def test_a_pipe_is_refused(words: tuple[str, ...], ending: str, place: Path) -> 
     os.mkfifo(place / f"P{ending}")
     ended = fwclass(*(f"P{ending}" if w == "P" else w for w in words), cwd=place)
     assert ended.returncode == 2 and "is a pipe" in ended.stderr, ended.stderr
+
+
+def test_a_workflows_file_is_no_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.py")
+    with pytest.raises(FwclassError, match="no file"):
+        workflow_of(str(tmp_path / "pipe.py"))
 
 
 def test_devices_and_sockets_are_refused(place: Path) -> None:
