@@ -183,12 +183,19 @@ def move_into_place(source: Path, target: Path, flush: bool = True) -> None:
         sync(target.parent)
 
 
+def remove_directory(path: Path) -> None:
+    """Remove a directory and what is in it, as far as that goes; nothing else, no link and no pipe, for whose other end
+    `shutil.rmtree` would wait."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+
+
 def clear_staged(own: Path) -> None:
     """Take a staged directory away, at one stroke: who still writes there cannot commit what is left of it."""
     gone = own.with_name(f"cleared-{uuid.uuid4().hex}")
     with contextlib.suppress(OSError):
         own.rename(gone)
-    shutil.rmtree(gone, ignore_errors=True)
+    remove_directory(gone)
 
 
 @contextmanager

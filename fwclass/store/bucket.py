@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from fwclass.errors import StoreError
-from fwclass.store.atomic import digest_of, file_digest, files_below, staged, to_json
+from fwclass.store.atomic import digest_of, file_digest, files_below, remove_directory, staged, to_json
 from fwclass.store.digests import Looks, remember
 from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Directory, Facts, Sealing, failure_key
 from fwclass.store.objects import MOST_COPIED, Download, Mark, Objects, StoredObject, objects_at
@@ -280,7 +279,7 @@ class Bucket:
 
     def clear_copies(self) -> None:
         """Remove what this host's earlier process left half."""
-        shutil.rmtree(self.root / "store" / "staging", ignore_errors=True)
+        remove_directory(self.root / "store" / "staging")
 
 
 Files = Directory | Bucket

@@ -19,6 +19,8 @@ from fwclass.store.shapes import COUNT, POSITIVE, TEXT, WHOLE, misfit
 
 CELL = 8.0
 """Edge of the squares of the global grid that have a digest of their own [m]: a halo is known to the next 8 m."""
+MOST_SQUARES = 1 << 20
+"""Of a rectangle, 16 MiB of text; of a wider one (8 km by 8 km, or one row that lies far off) the edge is doubled."""
 
 CELLS = "cells"
 """Where a receipt's meta keeps them.
@@ -35,21 +37,22 @@ Within = Box | str | None
 
 
 def by_place(table: Table, x: NDArray[np.float64], y: NDArray[np.float64]) -> dict[str, Any]:
-    """For a receipt's meta: a digest of the rows in every square of `CELL`; rows are at `x`, `y` [m]."""
-    mm = round(CELL * 1000)
-    column, row = millimetres(x) // mm, millimetres(y) // mm
+    """For a receipt's meta: a digest of the rows in every square of `CELL`, or of 2, 4, 8… times that where these would
+    be more than `MOST_SQUARES`; rows are at `x`, `y` [m]."""
+    if not len(x):
+        return {"size": CELL, "first": [0, 0], "rows": 0, "digests": ""}
+    size, (column, row) = CELL, (millimetres(v) // round(CELL * 1000) for v in (x, y))
+    while (int(np.ptp(column)) + 1) * (int(np.ptp(row)) + 1) > MOST_SQUARES:
+        size, column, row = 2 * size, column // 2, row // 2
     order = np.lexsort((row, column))  # stable: rows of a square keep their order
     a, b = column[order], row[order]
-    new = np.flatnonzero(np.concatenate([[True], (a[1:] != a[:-1]) | (b[1:] != b[:-1])])) if len(a) else order
-    ends = np.append(new[1:], len(a))[: len(new)]
+    new = np.flatnonzero(np.concatenate([[True], (a[1:] != a[:-1]) | (b[1:] != b[:-1])]))
     arranged = table.take(order)
-    digests = {(int(a[i]), int(b[i])): _digest(arranged, i, j) for i, j in zip(new, ends, strict=True)}
-    if not digests:
-        return {"size": CELL, "first": [0, 0], "rows": 0, "digests": ""}
-    columns, rows = ([place[k] for place in digests] for k in range(2))
-    squares = ((c, r) for c in range(min(columns), max(columns) + 1) for r in range(min(rows), max(rows) + 1))
-    text = "".join(digests.get(square, _NOTHING) for square in squares)
-    return {"size": CELL, "first": [min(columns), min(rows)], "rows": max(rows) + 1 - min(rows), "digests": text}
+    left, low, rows = int(column.min()), int(row.min()), int(np.ptp(row)) + 1
+    texts = [_NOTHING] * ((int(np.ptp(column)) + 1) * rows)
+    for i, j in zip(new.tolist(), [*new[1:].tolist(), len(a)], strict=True):
+        texts[(int(a[i]) - left) * rows + int(b[i]) - low] = _digest(arranged, i, j)
+    return {"size": size, "first": [left, low], "rows": rows, "digests": "".join(texts)}
 
 
 def by_name(table: Table, names: Iterable[str], offsets: Iterable[int]) -> dict[str, Any]:

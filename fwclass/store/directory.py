@@ -24,6 +24,7 @@ from fwclass.store.atomic import (
     file_digest,
     files_below,
     move_into_place,
+    remove_directory,
     staged,
     sync,
     watched,
@@ -142,7 +143,7 @@ class Directory:
     def delete_below(self, below: str, first: str) -> None:
         """Remove a directory, its file `first` before all others: without it the rest means nothing."""
         path_below(self.root, f"{below}/{first}").unlink(missing_ok=True)
-        shutil.rmtree(self.root / below, ignore_errors=True)
+        remove_directory(self.root / below)
 
     def fetch(self, below: str, files: Mapping[str, Facts]) -> None:
         """Have files (by path below a key) on this host, below `root`, each with its bytes.
@@ -202,7 +203,7 @@ class Directory:
             with os.scandir(f"{self.root}/store/{receipt.stage}/{receipt.part}") as entries:
                 for entry in entries:
                     if entry.is_dir() and entry.name != receipt.key:
-                        shutil.rmtree(entry.path, ignore_errors=True)
+                        remove_directory(Path(entry.path))
                     elif entry.name.startswith("."):  # a receipt whose writer was killed
                         Path(entry.path).unlink(missing_ok=True)
 
@@ -229,7 +230,7 @@ class Directory:
         store = self.root / "store"
         for path in (store / "staging").glob("*"):
             clear_staged(path_below(self.root, path.relative_to(self.root).as_posix()))
-        shutil.rmtree(store / "staging", ignore_errors=True)
+        remove_directory(store / "staging")
         for path in (p for d in ("", "params", "libraries") for p in (store / d).glob(".*")):  # half-written
             path_below(self.root, path.relative_to(self.root).as_posix()).unlink(missing_ok=True)
 
@@ -341,7 +342,7 @@ class Directory:
     def retire(self, names: Iterable[str]) -> None:
         """Remove generations, and what is left of some that were never finished."""
         for name in names:
-            shutil.rmtree(path_below(self.root, f"{GENERATIONS}/{name}"), ignore_errors=True)
+            remove_directory(path_below(self.root, f"{GENERATIONS}/{name}"))
 
 
 def failure_key(stage: str, part: str) -> str:

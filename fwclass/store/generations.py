@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,7 +20,7 @@ from typing import Any
 from fwclass import __version__
 from fwclass.errors import DamagedError, StoreError, first_few
 from fwclass.paths import below, relative_fault
-from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below, to_json
+from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below, remove_directory, to_json
 from fwclass.store.bucket import Files
 from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Facts
 from fwclass.store.objects import Mark
@@ -88,7 +87,7 @@ class Generations:
 
     def clear_pending(self) -> None:
         """Remove reports that were never delivered."""
-        shutil.rmtree(self.directory / _PENDING, ignore_errors=True)
+        remove_directory(self.directory / _PENDING)
 
     def check_links(self) -> None:
         """`StoreError` where something else stands in a place that a delivery needs."""

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from fwclass.errors import StoreError
 from fwclass.isolation import cache_home
-from fwclass.store.atomic import digest_of, file_digest, files_below
+from fwclass.store.atomic import digest_of, file_digest, files_below, remove_directory
 from fwclass.store.digests import MEND, digest_now, remember
 from fwclass.store.objects import Download, Objects
 from fwclass.store.params import StoreParams
@@ -87,7 +87,7 @@ class Scratch:
                     shutil.rmtree(path, ignore_errors=True)
             (self.root / "boot").write_text(boot)
         for half in (self._staging, *self.root.glob("*/store/staging")):
-            shutil.rmtree(half, ignore_errors=True)
+            remove_directory(half)
         (self.root / "units").mkdir(exist_ok=True)
 
     def _leftovers(self) -> list[tuple[str, int, float]]:
@@ -174,7 +174,7 @@ class Scratch:
         with self._guard:
             self._total -= self._sizes.pop(unit, 0)
             self._mark(unit).unlink(missing_ok=True)
-            shutil.rmtree(self.root / unit, ignore_errors=True)
+            remove_directory(self.root / unit)
 
     def used(self, unit: str, more: int = 0) -> None:
         """`unit` is in use now, and has grown by `more` bytes."""

@@ -338,6 +338,19 @@ def test_a_pipe_in_the_place_of_a_lock_keeps_nobody_waiting(tmp_path: Path) -> N
             use()
 
 
+@pytest.mark.parametrize("name", ["generations/0001", "store/staging", "store/staging/killed", "store/tile/1_2"])
+def test_a_pipe_in_the_place_of_a_directory_that_is_removed_keeps_nobody_waiting(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    os.mkfifo(tmp_path / name)
+    files = Directory(tmp_path)
+    uses: dict[str, Callable[[], object]] = {
+        "generations/0001": lambda: files.retire(["0001"]),
+        "store/tile/1_2": lambda: files.delete_below("store/tile/1_2", "receipt.json"),
+    }
+    with contextlib.suppress(NotADirectoryError):
+        uses.get(name, files.sweep)()
+
+
 @pytest.mark.parametrize(
     "name", ["store/run.json", "store/tile/1_2/receipt.json", "store/history.jsonl", "manifest.json"]
 )
