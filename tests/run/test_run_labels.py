@@ -23,6 +23,7 @@ from fwclass.store.lock import writer
 from fwclass.study.training import training
 from fwclass.study.training_text import describe
 from fwclass.walk.steps import plan_with_features, tasks_of, until_tiles
+from fwclass.waveforms import IMPLAUSIBLE
 
 CLASSES = {2: "ground", 5: "vegetation", 6: "building", 64: "artificial"}
 FAST = ("survey.features=[height_above_ground, amplitude]", "features.also=[]", "train.trees=4")
@@ -58,7 +59,10 @@ def labelled(survey: Path, root: Path, *settings: str):
         runner.do(tasks_of(plan, (LABEL_BY_SOURCE, LABEL_BY_CLOUD, LABEL_BY_POLYGONS)))
         assert not runner.failures, runner.failures
         inputs = PartInputs(runner.store)
-        columns = {**dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile"), "reference": "label"}
+        columns = {
+            **dict.fromkeys(("strip", "pulse", "echo_number", "x", "y", "fit_flags"), "tile"),
+            "reference": "label",
+        }
         tables = [inputs.rows(t.key, columns) for t in plan.layout.tiles]
     found = {n: np.concatenate([t[n] for t in tables]) for n in columns}
     order = np.lexsort((found["echo_number"], found["pulse"], found["strip"]))
@@ -80,8 +84,10 @@ def test_every_echo_has_the_class_of_its_square(squares, drawn):
     first = {"ground": 2, "vegetation": 3, "building": 6, "artificial": 64}  # the first of the class's codes
     echoes = squares[1]
     expected = [
-        first[CLASSES[codes[place]]] if (place := (int(x // 4), int(y // 4))) in codes else 0
-        for x, y in zip(echoes["x"].tolist(), echoes["y"].tolist(), strict=True)
+        first[CLASSES[codes[place]]] if (place := (int(x // 4), int(y // 4))) in codes and not no_echo else 0
+        for x, y, no_echo in zip(
+            echoes["x"].tolist(), echoes["y"].tolist(), echoes["fit_flags"] & IMPLAUSIBLE, strict=True
+        )
     ]
     np.testing.assert_array_equal(echoes["reference"], expected)
     assert len(expected) > 10_000 and np.unique(expected).size >= 4
