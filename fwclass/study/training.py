@@ -77,9 +77,8 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
             validated = cross_validate(config, runner, plan.layout, before, config.features_asked)
             plain["cross_validation"] = validated
         except InputError as fault:
-            plain["remarks"] += [
-                f"Nothing tells how good it is elsewhere, for it cannot be cross-validated: {fault.what}."
-            ]
+            why = f"{fault.what}{fault.got and f' ({fault.got})'}"
+            plain["remarks"] += [f"Nothing tells how good it is elsewhere, for it cannot be cross-validated: {why}."]
     labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
     plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
     return plain
