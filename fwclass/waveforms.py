@@ -74,6 +74,9 @@ ECHO_COLUMNS = (
 )
 """Columns of the echoes that decomposition makes of them."""
 
+BATHYMETRY_COLUMNS = ("water", "water_decay", "water_depth")
+"""Columns besides, where the survey is asked for water (section `bathymetry`)."""
+
 IMPLAUSIBLE = 128
 """Value of `fit_flags` of an echo that cannot be, that its source withholds, or calls noise and keeps; neither ground
 filters nor terrain see it."""

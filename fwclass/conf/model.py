@@ -17,7 +17,14 @@ from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sections import AreasSection, PapersSection, RunSection, SeamsSection, SurveySection
 from fwclass.conf.sets import Selection, feature_set, listed_once
 from fwclass.contours.params import ContourParams
-from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
+from fwclass.decompose.params import (
+    BathymetryParams,
+    DecomposeParams,
+    PlausibilityParams,
+    PulseParams,
+    SampleParams,
+    StackParams,
+)
 from fwclass.errors import ConfigError
 from fwclass.features.params import FeaturesParams
 from fwclass.ground.params import GroundParams
@@ -54,6 +61,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "read": ReadParams,
     "pulse": PulseParams,
     "decompose": DecomposeParams,
+    "bathymetry": BathymetryParams,
     "plausibility": PlausibilityParams,
     "stack": StackParams,
     "samples": SampleParams,
@@ -108,6 +116,7 @@ class Config:
     read: ReadParams
     pulse: PulseParams
     decompose: DecomposeParams
+    bathymetry: BathymetryParams
     plausibility: PlausibilityParams
     stack: StackParams
     samples: SampleParams

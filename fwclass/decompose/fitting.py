@@ -87,12 +87,12 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     top = waves.pulses["saturation"].astype(np.float64)
     top = np.where(np.isnan(top), np.inf, top)
-    channels, values, channel_of = _channels(pulse, spacing, top)
+    channels, values, channel_of = channels_of(pulse, spacing, top)
     top = sample_limits(waves, pulse)
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts, samples = [], waves.wide
-    for rows, step, channel, order in _alike(spacing, lengths, channel_of, channels, pulse):
+    for rows, step, channel, order in alike(spacing, lengths, channel_of, channels, pulse):
         noise, own = channel.autoregression.shorter(order) if channel else WHITE, pulse.of(channel)
         look = lookup(own, step, params.narrowest, params.widest, noise)
         widths = widths_of(own, params.narrowest, params.widest)
@@ -106,7 +106,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
                 top,
                 values,
                 channel_of,
-                _kind(noise, channel.growth if channel else 0.0),
+                kind_of(noise, channel.growth if channel else 0.0),
                 _settings(params, pulse, channel, step, look),
                 most,
                 int(lengths[some].max()),
@@ -119,16 +119,16 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     return _gather(count, row_values, parts)
 
 
-def _alike(
+def alike(
     spacing: NDArray[np.float64],
     lengths: NDArray[np.int64],
     channel_of: NDArray[np.int64],
     channels: list[Channel],
     pulse: SystemPulse,
 ) -> Iterator[tuple[NDArray[np.int64], float, Channel | None, int]]:
-    """Rows that are fitted in one way, their sample spacing, their channel where it is special, and from how many
-    samples it is foretold: as many as the waveform can spare at its start. Rows whose spacing does not fit their pulse
-    are left out."""
+    """int64 (rows,) of waveforms that are fitted in one way, their sample spacing, their channel where it is special,
+    and from how many samples it is foretold: as many as the waveform can spare at its start. Rows whose spacing does
+    not fit their pulse are left out."""
     special = np.array([c.special for c in channels] + [False])
     own = np.where(special[channel_of], channel_of, len(channels))
     most = np.array([len(c.phi) for c in channels] + [0])[own]
@@ -151,7 +151,8 @@ def _alike_rows(*keys: NDArray[Any]) -> Iterator[NDArray[np.int64]]:
     yield from (r for r in np.split(order, np.flatnonzero(np.diff(group[order])) + 1) if len(r))
 
 
-def _kind(noise: Autoregression, growth: float) -> Kind:
+def kind_of(noise: Autoregression, growth: float) -> Kind:
+    """`Kind` of a channel whose noise is correlated as `noise`, and grows by `growth` a DN of signal [DN]."""
     phi, correlation = np.array(noise.phi), noise.correlation(LONGEST if noise.phi else 0)
     spread = float(2.0 * (correlation @ correlation) - 1.0)
     return Kind(phi, 1.0 - float(phi.sum()), noise.innovation, spread, growth)
@@ -192,7 +193,7 @@ def _settings(
     )
 
 
-def _channels(
+def channels_of(
     pulse: SystemPulse, spacing: NDArray[np.float64], top: NDArray[np.float64]
 ) -> tuple[list[Channel], NDArray[np.float64], NDArray[np.int64]]:
     """The receiver's channels, also as (c + 1, 4) numbers, the last for an unknown channel; every row's channel."""
@@ -270,7 +271,7 @@ def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: Decompos
 def pulses_of(waves: Waveforms, pulse: SystemPulse) -> tuple[list[SystemPulse], NDArray[np.int64]]:
     """The pulses of the channels, the strip's last, and int64 (waveforms,): which of them each is fitted with."""
     spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
-    known, _, channel_of = _channels(pulse, spacing, np.where(np.isnan(top), np.inf, top))
+    known, _, channel_of = channels_of(pulse, spacing, np.where(np.isnan(top), np.inf, top))
     return [pulse.of(channel) for channel in (*known, None)], channel_of
 
 

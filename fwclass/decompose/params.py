@@ -96,6 +96,34 @@ class DecomposeParams(Params):
     tolerance: float = Field(gt=0.0)
 
 
+class BathymetryParams(Params):
+    """Parameters of water under green lasers: surface, column and bottom; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    enabled : waveforms are tried for water, and their echoes have `BATHYMETRY_COLUMNS`.
+    refractive_index, group_index : of water, the one that bends the beam and the one that slows the light down.
+    gain : least drop of chi-square that pays for water, beyond what both models' parameters cost
+        (a third of `decompose.split_gain` each).
+    least_decay, most_decay : of the column's light [1/ns of two-way time].
+    least_depth : of a bottom, along the beam [m].
+    """
+
+    enabled: bool
+    refractive_index: float = Field(ge=1.0, le=2.0)
+    group_index: float = Field(ge=1.0, le=2.0)
+    gain: float = Field(gt=0.0, le=1e6)
+    least_decay: float = Field(gt=0.0, le=10.0)
+    most_decay: float = Field(gt=0.0, le=10.0)
+    least_depth: float = Field(gt=0.0, le=100.0)
+
+    @model_validator(mode="after")
+    def _range(self) -> BathymetryParams:
+        if self.least_decay >= self.most_decay:
+            raise ValueError("least_decay must be less than most_decay")
+        return self
+
+
 class PlausibilityParams(Params):
     """What a strip's echoes may be before the command ends with exit code 4; the numbers are in `conf/base.yaml`.
 

@@ -14,6 +14,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams
 from fwclass.decompose.pulse_fit import POOR
 from fwclass.decompose.quiet import QuietNoise
+from fwclass.decompose.water_column import BOTTOM
 from fwclass.units import LAND
 from fwclass.waveforms import IMPLAUSIBLE, Waveforms
 
@@ -103,6 +104,8 @@ def judge(
     near = np.zeros(rows, bool)
     gap = sum((echoes[a][known] - returns[a][to_return[known]]) ** 2 for a in "xyz")
     near[known] = np.sqrt(gap) <= params.vendor_tolerance * beams(waves)[1].max()
+    if "water" in echoes:
+        near |= echoes["water"] == BOTTOM  # where the vendor has none, returns end at the surface
     alone = checked & ~near
     margin, envelope = params.envelope_margin, around.envelope
     with np.errstate(invalid="ignore"):

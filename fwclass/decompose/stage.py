@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from fwclass.decompose.belonging import belonging
 from fwclass.decompose.fitting import SATURATED, fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
-from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.placement import AS_STORED, Placement
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
 from fwclass.decompose.plausible import UNKNOWN, Surroundings, judge, renumber
 from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.water_column import place_water, with_water
 from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.units import AREA_PER_FWHM, SIGMA_PER_MAD
-from fwclass.waveforms import ECHO_COLUMNS, IMPLAUSIBLE, Waveforms
+from fwclass.waveforms import BATHYMETRY_COLUMNS, ECHO_COLUMNS, IMPLAUSIBLE, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
 """Values of `origin`."""
@@ -39,6 +40,7 @@ def decompose(
     pulse: SystemPulse,
     around: Surroundings = UNKNOWN,
     placement: Placement = AS_STORED,
+    bathymetry: BathymetryParams | None = None,
 ) -> tuple[Table, Table, dict[str, int]]:
     """Echoes of a chunk, and the echo that every return belongs to.
 
@@ -55,15 +57,20 @@ def decompose(
     pulse : the system's pulse.
     around : what the echoes are held against, see `plausible`.
     placement : what the strip tells of its places.
+    bathymetry : waveforms are tried for water; None: they are not.
 
     Returns
     -------
-    echoes : `ECHO_COLUMNS`, one row per echo in canonical order (pulse, echo_number).
+    echoes : `ECHO_COLUMNS`, with `bathymetry` also `BATHYMETRY_COLUMNS`, one row per echo in canonical order (pulse,
+        echo_number).
     links : `LINK_COLUMNS`, one row per return, in file order: the nearest echo of its pulse.
     counts : `plausible.COUNTS`.
     """
-    echoes = _echo_columns(waves, params, pulse, placement)
+    echoes = _echo_columns(waves, params, pulse, placement, bathymetry)
     returns = _return_columns(waves, echoes["pulse"])
+    if bathymetry is not None:
+        returns |= dict.fromkeys(("water_decay", "water_depth"), np.full(len(returns["pulse"]), np.nan))
+        returns["water"] = np.zeros(len(returns["pulse"]), np.uint8)
     if len(returns["pulse"]):
         echoes = {name: np.concatenate([echoes[name], returns[name]]) for name in echoes}
         order = np.lexsort((echoes["echo_number"], echoes["pulse"]))
@@ -73,7 +80,8 @@ def decompose(
     echoes["strip"] = np.full(len(echoes["pulse"]), strip)
     for axis in "xyz":
         echoes[axis] = quantise(echoes[axis])
-    table = Table({name: echoes[name] for name in ECHO_COLUMNS})
+    names = ECHO_COLUMNS if bathymetry is None else (*ECHO_COLUMNS, *BATHYMETRY_COLUMNS)
+    table = Table({name: echoes[name] for name in names})
     own = table.take(_echo_of_return(table, links))
     seen = (own["origin"] == FITTED) & (own["fit_flags"] & (SATURATED | VENDOR_KEPT) == 0)
     lone = returns_without_echo(waves, table, links, params)
@@ -174,12 +182,14 @@ def _places(columns: Mapping[str, NDArray]) -> NDArray[np.float64]:
 
 def returns_without_echo(waves: Waveforms, echoes: Table, links: Table, params: DecomposeParams) -> int:
     """How many returns have no echo of their pulse within `vendor_tolerance`: weaker than the threshold, overlapped,
-    or made of a receiver's ringing. `echoes` and `links` are what `decompose` gave for `waves`."""
+    or made of a receiver's ringing. `echoes` and `links` are what `decompose` gave for `waves`. Returns of water lie
+    where their vendor takes light to go, and are not counted."""
     if links.rows == 0 or waves.pulses.rows == 0:
         return 0
     at = _echo_of_return(echoes, links)
     away = np.sqrt(sum((echoes[a][at] - waves.returns[a]) ** 2 for a in "xyz"))
-    return int((away > params.vendor_tolerance * beams(waves)[1].max()).sum())
+    lone = away > params.vendor_tolerance * beams(waves)[1].max()
+    return int((lone & (echoes["water"][at] == 0) if "water" in echoes else lone).sum())
 
 
 def _echo_of_return(echoes: Table, links: Table) -> NDArray[np.int64]:
@@ -189,10 +199,16 @@ def _echo_of_return(echoes: Table, links: Table) -> NDArray[np.int64]:
 
 
 def _echo_columns(
-    waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, placement: Placement
+    waves: Waveforms,
+    params: DecomposeParams,
+    pulse: SystemPulse,
+    placement: Placement,
+    bathymetry: BathymetryParams | None,
 ) -> dict[str, NDArray]:
     """Columns of the fitted echoes, by pulse and echo number."""
     fits = fit_waveforms(waves, params, pulse)
+    if bathymetry is not None:
+        fits, waters = with_water(fits, waves, params, pulse, bathymetry)
     row, pulses = fits.row, waves.pulses
     late, range_late = origins_of(waves, params, pulse, placement)
     after, far = from_anchor(fits, waves, late, params, placement)
@@ -222,6 +238,8 @@ def _echo_columns(
     for c, axis in enumerate("xyz"):
         columns[axis] = pulses[f"anchor_{axis}"][row] + (after * speed[row]) * beam[row, c]
         columns[f"beam_{axis}"] = beam[row, c]
+    if bathymetry is not None:
+        columns |= place_water(columns, waters, row, fits.time_sigma, after, speed[row], bathymetry)
     if (np.diff(pulses["pulse"].astype(np.int64)) <= 0).any():  # pulses of several segments
         order = np.lexsort((time, columns["pulse"]))
         columns = {name: values[order] for name, values in columns.items()}

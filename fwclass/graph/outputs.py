@@ -17,7 +17,7 @@ from fwclass.errors import StoreError, first_few
 from fwclass.graph.classify import classes_written
 from fwclass.graph.kept import check_written, deciding_column, kept_argument, other_names
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
-from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
+from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of, water_columns
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.tiling import source_codes, tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
@@ -209,7 +209,7 @@ def columns_of_tiles(plan: Plan) -> Names:
     measured = [name for name in MEASURE_RADIOMETRY.columns(plan) if name in plan.providers]
     wanted = plan.config.publish.parquet_features
     features = {"all": (*plan.names, *plan.config.features.also), "used": plan.names, "none": ()}[wanted]
-    return tuple(dict.fromkeys((*DELIVERED, *classes_written(plan), *measured, *features)))
+    return tuple(dict.fromkeys((*DELIVERED, *water_columns(plan), *classes_written(plan), *measured, *features)))
 
 
 def repeated_columns(plan: Plan) -> Names:

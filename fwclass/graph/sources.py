@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.envelope import Envelope
-from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
 from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
@@ -34,7 +34,7 @@ from fwclass.store.atomic import read_json, write_json
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
 from fwclass.survey.layout import FileDigests, Strip
-from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+from fwclass.waveforms import BATHYMETRY_COLUMNS, PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 RETURNS = "returns.parquet"
 """Of a chunk as it was read, in the order of the file."""
@@ -231,16 +231,33 @@ def strip_of(chunk: str) -> int:
     return int(chunk.split("-")[0])
 
 
-def decompose_chunk(here: StageInputs, params: DecomposeParams) -> Result:
+def asked_for_water(plan: Plan) -> dict[str, Any]:
+    """The argument `bathymetry`, where the survey is asked for water."""
+    return {"bathymetry": plan.config.bathymetry} if plan.config.bathymetry.enabled else {}
+
+
+def water_columns(plan: Plan) -> tuple[str, ...]:
+    """The columns that tell of water, where the survey is asked for it."""
+    return BATHYMETRY_COLUMNS if plan.config.bathymetry.enabled else ()
+
+
+def decompose_chunk(here: StageInputs, params: DecomposeParams, bathymetry: BathymetryParams | None = None) -> Result:
     """Echoes of a chunk, and the echo of every return."""
     strip = strip_of(here.part)
     waves = waveforms_of(here.part, here.inputs)
     pulse, around = pulse_of(strip, here.inputs), surroundings_of(strip, here.inputs)
-    return _write_echoes(here, decompose(waves, strip, params, pulse, around, placement_of(strip, here.inputs)))
+    placement = placement_of(strip, here.inputs)
+    return _write_echoes(here, decompose(waves, strip, params, pulse, around, placement, bathymetry))
 
 
 def read_returns(
-    here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span, left_aside: bool = False
+    here: StageInputs,
+    params: DecomposeParams,
+    reading: ReadParams,
+    width: float,
+    span: Span,
+    left_aside: bool = False,
+    bathymetry: BathymetryParams | None = None,
 ) -> Result:
     """As `read_chunk` and `decompose_chunk`, of a span without waveforms, or whose waveforms are `left_aside`: its
     returns are its echoes.
@@ -248,7 +265,8 @@ def read_returns(
     `width`: of a pulse [ns] that nothing is fitted with.
     """
     waves = read_span(open_source(here.file()), span, reading, waves=not left_aside)
-    result = decompose(waves, strip_of(here.part), params, SystemPulse.gaussian(width), UNKNOWN)
+    pulse = SystemPulse.gaussian(width)
+    result = decompose(waves, strip_of(here.part), params, pulse, UNKNOWN, bathymetry=bathymetry)
     return {**_facts(waves), **_write_echoes(here, result)}
 
 
@@ -336,7 +354,7 @@ DECOMPOSE_WAVES = Stage(
     parts=_with_waves,
     waves=True,
     when=_decomposed,
-    arguments=lambda plan: {"params": plan.config.decompose},
+    arguments=lambda plan: {"params": plan.config.decompose, **asked_for_water(plan)},
     after=("read", "pulse", "places"),
     needs=lambda plan, part: (("read", part.key), ("pulse", part.strip.key), ("places", part.strip.key)),
 )
@@ -353,6 +371,7 @@ DECOMPOSE_RETURNS = Stage(
         "params": plan.config.decompose,
         "reading": plan.config.read,
         "width": plan.config.pulse.width or plan.config.pulse.fallback_width,
+        **asked_for_water(plan),
     },
     each=lambda plan, part: {"span": part.span, **({"left_aside": True} if part.declared else {})},
     after=("index",),

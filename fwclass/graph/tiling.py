@@ -11,7 +11,7 @@ import numpy as np
 
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.kept import kept_noise
-from fwclass.graph.sources import chunk_name, spans_of, strip_of
+from fwclass.graph.sources import chunk_name, spans_of, strip_of, water_columns
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import TileGrid, quantise
 from fwclass.read.stage import read_cloud
@@ -207,7 +207,7 @@ TILE_ECHOES = Stage(
     keyed=_sizes,
     after=("split",),
     needs=lambda plan, tile: [("split", part) for part in tile.chunks],
-    writes=DECOMPOSE.writes,
+    writes=lambda plan: (*DECOMPOSE.writes, *water_columns(plan)),
     named=True,
     cells=True,
 )

@@ -14,6 +14,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.stage import VENDOR_KEPT
 from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.water_column import BOTTOM, SURFACE
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL
 from fwclass.formats.area_of_use import elsewhere, place_faults
@@ -37,7 +38,7 @@ from fwclass.stage import Chunk
 from fwclass.survey.systems import given_crs
 from fwclass.waveforms import IMPLAUSIBLE
 
-SECTIONS = ("read", "pulse", "decompose", "plausibility", "features", "radiometry", "publish")
+SECTIONS = ("read", "pulse", "decompose", "bathymetry", "plausibility", "features", "radiometry", "publish")
 """Sections of the configuration that the command obeys."""
 
 DOUBTFUL = 1.0
@@ -121,6 +122,7 @@ def decompose_file(
     rows = [
         *_summary(table, read_from),
         *([_pulse_words(pulse)] if opened.has_waves else []),
+        *_water_words(table),
         *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
         *(f"plausibility: {text}" for text in plausibility_remarks([judged], fit)),
         *notes,
@@ -149,6 +151,16 @@ def _summary(table: Table, read_from: str) -> list[str]:
         (read, "read as echoes"),
     )
     return [f"{table.rows:,} echoes from {read_from}: " + ", ".join(f"{n:,} {what}" for n, what in parts if n)]
+
+
+def _water_words(table: Table) -> list[str]:
+    """What was found of water, where it was asked for."""
+    if "water" not in table:
+        return []
+    depth = table["water_depth"][table["water"] == BOTTOM]
+    surfaces = int((table["water"] == SURFACE).sum())
+    deep = f", {np.median(depth):.2f} m deep in the median" if len(depth) else ""
+    return [f"water: {surfaces:,} surfaces, {len(depth):,} bottoms{deep}"]
 
 
 def _pulse_words(pulse: SystemPulse) -> str:
