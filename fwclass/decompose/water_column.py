@@ -72,6 +72,7 @@ def with_water(
 
     The first plain echo is taken for the surface, later ones and what stands out of the rest for the bottom. Water is
     taken where chi-square is lower than the plain fit's by ``asked.gain``, after each has paid for its parameters.
+    Beams that go up meet none.
 
     Parameters
     ----------
@@ -151,10 +152,11 @@ def _answers(
     channels, _, channel_of = channels_of(pulse, spacing, np.where(np.isnan(top), np.inf, top))
     starts_of = np.searchsorted(fits.row, np.arange(n + 1))
     signal, limits, lengths = signal_of(fits, waves, pulse, params), sample_limits(waves, pulse), np.diff(waves.offsets)
+    up = waves.pulses["step_z"] <= 0.0
     for rows, step, special, order in alike(spacing, lengths, channel_of, channels, pulse):
         noise = special.autoregression.shorter(order) if special else WHITE
         kind = kind_of(noise, special.growth if special else 0.0)
-        mine = rows[fits.count[rows] > 0]
+        mine = rows[(fits.count[rows] > 0) & ~up[rows]]
         for c, channel in enumerate((*channels, None)):
             some = mine[channel_of[mine] == c]
             receiver[some] = _receiver(fits, some, channel, noise.innovation, kind.level)

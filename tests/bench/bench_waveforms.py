@@ -13,12 +13,14 @@ import argparse
 import json
 import multiprocessing
 import sys
+import tempfile
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import yaml
 from numpy.typing import NDArray
@@ -30,10 +32,11 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import wavemaker as wm  # noqa: E402
 import woodmaker  # noqa: E402
+from watermaker import Score, lake, scored  # noqa: E402
 
 from fwclass.classes import BUILDING, WATER  # noqa: E402
 from fwclass.decompose.fitting import fit_waveforms  # noqa: E402
-from fwclass.decompose.params import DecomposeParams, StackParams  # noqa: E402
+from fwclass.decompose.params import BathymetryParams, DecomposeParams, StackParams  # noqa: E402
 from fwclass.decompose.placement import AS_STORED  # noqa: E402
 from fwclass.decompose.plane_surface import planar, plane_surface  # noqa: E402
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse, join_samples  # noqa: E402
@@ -48,6 +51,7 @@ from fwclass.grid import Box, Window  # noqa: E402
 from fwclass.read.params import ReadParams  # noqa: E402
 from fwclass.read.source import open_source  # noqa: E402
 from fwclass.read.stage import index_source, read_span  # noqa: E402
+from fwclass.single_file.decompose import decompose_file  # noqa: E402
 
 BASE = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())
 PARAMS = DecomposeParams(**BASE["decompose"])
@@ -558,6 +562,50 @@ def stacked_planes(scale: float) -> list[Figure]:
     return out
 
 
+def water(scale: float) -> list[Figure]:
+    """A lake with a wooded shore under a green laser, from the file to the delivered echoes; without asking for water,
+    and asking for it."""
+    out, n = [], int(4000 * scale) + 400
+    with tempfile.TemporaryDirectory() as place:
+        made = Path(place) / "echoes.laz"
+        for lag1 in (0.0, 0.5):
+            scores: dict[bool, list[Score]] = {False: [], True: []}
+            for seed in range(4):
+                truth = lake(Path(place) / "lake.las", n, lag1=lag1, seed=int(100 * lag1) + seed, shore=0.6)
+                for on in scores:
+                    words = (f"bathymetry.enabled={str(on).lower()}", "plausibility.accept=true")
+                    decompose_file(truth.path, made, words, True)
+                    scores[on].append(scored(truth, laspy.read(made)))
+            for on, some in scores.items():
+                whole = {f.name: np.concatenate([getattr(s, f.name) for s in some]) for f in fields(Score)}
+                name = f"lake, noise {'AR 0.5' if lag1 else 'white'}, {'asked' if on else 'plain'}"
+                clear = whole["visible"] > 6.0
+                if on:
+                    out.append(share(name, "bottoms found, all that there are", whole["found"]))
+                    for low, high in ((0.5, 1.0), (1.0, 1.5), (1.5, 3.0), (3.0, 6.0), (6.0, 15.0)):
+                        at = clear & (whole["deep"] >= low) & (whole["deep"] < high)
+                        out.append(share(name, f"  A/σ above 6, {low}-{high} m deep", whole["found"][at]))
+                    out.append(share(name, "land taken for water", whole["false_water"], "<= 1e-3"))
+                    out.append(share(name, "pulses of water with a surface", whole["surfaces"]))
+                    out.append(share(name, "  with a bottom that is none, or 0.5 m off", whole["wrong"]))
+                out.append(Figure(name, "echoes of a pulse of water too many", float(whole["extra"].mean())))
+                for what in ("depth_error", "place_error"):
+                    label = what.replace("_", " ") + " [m]"
+                    out.append(spread(name, f"{label}, rms", whole[what]))
+                    out.append(Figure(name, f"  {label}, median", float(np.median(whole[what]))))
+                if on:
+                    out.append(spread(name, "standardised place along the beam", whole["standard"], "1.00 +- 0.05"))
+            params = BathymetryParams(**BASE["bathymetry"])
+            record: dict[str, Any] = {"phi": (lag1,) if lag1 else (), "samples": 110}
+            pulse = asked(wm.survey_mix(20_000, seed=2, phi=record["phi"])[0])
+            for what, mixed, many in (("survey", wm.survey_mix, 40_000), ("hard", wm.hard_mix, 12_000)):
+                waves, _ = mixed(int(many * scale), seed=31, **record)
+                echoes = decompose(waves, 1, PARAMS, pulse, bathymetry=params)[0]
+                wet = np.bincount(echoes["pulse"][echoes["water"] > 0], minlength=waves.pulses.rows) > 0
+                out.append(share(f"{what} mix, noise {record['phi'] or 'white'}", "taken for water", wet, "<= 1e-3"))
+    return out
+
+
 GROUPS = (
     speed,
     completeness,
@@ -570,6 +618,7 @@ GROUPS = (
     long_records,
     stacking,
     stacked_planes,
+    water,
 )
 
 

@@ -12,7 +12,7 @@ from fwclass.decompose.deconvolution import backscatter_samples
 from fwclass.decompose.fitting import fit_waveforms
 from fwclass.decompose.least_squares import evaluate, lay, moments
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
-from fwclass.decompose.params import DecomposeParams, PulseParams, SampleParams
+from fwclass.decompose.params import BathymetryParams, DecomposeParams, PulseParams, SampleParams
 from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.quiet import with_correlated_noise
@@ -20,10 +20,12 @@ from fwclass.decompose.shapes import lookup
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stack_kernels import match_around, stack_groups
 from fwclass.decompose.system_pulse import Channel, SystemPulse
+from fwclass.decompose.water_column import with_water
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, Waveforms
 
 PARAMS = DecomposeParams(**BASE["decompose"])
+WATER = BathymetryParams(**BASE["bathymetry"] | {"gain": 0.1})
 MANY = {"max_echoes": 64, "detection": 0.5, "split_gain": 0.1, "widest": 20.0, "tail_share": 0.0}
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 8, 12, 40, 64, 98)
 
@@ -188,6 +190,8 @@ def drive(inputs: int, seed: int) -> int:
                 asked = SampleParams(**BASE["samples"] | {"method": method, "iterations": 3})
                 backscatter_samples(waves(batch), 0, asked, PARAMS, pulse, AS_STORED)
             match_anywhere(batch, rng)
+            step = float(rng.choice([0.5, 1.0, 2.0]))
+            with_water(fit_waveforms(waves(batch, step), PARAMS, pulse), waves(batch, step), PARAMS, pulse, WATER)
             estimated = estimate_pulse(waves(batch), PulseParams(**BASE["pulse"] | {"min_echoes": 8}))
             estimated = with_correlated_noise(estimated, waves(batch), PARAMS)
             with_misfit(with_signal_noise(estimated, waves(batch), PARAMS), waves(batch), PARAMS)

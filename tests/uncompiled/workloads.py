@@ -18,6 +18,7 @@ import numpy as np
 import plsmaker
 import plzmaker
 import shapely
+import watermaker
 import wavemaker
 import woodmaker
 from numpy.typing import NDArray
@@ -284,6 +285,20 @@ def work_correlated_noise(_: Path) -> Any:
     channel = Channel(1.0, 255.0, 10.0, 0.1, 1.5, 18.0, 255.0, (0.45, 0.02), 0.04, misfit=1.0)
     pulse = SystemPulse("gaussian", 3.5, channels=(channel,))
     return with_correlated_noise(pulse, waves, params), decompose(waves, 0, params, pulse)
+
+
+def work_water(place: Path) -> Any:
+    """Water from a file, its noise white and correlated; the last waveform is of land."""
+    truth = watermaker.lake(place / "a.las", 3, samples=180, shore=0.3, depths=(2.0, 5.0))
+    source, read = open_source(truth.path), conf.section("read")
+    (span,) = index_source(source, read)
+    waves, found = read_span(source, span, read), {}
+    for name, phi in (("white", ()), ("coloured", (0.4, 0.05))):
+        channel = Channel(1.0, 255.0, 12.0, 0.1, 1.2, 18.0, 255.0, phi, 0.02)
+        pulse = SystemPulse("gaussian", 3.5, shape_error=0.01, channels=(channel,))
+        bathymetry = conf.section("bathymetry")
+        found[name] = decompose(waves, 0, conf.section("decompose"), pulse, bathymetry=bathymetry)
+    return found
 
 
 def work_estimated_pulse(_: Path) -> Any:
