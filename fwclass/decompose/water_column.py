@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.autoregression import WHITE
-from fwclass.decompose.fitting import Fits, alike, channels_of, kind_of, sample_limits, signal_of
+from fwclass.decompose.fitting import Fits, alike, channels_of, kind_of, pulses_of, sample_limits, signal_of
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.pulse_fit import WEAK
 from fwclass.decompose.refraction import refract
@@ -34,9 +34,9 @@ from fwclass.decompose.water_kernel import (
     VAR_A_S,
     VAR_B,
     VAR_S,
-    Search,
     fit_water,
 )
+from fwclass.decompose.water_model import Search
 from fwclass.units import AREA_PER_FWHM, FWHM_PER_SIGMA, METRES_PER_NS, REFRACTIVE_INDEX
 from fwclass.waveforms import Waveforms
 
@@ -90,16 +90,16 @@ def with_water(
     rows = np.flatnonzero(found > 0)
     kept = np.flatnonzero(found[fits.row] == 0)
     deep = rows[found[rows] == BOTTOM]
-    widths = _widths(waves, pulse)
+    pulses, pulse_of = pulses_of(waves, pulse)
+    widths = np.array([p.fwhm for p in pulses])[pulse_of]
     made = [_echoes(answers, some, at, widths) for some, at in ((rows, _AT_SURFACE), (deep, _AT_BOTTOM)) if len(some)]
     columns = {f.name: getattr(fits, f.name) for f in fields(Fits)}
-    per_echo = [name for name, values in columns.items() if len(values) == len(fits.row) and name in _PER_ECHO]
     kind = np.concatenate([np.zeros(len(kept)), np.full(len(rows), SURFACE), np.full(len(deep), BOTTOM)])
-    echoes = {n: np.concatenate([columns[n][kept], *(m[n] for m in made)]) for n in per_echo}
+    echoes = {n: np.concatenate([columns[n][kept], *(m[n] for m in made)]) for n in _PER_ECHO}
     order = np.lexsort((echoes["time"], echoes["row"]))
     echoes = {n: v[order].astype(columns[n].dtype) for n, v in echoes.items()}
     kind, row = kind[order].astype(np.uint8), echoes["row"]
-    whole = {n: columns[n].copy() for n in ("count", "baseline", "noise", "misfit")}
+    whole = {n: columns[n].copy() for n in _PER_WAVEFORM}
     whole["count"][rows] = found[rows].astype(np.int64)
     for name, at in (("baseline", LEVEL), ("noise", NOISE), ("misfit", MISFIT)):
         whole[name][rows] = answers[rows, at]
@@ -108,7 +108,8 @@ def with_water(
     return replace(fits, **whole, **echoes), Waters(kind, decay, covariance)
 
 
-_PER_ECHO = frozenset(f.name for f in fields(Fits)) - {"count", "baseline", "noise", "misfit"}
+_PER_WAVEFORM = ("count", "baseline", "noise", "misfit")
+_PER_ECHO = tuple(f.name for f in fields(Fits) if f.name not in _PER_WAVEFORM)
 _AT_SURFACE = {"time": T_S, "amplitude": A_S, "var_time": VAR_S, "var": VAR_A_S, "deviation": DEV_S, "flags": FLAGS_S}
 _AT_BOTTOM = {"time": T_B, "amplitude": A_B, "var_time": VAR_B, "var": VAR_A_B, "deviation": DEV_B, "flags": FLAGS_B}
 
@@ -130,13 +131,6 @@ def _echoes(
         "deviation": found["deviation"],
         "flags": found["flags"],
     }
-
-
-def _widths(waves: Waveforms, pulse: SystemPulse) -> NDArray[np.float64]:
-    """Width of the pulse that every row is recorded with [ns]."""
-    spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
-    known, _, channel_of = channels_of(pulse, spacing, np.where(np.isnan(top), np.inf, top))
-    return np.array([pulse.of(channel).fwhm for channel in (*known, None)])[channel_of]
 
 
 def _answers(

@@ -43,13 +43,13 @@ def file_digest(path: Path) -> str:
 
 def names_below(directory: Path) -> list[str]:
     """Every file below `directory`, as sorted relative paths with ``/``; links to directories are not followed."""
-    names, todo = [], [""]
-    while todo:
-        below = todo.pop()
+    names, pending = [], [""]
+    while pending:
+        below = pending.pop()
         with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(f"{directory}/{below}") as entries:
             for entry in entries:
                 if entry.is_dir(follow_symlinks=False):
-                    todo.append(f"{below}{entry.name}/")
+                    pending.append(f"{below}{entry.name}/")
                 elif entry.is_file():
                     names.append(below + entry.name)
     return sorted(names)

@@ -14,7 +14,7 @@ from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.refraction import refract
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import Channel, SystemPulse
-from fwclass.decompose.water_kernel import ENDLESS, column_shape
+from fwclass.decompose.water_model import ENDLESS, column_shape
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.waveforms import BATHYMETRY_COLUMNS, ECHO_COLUMNS
 

@@ -327,10 +327,11 @@ def test_an_index_that_leads_to_one_record_over_and_over_is_refused(lengths: str
     "entries", [b"", b"\xff" * 16, b"\x7f" * 16, b"\0" * 7], ids=["none", "minus", "beyond", "cut"]
 )
 def test_an_index_that_leads_nowhere_ends_in_words(entries: bytes, sound: Path) -> None:
+    whole = len(read_polygons(open_polygons(sound / "good.shp"), None)[1].x)
     index = sound / "good.shx"
     index.write_bytes(index.read_bytes()[:100] + entries)
     with contextlib.suppress(InputError):
-        read_polygons(open_polygons(sound / "good.shp"), None)
+        assert len(read_polygons(open_polygons(sound / "good.shp"), None)[1].x) <= whole
 
 
 COUNTED = "select count(*) as fid from (with t(n) as (select 1 union all select n + 1 from t) select n from t)"
