@@ -263,6 +263,15 @@ def test_an_entry_that_does_not_fit_its_kernel_is_left_out(monkeypatch: pytest.M
     assert made["listed"] == 2 and len(made["left_out"]) == 1 and made["left_out"][0].startswith("levels: ")
 
 
+def test_an_entry_whose_named_tuple_has_other_fields_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = listed_kernels()
+    kernel, types = next((kernel, types) for kernel, types in rows if any(type(t) is list and t[0] for t in types))
+    short = [t[:-1] if type(t) is list else t for t in types]
+    monkeypatch.setattr(ahead, "listed_kernels", lambda: [(kernel, short)])
+    left = ahead.compile_all()["left_out"]
+    assert len(left) == 1 and "fields, the list" in left[0]
+
+
 @pytest.mark.slow
 def test_after_compile_a_run_compiles_nothing(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "fwclass"]

@@ -69,7 +69,12 @@ def _type(type_: Any) -> Any:
     if isinstance(type_, list):
         kind, *fields = type_
         inner = [_type(field) for field in fields]
-        return types.NamedTuple(inner, _named(kind)) if kind else types.Tuple(inner)
+        if not kind:
+            return types.Tuple(inner)
+        own = _named(kind)
+        if len(inner) != len(own._fields):
+            raise TypeError(f"{kind} has {len(own._fields)} fields, the list {len(inner)}")
+        return types.NamedTuple(inner, own)
     scalar, *rest = type_.split()
     scalar_type = types.none if scalar == "none" else getattr(types, scalar)
     return _array(scalar_type, rest) if rest else scalar_type

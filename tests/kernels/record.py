@@ -37,6 +37,7 @@ COMMANDS = [
     "run demo --out thinned --workers 0 --set thin.rate=0.5 --set train.split=histogram",
     "run demo --out weighed --workers 0 --set train.importance_repeats=2 --set train.bagging=0.9",
     "run demo --out stacked --workers 0 --set stack.enabled=true",
+    "run demo --out water --workers 0 --set bathymetry.enabled=true",
     f"voxels {STRIP} --out voxels --workers 0 --samples",
     f"profile {STRIP} --out profile --workers 0",
     "run demo --out refined --workers 0 --set classify.refine.between=[building,vegetation]",
