@@ -28,5 +28,8 @@ STREET = (
     _feature("planarity", "", "(sqrt l2 - sqrt l3) / sqrt l1", _DEMANTKE, low=0, high=1),
     _feature("sphericity", "", "sqrt l3 / sqrt l1", _DEMANTKE, low=0, high=1),
     _feature("road_height_mean", "m", "mean z, above the road beside the vehicle", "Li 2018, 2.2, from the road"),
+    _feature("intensity_mean", "", "mean intensity, share of street.intensity", "fwclass", low=0, high=1),
+    _feature("intensity_deviation", "", "standard deviation of the intensities, likewise", "fwclass", low=0, high=0.5),
 )
-"""The eleven features of the paper in its order, and what stands for the first where heights count from the road."""
+"""The eleven features of the paper in its order, what stands for the first where heights count from the road, and those
+of scanners that tell how strong a return is."""

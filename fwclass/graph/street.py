@@ -62,6 +62,7 @@ def feature_parameters(params: StreetParams) -> dict[str, Any]:
             "features": params.features,
             "window": params.window,
             "most_frames": params.most_frames,
+            **({} if params.intensity is None else {"intensity": params.intensity}),
         },
         "mounting": params.mounting.model_dump(mode="json"),
     }
@@ -73,7 +74,9 @@ def params_of(model: Model, params: StreetParams, where: object) -> StreetParams
     settings = card.get("street") if isinstance(card, Mapping) else None
     try:
         changed = (
-            StreetParams.model_validate({**params.model_dump(), **settings}) if isinstance(settings, Mapping) else None
+            StreetParams.model_validate({**params.model_dump(), "intensity": None, **settings})
+            if isinstance(settings, Mapping)
+            else None
         )
     except ValueError:
         changed = None
@@ -96,11 +99,12 @@ def learned_mounting(model: Model) -> dict[str, Any] | None:
 
 def model_remarks(model: Model, params: StreetParams) -> list[str]:
     """Settings of `params` that the model's own stand for, and another mounting than it learned with."""
-    learned = {**feature_parameters(params)["street"], **model.card["computed"]["street"]}
+    asked = {**feature_parameters(params)["street"], "intensity": params.intensity}
+    learned = {**asked, "intensity": None, **model.card["computed"]["street"]}
     said = [
         f"street.{name} is the model's, {learned[name]}, not {value}"
-        for name, value in feature_parameters(params)["street"].items()
-        if learned[name] != value
+        for name, value in asked.items()
+        if learned[name] != value and not (name == "intensity" and value is None)
     ]
     mounting, here = learned_mounting(model), params.mounting.model_dump(mode="json")
     other = [name for name in here if mounting and mounting.get(name) != here[name]]

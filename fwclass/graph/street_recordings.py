@@ -235,7 +235,7 @@ class LasRecording:
         """How the scanner turns, measured on the first points."""
         with PointReader(self.source) as reader:
             points = next(reader.blocks())[1]
-        time, plane, _ = self._seen(points)
+        time, plane, *_ = self._seen(points)
         check_times(time, self.path)
         distance = np.linalg.norm(plane, axis=1)
         far = distance > NEAR
@@ -269,8 +269,8 @@ class LasRecording:
         number = 0
         with PointReader(self.source) as reader:
             for _, points in reader.blocks():
-                time, plane, codes = self._seen(points)
-                of_block = time, self._angle(plane), np.linalg.norm(plane, axis=1), codes
+                time, plane, codes, light = self._seen(points)
+                of_block = time, self._angle(plane), np.linalg.norm(plane, axis=1), codes, light
                 for one in cutter.take(*of_block):
                     yield self._frame(number, cutter, one, scan)
                     number += 1
@@ -279,14 +279,17 @@ class LasRecording:
         self.left_out.update({SECOND: cutter.doubled, "beyond the field": cutter.outside})
 
     def _frame(self, number: int, cutter: Cutter, scan_points: tuple[NDArray[Any], ...], scan: Scan) -> Frame:
-        time, ranges, labels = cutter.beams(*scan_points)
+        time, ranges, labels, light = cutter.beams(*scan_points)
         labelled = None if np.isin(labels, UNCLASSIFIED).all() else labels
         fixes = self._way.time
         place = float(self._way.place(min(max(time, fixes[0]), fixes[-1])))  # a frame may begin before its first point
-        return Frame(number, time, scan, ranges, place=place, labels=labelled)
+        return Frame(number, time, scan, ranges, place=place, labels=labelled, intensities=light)
 
-    def _seen(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-        """Times, coordinates (n, 3) across, along and above the scan plane's zero, and codes of the first returns."""
+    def _seen(
+        self, points: Any
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint16]]:
+        """Times, coordinates (n, 3) across, along and above the scan plane's zero, codes and intensities of the first
+        returns."""
         time = gps_times(self.source, points)
         first = np.asarray(points["return_number"]) <= 1
         timed = np.isfinite(time) & first
@@ -295,11 +298,12 @@ class LasRecording:
         self.left_out["later returns"] += int((~first).sum())
         self.left_out[OUTSIDE] += int((first & ~here).sum())
         time, codes = time[here], np.asarray(points["classification"], np.uint8)[here]
+        light = np.asarray(points["intensity"], np.uint16)[here]
         away = np.stack(coordinates(self.source, points), axis=1)[here] - self._way.position(time)
         course = self._way.course(time)
         ahead = away[:, 0] * course[:, 0] + away[:, 1] * course[:, 1]
         aside = away[:, 1] * course[:, 0] - away[:, 0] * course[:, 1]
-        return time, np.stack([ahead, aside, away[:, 2]], axis=1) @ rotation(self.params.mounting), codes
+        return time, np.stack([ahead, aside, away[:, 2]], axis=1) @ rotation(self.params.mounting), codes, light
 
     def _angle(self, plane: NDArray[np.float64]) -> NDArray[np.float64]:
         """Of each point from where the scanner looks, upwards, roll taken off [rad]."""

@@ -15,7 +15,7 @@ from fwclass.errors import InputError
 from fwclass.street.params import MountingParams, ScannerParams, StreetParams
 from fwclass.street.place_kernels import CAUSES, place_frame
 from fwclass.street.soundness import FEWEST_ROAD, Soundness
-from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.sphere_kernels import LEVELS, UNIT
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class Frame:
     ranges : float32 (beams,) [m]; NaN, infinite, below `range_min` or above `range_max` is no return.
     speed : of the vehicle [m/s], place : along the road [m]; NaN where the source has none.
     labels : uint8 (beams,) class codes, 0 none; or None.
+    intensities : float32 (beams,) as the scanner gives them; or None.
     """
 
     number: int
@@ -73,6 +74,7 @@ class Frame:
     speed: float = math.nan
     place: float = math.nan
     labels: NDArray[np.uint8] | None = None
+    intensities: NDArray[np.float32] | None = None
 
 
 class Recording(Protocol):
@@ -98,6 +100,7 @@ class Placed:
         it, else the mounting's.
     x : int32 (beams,), or (0,) where the scan plane is at right angles to the road. y, z : int32 (beams,).
     r : float32 (beams,) [m], NaN without a return.
+    light : int32 (beams,), intensities [levels]; (0,) where `street.intensity` asks for none.
     """
 
     number: int
@@ -108,7 +111,14 @@ class Placed:
     y: NDArray[np.int32]
     z: NDArray[np.int32]
     r: NDArray[np.float32]
+    light: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
     labels: NDArray[np.uint8] | None = None
+
+
+def levels_of(intensities: NDArray[np.float32], full: float) -> NDArray[np.int32]:
+    """Intensities (beams,) as whole levels of `full` scale, 0 to `LEVELS` - 1; 0 where one is negative or NaN."""
+    share = np.clip(np.nan_to_num(intensities.astype(np.float64) / full, nan=0.0), 0.0, 1.0)
+    return np.rint(share * (LEVELS - 1)).astype(np.int32)
 
 
 def rotation(mounting: MountingParams) -> NDArray[np.float64]:
@@ -158,6 +168,7 @@ FAULTS = (
     "out of order",
     "doubled",
     "other beams",
+    "no intensities",
     "clock leaps",
     "dropped before",
     "reversing",
@@ -165,7 +176,7 @@ FAULTS = (
     "no speed",
     "impossible speed or place",
 )
-"""What frames are counted for; the first three are left out."""
+"""What frames are counted for; the first four are left out."""
 
 
 @dataclass
@@ -212,10 +223,27 @@ class Track:
         if not frame.scan.like(self.geometry.scan) or len(frame.ranges) != frame.scan.beams:
             self.faults["other beams"] += 1
             return None
+        if self.params.intensity is not None and not self._has_light(frame):
+            self.faults["no intensities"] += 1
+            return None
         if not self._in_time(frame):
             return None
         self.used += 1
         return self._place_frame(frame, self.geometry)
+
+    def _has_light(self, frame: Frame) -> bool:
+        """Whether the frame has intensities; `InputError` where not one did before it."""
+        if frame.intensities is not None and len(frame.intensities) == len(frame.ranges):
+            return True
+        if self.used:
+            return False
+        raise InputError(
+            "the frames have no intensities",
+            where=f"frame {frame.number}",
+            expected="one a beam: street.intensity, or the model, asks for them",
+            got="none",
+            do="record them (LaserScan.intensities, a column of Parquet), or train without: street.intensity=null",
+        )
 
     def _in_time(self, frame: Frame) -> bool:
         """Whether the frame comes after the one before; how far along the road it is."""
@@ -288,12 +316,16 @@ class Track:
         count = place_frame(frame.ranges, geometry.direction, *limits, near, below, x, y, z, r, self.missing, under)
         place = round(self._along / UNIT)
         self.sound.see(frame.ranges, limits[0], geometry.direction, place, (x, y, z, r), self._moved)
+        light = np.empty(0, np.int32)
+        if self.params.intensity is not None and frame.intensities is not None:
+            light = levels_of(frame.intensities, self.params.intensity)
+            self.sound.see_light(frame.intensities[~np.isnan(r)])
         here = beams - int(np.isnan(r).sum())
         self.returns += here
         self.blind += here == 0
         if count >= FEWEST_ROAD and self.params.features == "road":
             self._road = float(np.median(under[:count]))
-        return Placed(frame.number, frame.time, place, self._road, x, y, z, r, frame.labels)
+        return Placed(frame.number, frame.time, place, self._road, x, y, z, r, light, frame.labels)
 
     def counts(self) -> dict[str, Any]:
         """Counts by cause, plain data."""

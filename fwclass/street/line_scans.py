@@ -181,9 +181,11 @@ class Cutter:
     def __post_init__(self) -> None:
         self._held: list[NDArray[Any]] = []
 
-    def take(self, time: NDArray, angle: NDArray, r: NDArray, codes: NDArray) -> list[tuple[NDArray[Any], ...]]:
-        """(time, angle, range, class code) of every frame that is whole, of points [s, rad, m]."""
-        now = [time, angle, r, codes]
+    def take(
+        self, time: NDArray, angle: NDArray, r: NDArray, codes: NDArray, light: NDArray
+    ) -> list[tuple[NDArray[Any], ...]]:
+        """(time, angle, range, class code, intensity) of every frame that is whole, of points [s, rad, m]."""
+        now = [time, angle, r, codes, light]
         if self._held:
             now = [np.concatenate(pair) for pair in zip(self._held, now, strict=True)]
         edges = self._cuts(now)
@@ -201,9 +203,9 @@ class Cutter:
         return np.flatnonzero(np.abs(np.diff(begin)) > 0.5 * self.turning.period) + 1
 
     def beams(
-        self, time: NDArray, angle: NDArray, r: NDArray, codes: NDArray
-    ) -> tuple[float, NDArray[np.float32], NDArray[np.uint8]]:
-        """Begin [s], ranges (beams,) [m], NaN where none came, and class codes (beams,) of a frame.
+        self, time: NDArray, angle: NDArray, r: NDArray, codes: NDArray, light: NDArray
+    ) -> tuple[float, NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]]:
+        """Begin [s], ranges (beams,) [m], NaN where none came, class codes and intensities (beams,) of a frame.
 
         A frame's beams lie on the common step with a shift of its own (the vehicle's roll), which is left out: half a
         step at most.
@@ -216,9 +218,11 @@ class Cutter:
         self.outside += int((~inside).sum())
         order = np.flatnonzero(inside)[np.argsort(-r[inside], kind="stable")]
         ranges, labels = np.full(turning.beams, np.nan, np.float32), np.zeros(turning.beams, np.uint8)
-        ranges[beam[order]], labels[beam[order]] = r[order], codes[order]  # of two in a beam the nearer stays
+        bright = np.zeros(turning.beams, np.float32)
+        # of two in a beam the nearer stays
+        ranges[beam[order]], labels[beam[order]], bright[beam[order]] = r[order], codes[order], light[order]
         self.doubled += len(order) - int(np.isfinite(ranges).sum())
-        return float(np.median(turning.begin(time, angle))), ranges, labels
+        return float(np.median(turning.begin(time, angle))), ranges, labels, bright
 
 
 def _refusal(what: str, where: object, expected: str, got: object) -> InputError:

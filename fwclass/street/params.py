@@ -94,6 +94,8 @@ class SoundParams(Params):
     upwards. lean : of upright edges [deg]; lean_share : of those that lean so to the others. change : of a range that
     counts as one [m]; growth : of the changes over half a second, over those from frame to frame, that a standing
     vehicle does not see, in at least `stood` frames; standing : share of the moving one's growth that wind makes.
+    max_clipped : share of the returns with an intensity above `street.intensity`; least_light : share of it that one
+    return of a hundred exceeds.
     max_outside, max_second : share of the
     points of a LAS file outside of the trajectory's time, and in a beam that has one.
     """
@@ -118,6 +120,8 @@ class SoundParams(Params):
     standing: float = Field(ge=0, le=10)
     stood: int = Field(ge=1, le=1_000_000)
     growth: float = Field(ge=1, le=100)
+    max_clipped: float = Field(ge=0, le=1)
+    least_light: float = Field(ge=0, le=1)
     max_outside: float = Field(ge=0, le=1)
     max_second: float = Field(ge=0, le=1)
 
@@ -133,6 +137,8 @@ class StreetParams(Params):
     radii : of the spheres [m]. most_frames : of the neighbourhood before and after a frame.
     window : `exact`, or the `paper`'s, which loses members near the scanner.
     features : `scanner`, heights count from the scanner (Li 2018); `road`, from the road beside the vehicle.
+    intensity : the strongest that the scanner tells, full scale: mean and deviation of a sphere's intensities, as
+    shares of it, are features; null: they are none.
     road_half_width : returns as near as this to the track tell the height of the road [m].
     clock_jump : a leap of the clock by more is none of the vehicle [s].
     split : of a training run: `random`, a share of the returns (Li 2018); `stretch`, the boxes of `areas.train`.
@@ -148,6 +154,7 @@ class StreetParams(Params):
     most_frames: int = Field(ge=1, le=1000)
     window: Literal["exact", "paper"]
     features: Literal["scanner", "road"]
+    intensity: float | None = Field(gt=0, le=1e9)
     road_half_width: float = Field(gt=0, le=20)
     clock_jump: float = Field(gt=0, le=86_400)
     split: Literal["random", "stretch"]

@@ -153,7 +153,9 @@ class BagRecording:
             "range_min": float(message.range_min),
             "range_max": float(message.range_max),
         }
-        return frame_of(at, numbers, np.asarray(message.ranges, np.float32), None, self._scan, self.path)
+        ranges, light = (np.asarray(v, np.float32) for v in (message.ranges, message.intensities))
+        lit = light if len(light) == len(ranges) else None  # many drivers leave them out
+        return frame_of(at, numbers, ranges, None, self._scan, self.path, lit)
 
     def _damaged(self, fault: Exception, at: int = -1) -> InputError:
         return InputError(

@@ -27,7 +27,7 @@ NUMBERS = ("frame", "time", "speed", "place", "angle_min", "angle_increment", "r
 LISTS = ("ranges", "labels", "intensities")
 COLUMNS = (*NUMBERS, *LISTS)
 """frame: number; time [s]; speed [m/s]; place along the road [m]; angle_min, angle_increment [rad]; range_min,
-range_max [m]; ranges [m] per beam; labels: class codes per beam, 0 none; intensities per beam, passed over."""
+range_max [m]; ranges [m] per beam; labels: class codes per beam, 0 none; intensities per beam."""
 
 
 def check_columns(names: Iterable[str], path: Path) -> None:
@@ -75,6 +75,7 @@ def frame_of(
     labels: NDArray[np.uint8] | None,
     scan: Scan,
     path: Path | str,
+    intensities: NDArray[np.float32] | None = None,
 ) -> Frame:
     """A frame from row `at`: `ranges` (beams,) [m], `scan` what holds where the row is silent."""
     if not 0 < len(ranges) <= MOST_BEAMS:
@@ -85,14 +86,15 @@ def frame_of(
             got=len(ranges),
             do="write the recording again",
         )
-    if labels is not None and len(labels) != len(ranges):
-        raise InputError(
-            "a frame has not one label for every beam",
-            where=f"{path}: row {at + 1}",
-            expected=f"{len(ranges)} labels",
-            got=len(labels),
-            do="write the labels again",
-        )
+    for what, values in (("label", labels), ("intensity", intensities)):
+        if values is not None and len(values) != len(ranges):
+            raise InputError(
+                f"a frame has not one {what} for every beam",
+                where=f"{path}: row {at + 1}",
+                expected=len(ranges),
+                got=len(values),
+                do="write the recording again",
+            )
     number = numbers.get("frame", math.nan)
     if abs(number) >= MOST_FRAMES:
         raise InputError(
@@ -112,6 +114,7 @@ def frame_of(
         numbers.get("speed", math.nan),
         numbers.get("place", math.nan),
         labels,
+        intensities,
     )
 
 

@@ -74,7 +74,7 @@ class ParquetRecording:
                 do="the file is damaged; write it again",
             )
         held = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
-        self._names = [n for n in schema.names if n != "intensities"]
+        self._names = list(schema.names)
         self._scan = settings_of(held, scan)
         self.about: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
 
@@ -87,9 +87,11 @@ class ParquetRecording:
                     numbers = {n: _numbers(batch.column(n)) for n in self._names if n in NUMBERS}
                     for row in range(batch.num_rows):
                         here = {n: float(v[row]) for n, v in numbers.items()}
-                        ranges = _ranges(batch, row)
+                        ranges = _floats(batch, "ranges", row)
                         labels = self._codes(batch, row, at) if "labels" in self._names else None
-                        yield frame_of(at, here, ranges, labels, self._scan, self.path)
+                        light = _floats(batch, "intensities", row) if "intensities" in self._names else None
+                        light = light if light is not None and len(light) else None
+                        yield frame_of(at, here, ranges, labels, self._scan, self.path, light)
                         at += 1
         except (pa.ArrowException, OSError) as fault:
             raise damage_error(self.path, fault) from None
@@ -117,8 +119,9 @@ def _numbers(column: pa.Array) -> NDArray[np.float64]:
     return np.asarray(column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False))
 
 
-def _ranges(batch: pa.RecordBatch, row: int) -> NDArray[np.float32]:
-    values = batch.column("ranges")[row].values
+def _floats(batch: pa.RecordBatch, name: str, row: int) -> NDArray[np.float32]:
+    """A list of a row, NaN where a number is missing; (0,) where the list is."""
+    values = batch.column(name)[row].values
     if values is None:
         return np.empty(0, np.float32)
     if values.null_count or values.type != pa.float32():
@@ -147,7 +150,10 @@ def write_recording(path: Path, frames: Iterable[Frame]) -> int:
         nonlocal writer, waiting
         if not waiting:
             return
-        table = _table(waiting)
+        lit = (
+            any(f.intensities is not None for f in waiting) if writer is None else "intensities" in writer.schema.names
+        )
+        table = _table(waiting, lit)
         writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
         writer.write_table(table)
         waiting = []
@@ -165,7 +171,7 @@ def write_recording(path: Path, frames: Iterable[Frame]) -> int:
     return count
 
 
-def _table(frames: list[Frame]) -> pa.Table:
+def _table(frames: list[Frame], lit: bool) -> pa.Table:
     scan, beams = frames[0].scan, frames[0].scan.beams
     columns: dict[str, pa.Array] = {
         "frame": pa.array([f.number for f in frames], pa.int64()),
@@ -179,6 +185,9 @@ def _table(frames: list[Frame]) -> pa.Table:
     if frames[0].labels is not None:
         labels = pa.array(np.concatenate([f.labels for f in frames if f.labels is not None]), pa.uint8())
         columns["labels"] = pa.FixedSizeListArray.from_arrays(labels, beams)
+    if lit:
+        light = [np.full(beams, np.nan, np.float32) if f.intensities is None else f.intensities for f in frames]
+        columns["intensities"] = pa.FixedSizeListArray.from_arrays(pa.array(np.concatenate(light), pa.float32()), beams)
     settings = {"angle_min": scan.first, "angle_increment": scan.step, "range_min": scan.range_min}
     settings["range_max"] = scan.range_max
     return pa.table(columns).replace_schema_metadata({k: repr(float(v)) for k, v in settings.items()})

@@ -24,11 +24,15 @@ BASES = (
 )
 """The features of Li 2018, in the order of `features_of`."""
 
+LIGHT = ("street_intensity_mean", "street_intensity_deviation")
+"""Those of intensities, behind them."""
+
 
 def feature_names(params: StreetParams) -> tuple[str, ...]:
     """Columns of the features, radius by radius."""
     first = "street_road_height_mean" if params.features == "road" else BASES[0]
-    return tuple(scaled(base, radius) for radius in params.radii for base in (first, *BASES[1:]))
+    light = LIGHT if params.intensity is not None else ()
+    return tuple(scaled(base, radius) for radius in params.radii for base in (first, *BASES[1:], *light))
 
 
 @dataclass(frozen=True)
@@ -60,13 +64,15 @@ class Ring:
         beams = geometry.scan.beams
         self._x = np.zeros((self.size if geometry.tilted else 0, beams), np.int32)
         self._y, self._z = (np.zeros((self.size, beams), np.int32) for _ in range(2))
+        self._light = np.zeros((self.size, beams), np.int32) if params.intensity is not None else None
         self._r = np.full((self.size, beams), np.nan, np.float32)
         self._place = np.zeros(self.size, np.int64)
         self._frames: list[Placed | None] = [None] * self.size
         self._reach = max(params.radii) * geometry.reach / UNIT
         self._received = self._answered = 0
         self._sums = np.zeros((beams, SUMS), np.int64)
-        self._out = np.empty((len(params.radii), beams, len(BASES)), np.float32)
+        names = len(BASES) + (len(LIGHT) if self._light is not None else 0)
+        self._out = np.empty((len(params.radii), beams, names), np.float32)
 
     @property
     def waiting(self) -> int:
@@ -83,6 +89,8 @@ class Ring:
         if self.geometry.tilted:
             self._x[row] = frame.x
         self._y[row], self._z[row], self._r[row] = frame.y, frame.z, frame.r
+        if self._light is not None:
+            self._light[row] = frame.light
         self._place[row], self._frames[row] = frame.place, frame
         self._received += 1
         released = 0
@@ -145,7 +153,7 @@ class Ring:
         narrow = self.params.window == "paper"
         for k, radius in enumerate(self.params.radii):
             frame_sums(
-                *(self._x, self._y, self._z, self._r, self._place, rows, middle),
+                *(self._x, self._y, self._z, self._light, self._r, self._place, rows, middle),
                 *(radius, scan.step, geometry.lean, scan.wraps, narrow, self._sums),
             )
             from_road = self.params.features == "road"

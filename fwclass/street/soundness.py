@@ -58,6 +58,7 @@ class Soundness:
     Attributes
     ----------
     frozen : frames whose ranges are those of the frame before to the last digit, though the vehicle moved.
+    light : returns with an intensity, those above `street.intensity`, those above `SoundParams.least_light` of it.
     changed : (state, lag, sum and count): shares of the beams whose range changed by more than `SoundParams.change`
         since the frame before, and since the one `LAG` before, while the vehicle stood (0) or moved (1) all the time.
     """
@@ -73,6 +74,7 @@ class Soundness:
     road: Thinned = field(default_factory=Thinned)
     slope: Thinned = field(default_factory=Thinned)
     speed: Thinned = field(default_factory=Thinned)
+    light: NDArray[np.int64] = field(default_factory=lambda: np.zeros(3, np.int64))
     changed: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 2, 2)))
     same: Counter[float] = field(default_factory=Counter)
     sampled_returns: int = 0
@@ -127,6 +129,15 @@ class Soundness:
             self._measure_road(ranges < low, direction, placed[1:])
         self._seen += 1
 
+    def see_light(self, intensities: NDArray[np.float32]) -> None:
+        """The intensities of a frame's returns, as they came."""
+        full = self.params.intensity or math.inf
+        self.light += [
+            len(intensities),
+            int((intensities > full).sum()),
+            int((intensities > self.params.sound.least_light * full).sum()),
+        ]
+
     def _measure_ranges(self, valid: NDArray[np.float32]) -> None:
         self.sampled_returns += len(valid)
         if len(valid):
@@ -169,6 +180,8 @@ class Soundness:
             "stretch": self.way.stretch,
             **self.way.lean(self.params.sound.lean),
             "place_over_speed": self.by_place / self.by_speed if self.by_speed else None,
+            "clipped_share": self.light[1] / self.light[0] if self.light[0] else None,
+            "light_share": self.light[2] / self.light[0] if self.light[0] else None,
             "leap_metres": self.leap,
             "metres": self.length,
         }
@@ -198,7 +211,9 @@ def recording_faults(
     frames, used, faults = counts["frames"], counts["used"], counts["faults"]
     if not used:
         return []
-    lost = {name: faults[name] for name in ("doubled", "out of order", "other beams") if faults.get(name)}
+    lost = {
+        name: faults[name] for name in ("doubled", "out of order", "other beams", "no intensities") if faults.get(name)
+    }
     lost |= {name: n for name, n in stream.items() if name != "garbage bytes" and n}
     every = frames + sum(stream.get(name, 0) for name in lost)
     if sum(lost.values()) > sound.max_left_out * every:
@@ -238,7 +253,9 @@ def recording_faults(
             f"{100 * facts['same_share']:.1f} % of the returns have one range, {facts['same_range']:g} m: a code for "
             "no return? write NaN for it, or set the recording's range_max"
         )
-    said += _mounting_faults(facts, params) + (_way_faults(facts, params) if moves else [])
+    said += (
+        _light_faults(facts, params) + _mounting_faults(facts, params) + (_way_faults(facts, params) if moves else [])
+    )
     for cause, most, words in (
         (OUTSIDE, sound.max_outside, "give that of the whole drive, in the recording's time"),
         (SECOND, sound.max_second, "is the trajectory that of the scanner itself, at its own time?"),
@@ -258,6 +275,24 @@ def judge_recording(faults: Sequence[str], accepted: bool, where: object) -> Non
         expected="what street.sound allows (docs/street.md)",
         do="mend it, and run again; --accept-implausible (plausibility.accept=true) takes it as it is",
     )
+
+
+def _light_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:
+    """What intensities say against `street.intensity`."""
+    clipped, bright, full = facts["clipped_share"], facts["light_share"], params.intensity
+    if clipped is None or bright is None:
+        return []
+    if clipped > params.sound.max_clipped:
+        return [
+            f"{100 * clipped:.1f} % of the intensities are above street.intensity, {full:g}: the scanner's strongest "
+            "is higher"
+        ]
+    if bright < 0.01:
+        return [
+            f"only {100 * bright:.2f} % of the intensities are above {100 * params.sound.least_light:g} % of street."
+            f"intensity, {full:g}: the scanner's strongest is lower, or it tells none"
+        ]
+    return []
 
 
 def _mounting_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:

@@ -30,14 +30,18 @@ _EDGE = 2047
 _ROUNDING = 2.0
 """units, by which the distance of two returns may be off as coordinates are rounded: √2 at most."""
 
-SUMS = 14
-"""Count, sums (x, y, z, xx, yy, zz, xy, xz, yz), lowest and highest y, lowest and highest z; offsets in units."""
+SUMS = 16
+"""Count, sums (x, y, z, xx, yy, zz, xy, xz, yz), lowest and highest y, lowest and highest z, offsets in units; sums of
+the intensities and of their squares, in levels."""
+
+LEVELS = 1024
+"""Of an intensity, 0 to full scale: squares of `RUN` of them add up in 31 bits."""
 
 
 @vectorised
-def _flat_run(Y, Z, first, last, y0, z0, rest, out):  # type: ignore[no-untyped-def]
-    """Count, sums and extremes of y and z offsets of the beams `first` to `last` of one frame."""
-    n = sy = sz = syy = szz = syz = np.int32(0)
+def _flat_run(Y, Z, light, first, last, y0, z0, rest, out):  # type: ignore[no-untyped-def]
+    """Count, sums and extremes of y and z offsets of the beams `first` to `last` of one frame; sums of `light`."""
+    n = sy = sz = syy = szz = syz = si = sii = np.int32(0)
     yl = yh = zl = zh = np.int32(0)
     edge, low = np.int32(_EDGE), np.int32(-_EDGE)
     for s in range(first, last):
@@ -54,16 +58,20 @@ def _flat_run(Y, Z, first, last, y0, z0, rest, out):  # type: ignore[no-untyped-
         syy = np.int32(syy + np.int32(dy * dy))
         szz = np.int32(szz + np.int32(dz * dz))
         syz = np.int32(syz + np.int32(dy * dz))
+        if light is not None:
+            level = light[s] if inside else np.int32(0)
+            si = np.int32(si + level)
+            sii = np.int32(sii + np.int32(level * level))
         yl, yh = min(yl, dy), max(yh, dy)  # the centre is a member: the zeros of others change nothing
         zl, zh = min(zl, dz), max(zh, dz)
     out[0], out[1], out[2], out[3], out[4], out[5] = n, sy, sz, syy, szz, syz
-    out[6], out[7], out[8], out[9] = yl, yh, zl, zh
+    out[6], out[7], out[8], out[9], out[10], out[11] = yl, yh, zl, zh, si, sii
 
 
 @kernel
-def _add_flat(Y, Z, first, last, y0, z0, dx, rest, part, sums):  # type: ignore[no-untyped-def]
+def _add_flat(Y, Z, light, first, last, y0, z0, dx, rest, part, sums):  # type: ignore[no-untyped-def]
     for begin in range(first, last, RUN):
-        _flat_run(Y, Z, begin, min(begin + RUN, last), y0, z0, rest, part)
+        _flat_run(Y, Z, light, begin, min(begin + RUN, last), y0, z0, rest, part)
         n = np.int64(part[0])
         sums[0] += n
         sums[1] += dx * n
@@ -77,10 +85,12 @@ def _add_flat(Y, Z, first, last, y0, z0, dx, rest, part, sums):  # type: ignore[
         sums[9] += part[5]
         sums[10], sums[11] = min(sums[10], part[6]), max(sums[11], part[7])
         sums[12], sums[13] = min(sums[12], part[8]), max(sums[13], part[9])
+        sums[14] += part[10]
+        sums[15] += part[11]
 
 
 @kernel
-def _add_tilted(X, Y, Z, first, last, x0, y0, z0, most, sums):  # type: ignore[no-untyped-def]
+def _add_tilted(X, Y, Z, light, first, last, x0, y0, z0, most, sums):  # type: ignore[no-untyped-def]
     """As `_add_flat` where the scan plane leans along the road: every return has its own x."""
     for s in range(first, last):
         dx, dy, dz = np.int64(X[s]) - x0, np.int64(Y[s]) - y0, np.int64(Z[s]) - z0
@@ -97,16 +107,20 @@ def _add_tilted(X, Y, Z, first, last, x0, y0, z0, most, sums):  # type: ignore[n
             sums[9] += dy * dz
             sums[10], sums[11] = min(sums[10], dy), max(sums[11], dy)
             sums[12], sums[13] = min(sums[12], dz), max(sums[13], dz)
+            if light is not None:
+                sums[14] += light[s]
+                sums[15] += np.int64(light[s]) * light[s]
 
 
 @kernel
-def frame_sums(X, Y, Z, R, place, rows, middle, radius, step, lean, wraps, narrow, sums):  # type: ignore[no-untyped-def]
+def frame_sums(X, Y, Z, light, R, place, rows, middle, radius, step, lean, wraps, narrow, sums):  # type: ignore[no-untyped-def]
     """Sums over the sphere of every return of one frame.
 
     Parameters
     ----------
     X, Y, Z : int32 (rows, beams), coordinates from the scanner [units], `FAR` in y and z without a return; X has no
         rows where the scan plane is at right angles to the road.
+    light : int32 (rows, beams), intensity of every return [levels, 0 to `LEVELS` - 1]; or None.
     R : float32 (rows, beams), range [m], NaN without a return.
     place : int64 (rows,), of the frames along the road [units].
     rows : int64, rows of the frames that may have members, the middle one among them.
@@ -118,7 +132,7 @@ def frame_sums(X, Y, Z, R, place, rows, middle, radius, step, lean, wraps, narro
     beams = Y.shape[1]
     reach = radius / UNIT
     most = np.int64(math.floor(reach * reach))
-    part = np.empty(10, np.int32)
+    part = np.empty(12, np.int32)
     tilted = len(X) > 0
     share = np.empty(len(rows))
     for q in range(len(rows)):
@@ -144,6 +158,7 @@ def frame_sums(X, Y, Z, R, place, rows, middle, radius, step, lean, wraps, narro
             else:  # asin(t s) <= t asin(s): the circle in which the sphere cuts a frame aside is smaller
                 half = int(share[q] * math.asin(wide / r) / step) + 1
             half = min(half, beams)
+            lit = None if light is None else light[k]
             first, last = j - half, j + half + 1
             if wraps and last - first >= beams:
                 first, last = 0, beams
@@ -151,18 +166,18 @@ def frame_sums(X, Y, Z, R, place, rows, middle, radius, step, lean, wraps, narro
             first, last = max(first, 0), min(last, beams)
             if tilted:
                 x0 = np.int64(X[middle, j]) - dx
-                _add_tilted(X[k], Y[k], Z[k], first, last, x0, y0, z0, most, sums[j])
+                _add_tilted(X[k], Y[k], Z[k], lit, first, last, x0, y0, z0, most, sums[j])
                 if wraps and before:
-                    _add_tilted(X[k], Y[k], Z[k], beams - before, beams, x0, y0, z0, most, sums[j])
+                    _add_tilted(X[k], Y[k], Z[k], lit, beams - before, beams, x0, y0, z0, most, sums[j])
                 if wraps and after:
-                    _add_tilted(X[k], Y[k], Z[k], 0, after, x0, y0, z0, most, sums[j])
+                    _add_tilted(X[k], Y[k], Z[k], lit, 0, after, x0, y0, z0, most, sums[j])
             else:
                 rest = np.int32(most - dx * dx)
-                _add_flat(Y[k], Z[k], first, last, y0, z0, dx, rest, part, sums[j])
+                _add_flat(Y[k], Z[k], lit, first, last, y0, z0, dx, rest, part, sums[j])
                 if wraps and before:
-                    _add_flat(Y[k], Z[k], beams - before, beams, y0, z0, dx, rest, part, sums[j])
+                    _add_flat(Y[k], Z[k], lit, beams - before, beams, y0, z0, dx, rest, part, sums[j])
                 if wraps and after:
-                    _add_flat(Y[k], Z[k], 0, after, y0, z0, dx, rest, part, sums[j])
+                    _add_flat(Y[k], Z[k], lit, 0, after, y0, z0, dx, rest, part, sums[j])
 
 
 @inlined
@@ -183,13 +198,14 @@ def _eigenvalues(a, b, c, d, e, f):  # type: ignore[no-untyped-def]
 
 @kernel
 def features_of(sums, y, z, road, from_road, out):  # type: ignore[no-untyped-def]
-    """The eleven features of Li 2018 from `frame_sums`; NaN without a return.
+    """The eleven features of Li 2018 from `frame_sums`, and mean and deviation of the intensities where `out` has room
+    for them; NaN without a return.
 
     Parameters
     ----------
     sums : int64 (beams, `SUMS`). y, z : int32 (beams,), of the centres [units].
     road : height of the road beside the vehicle above the scanner [m]; taken from the mean height if `from_road`.
-    out : float32 (beams, 11), filled, in the paper's order.
+    out : float32 (beams, 11 or 13), filled, in the paper's order; intensities as shares of full scale.
     """
     for j in range(len(sums)):
         n = np.float64(sums[j, 0])
@@ -218,3 +234,7 @@ def features_of(sums, y, z, road, from_road, out):  # type: ignore[no-untyped-de
             out[j, 8], out[j, 9], out[j, 10] = (g1 - g2) / g1, (g2 - g3) / g1, g3 / g1
         else:
             out[j, 8], out[j, 9], out[j, 10] = 0.0, 0.0, 0.0
+        if out.shape[1] > 11:
+            full = LEVELS - 1.0
+            out[j, 11] = s[14] / n / full
+            out[j, 12] = math.sqrt(np.float64(s[0] * s[15] - s[14] * s[14])) / n / full

@@ -1,7 +1,8 @@
 """A frame of a 2-D scanner: spheres and features beside a k-d tree, then the answer of an RBF SVM; one thread.
 
-`python tests/bench/bench_street.py [--frames N] [--vectors N] [--answers]`: processor milliseconds a frame, as the
-machine may be busy; median, 99 % and 99.9 %. A simulated street at 1 m/s; 1 081 beams at 40 Hz, 541 at 50 Hz.
+`python tests/bench/bench_street.py [--frames N] [--vectors N] [--answers] [--intensity]`: processor milliseconds a
+frame, as the machine may be busy; median, 99 % and 99.9 %. A simulated street at 1 m/s; 1 081 beams at 40 Hz, 541 at
+50 Hz.
 
 Spheres: ours with the eleven features; `cKDTree.query_ball_point` of the same frames, neighbour lists alone, and
 whether its counts are ours. Answers: features and SVM of a frame as `fwclass street run` makes them, written to memory;
@@ -45,8 +46,11 @@ def drive(name: str, frames: int, extra: tuple[str, ...] = ()):
     config = conf.load("street-sim", (f"street.scanner={name}", "street_scene.stops=0", "street_scene.sway=0", *extra))
     sheet = scanner(name)
     scene = config.street_scene.model_copy(update={"length": frames * sheet.period * config.street_scene.speed})
-    made = list(simulate_frames(scene, sheet, config.street.mounting))
-    return config, made[:frames]
+    made = list(simulate_frames(scene, sheet, config.street.mounting))[:frames]
+    if config.street.intensity is not None:
+        random = np.random.default_rng(1)
+        made = [replace(f, intensities=random.uniform(0, 255, len(f.ranges)).astype(np.float32)) for f in made]
+    return config, made
 
 
 def spheres(frames, config) -> None:
@@ -159,9 +163,11 @@ def main() -> None:
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--frames", type=int, default=1500)
     ask.add_argument("--vectors", type=int, default=900)
+    ask.add_argument("--intensity", action="store_true", help="every return has an intensity, and features of it")
     ask.add_argument("--answers", action="store_true", help="leave the spheres out")
     asked = ask.parse_args()
-    config, frames = drive("utm-30lx", asked.frames)
+    extra = ("street.intensity=255",) if asked.intensity else ()
+    config, frames = drive("utm-30lx", asked.frames, extra)
     returns = np.mean([np.isfinite(f.ranges).sum() for f in frames])
     print(f"{len(frames)} frames of 1081 beams, {returns:.0f} returns in each, 1 m/s")
     if not asked.answers:
@@ -170,7 +176,7 @@ def main() -> None:
     for radius in (0.3, 0.8):
         params = config.street.model_copy(update={"radii": (radius,)})
         answers(frames, replace(config, street=params), asked.vectors, f"1081 beams, {radius} m")
-    config, frames = drive("lms1xx", asked.frames)
+    config, frames = drive("lms1xx", asked.frames, extra)
     answers(frames, config, asked.vectors, "541 beams, 0.3 m")
 
 

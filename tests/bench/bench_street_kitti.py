@@ -26,6 +26,7 @@ from fwclass import conf
 from fwclass.classify.shares import answer
 from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, assemble
+from fwclass.street.frames import levels_of
 from fwclass.street.sphere_kernels import SUMS, UNIT, features_of
 from fwclass.train.baselines.stage import train_other
 from fwclass.train.sample import Sample
@@ -51,7 +52,7 @@ def sweep(folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArr
 
 def features(points: NDArray[np.float64], intensity: NDArray[np.float64], radius: float) -> NDArray[np.float32]:
     """The eleven features of every return, by a k-d tree; mean and standard deviation of the sphere's intensities."""
-    units = np.rint(points / UNIT)
+    units, levels = np.rint(points / UNIT), levels_of(intensity.astype(np.float32), 1.0).astype(np.int64)
     tree = cKDTree(units)
     out = np.empty((len(points), 13), np.float32)
     for first in range(0, len(points), 2000):
@@ -73,9 +74,9 @@ def features(points: NDArray[np.float64], intensity: NDArray[np.float64], radius
             sums[:, 11 + 2 * k] = np.maximum.reduceat(apart[:, axis], starts)
         y, z = (here[:, k].astype(np.int32) for k in (1, 2))
         there = out[first : first + 2000]
-        features_of(sums, y, z, 0.0, False, there[:, :11])
-        mean, square = (np.add.reduceat(intensity[members] ** k, starts) / sums[:, 0] for k in (1, 2))
-        there[:, 11], there[:, 12] = mean, np.sqrt(np.maximum(square - mean**2, 0.0))
+        for k in (1, 2):
+            sums[:, 13 + k] = np.add.reduceat(levels[members] ** k, starts)
+        features_of(sums, y, z, 0.0, False, there)
     return out
 
 
@@ -173,7 +174,10 @@ def candidates(points: NDArray[np.float64], intensity: NDArray[np.float64]) -> d
     lit = np.column_stack([one[r][:, 11:] for r in RADII])
     density = np.column_stack([np.log(one[r][:, 6]) + 2.0 * np.log(reach) for r in RADII])  # of a surface, at any range
     columns = np.column_stack([column(points, ground, wide) for wide in (1, 3, 5)])
+    whole = [one[r][:, :11] for r in RADII]
     named = {
+        "fwclass street, three radii": tuple(whole),
+        "fwclass street, three radii, intensity": (*whole, lit),
         "three radii, height": (three, low),
         "three radii, ground": (three, ground),
         "three radii, ground, density": (three, ground, density),

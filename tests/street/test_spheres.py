@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from fwclass import conf
-from fwclass.street.frames import Frame, Geometry, Scan, Track
+from fwclass.street.frames import Frame, Geometry, Scan, Track, levels_of
 from fwclass.street.ring import with_features
 from fwclass.street.sphere_kernels import UNIT
 
@@ -20,8 +20,9 @@ def street_params(**changed):
     return base.model_copy(update={"speed": 1.0, "mounting": mounting, **changed})
 
 
-def random_frames(seed, count, beams, steps, wide=270.0, far=6.0):
-    """Ranges between the scanner itself and `far`, a tenth missing in every way; `steps` along the road [m]."""
+def random_frames(seed, count, beams, steps, wide=270.0, far=6.0, full=None):
+    """Ranges between the scanner itself and `far`, a tenth missing in every way; `steps` along the road [m];
+    intensities from below 0 to beyond `full`."""
     rng = np.random.default_rng(seed)
     step = np.radians(wide) / (beams - 1)
     scan = Scan(beams, -np.radians(wide) / 2, step, 0.05, far)
@@ -32,7 +33,8 @@ def random_frames(seed, count, beams, steps, wide=270.0, far=6.0):
         ranges = (smooth + rng.normal(0, 0.03, beams)).astype(np.float32)
         ranges[rng.random(beams) < 0.1] = rng.choice([np.nan, np.inf, 0.0, 99.0])
         place += steps[k]
-        yield Frame(k, 0.025 * k, scan, ranges, place=place)
+        light = None if full is None else rng.uniform(-0.1 * full, 1.1 * full, beams).astype(np.float32)
+        yield Frame(k, 0.025 * k, scan, ranges, place=place, intensities=light)
 
 
 def by_tree(frames, seen_frame, radius, most):
@@ -50,8 +52,9 @@ def by_tree(frames, seen_frame, radius, most):
         last += 1
     held = [points(f, frames[at].place) for f in frames[first : last + 1]]
     cloud = np.concatenate(held)
+    cloud = np.column_stack([cloud, np.concatenate([levels(f) for f in frames[first : last + 1]])])
     own = points(frames[at], frames[at].place)
-    lists = cKDTree(cloud).query_ball_point(own, np.sqrt(np.floor(reach**2)) + 1e-7) if len(own) else []
+    lists = cKDTree(cloud[:, :3]).query_ball_point(own, np.sqrt(np.floor(reach**2)) + 1e-7) if len(own) else []
     return own, [cloud[i] for i in lists]
 
 
@@ -62,6 +65,10 @@ def points(frame, origin):
     here = ~np.isnan(frame.r)
     x = frame.x[here] if len(frame.x) else np.zeros(here.sum())
     return np.stack([x + float(frame.place - origin), frame.y[here], frame.z[here]], axis=1).astype(float)
+
+
+def levels(frame):
+    return frame.light[~np.isnan(frame.r)] if len(frame.light) else np.zeros((~np.isnan(frame.r)).sum())
 
 
 def check(frames, params):
@@ -77,12 +84,16 @@ def check(frames, params):
             biggest = max(params.radii)
             own, members = by_tree(placed, one, biggest, params.most_frames)
             members = [
-                m[((m - p) ** 2).sum(1) <= np.floor((radius / UNIT) ** 2)] for m, p in zip(members, own, strict=True)
+                m[((m[:, :3] - p) ** 2).sum(1) <= np.floor((radius / UNIT) ** 2)]
+                for m, p in zip(members, own, strict=True)
             ]
-            got = one.features[~np.isnan(one.frame.r), 11 * k : 11 * k + 11]
+            each = one.features.shape[1] // len(params.radii)
+            got = one.features[~np.isnan(one.frame.r), each * k : each * (k + 1)]
             assert np.array_equal(got[:, 6], [len(m) for m in members])
             for row, m, p in zip(got, members, own, strict=True):
-                expect(row, m * UNIT, p * UNIT)
+                expect(row[:11], m[:, :3] * UNIT, p * UNIT)
+                if each == 13:
+                    near(row[11:], [m[:, 3].mean() / 1023, m[:, 3].std() / 1023], 1e-6, 1e-6)
                 checked += 1
     return checked
 
@@ -119,6 +130,17 @@ def test_spheres_hold_what_a_tree_finds(seed, radius, step, stops):
         steps[8:14] = 0.0
     params = street_params(radii=(radius,), most_frames=7)
     assert check(list(random_frames(seed, 24, 80, steps)), params) > 100
+
+
+@pytest.mark.parametrize("mounting", [{}, {"pitch": 10.0, "yaw": 15.0}])
+def test_intensities_are_those_of_the_sphere(mounting):
+    params = street_params(radii=(0.3, 0.6), most_frames=9, mounting=mounting, intensity=4095.0)
+    assert check(list(random_frames(5, 20, 80, np.full(20, 0.06), full=4095.0)), params) > 100
+
+
+def test_levels_of_intensities():
+    light = np.array([np.nan, -5.0, 0.0, 127.5, 255.0, 300.0, np.inf], np.float32)
+    assert levels_of(light, 255.0).tolist() == [0, 0, 0, 512, 1023, 1023, 1023]
 
 
 @pytest.mark.parametrize(

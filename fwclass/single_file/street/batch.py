@@ -35,8 +35,9 @@ from fwclass.street.ring import Ring
 FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 3
 PART = "frames.bin"
 _COLUMNS = {"number": "<i8", "time": "<f8", "place": "<i8", "road": "<f8"}
-_GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "labels": "u1"}
-"""What is kept of a frame's beams; x only of a leaning scanner, labels only where there are some."""
+_GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "light": "<i4", "labels": "u1"}
+"""What is kept of a frame's beams; x only of a leaning scanner, light only where the model asks for it, labels only
+where there are some."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
                 continue
             if not files and track.geometry is not None:
                 leaning = ("x",) if track.geometry.tilted else ()
-                kept = ("ranges", *leaning, "y", "z", *(("labels",) if placed.labels is not None else ()))
+                light = ("light",) if len(placed.light) else ()
+                kept = ("ranges", *leaning, "y", "z", *light, *(("labels",) if placed.labels is not None else ()))
                 files = {n: (directory / f"{n}.bin").open("wb") for n in kept}
             for name in _COLUMNS:
                 columns[name].append(getattr(placed, name))
@@ -132,7 +134,7 @@ def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, h
     none = np.empty(0, np.int32)
     for k in range(high - low):
         x = grids["x"][k] if "x" in grids else none
-        row = (grids["y"][k], grids["z"][k], grids["ranges"][k])
+        row = (grids["y"][k], grids["z"][k], grids["ranges"][k], grids["light"][k] if "light" in grids else none)
         number, time, place, road = (columns[n][k] for n in _COLUMNS)
         yield Placed(int(number), float(time), int(place), float(road), x, *row)
 

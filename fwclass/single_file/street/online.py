@@ -223,7 +223,8 @@ def warm(model: Model, params: StreetParams) -> None:
     answers = []
     for k in range(WARM):
         ranges = random.uniform(0.5 * scan.range_max, scan.range_max, scan.beams).astype(np.float32)
-        answers += list(loop.take(Frame(k, 0.025 * k, scan, ranges)))
+        light = np.zeros(scan.beams, np.float32) if params.intensity is not None else None
+        answers += list(loop.take(Frame(k, 0.025 * k, scan, ranges, intensities=light)))
     answers += list(loop.rest())
     for one in answers:
         writer.frame(one)
