@@ -59,7 +59,8 @@ def _flat_run(Y, Z, light, first, last, y0, z0, rest, out):  # type: ignore[no-u
         szz = np.int32(szz + np.int32(dz * dz))
         syz = np.int32(syz + np.int32(dy * dz))
         if light is not None:
-            level = light[s] if inside else np.int32(0)
+            level = light[s]  # read in any case: a read that depends on another value is not vectorised
+            level = level if inside else np.int32(0)
             si = np.int32(si + level)
             sii = np.int32(sii + np.int32(level * level))
         yl, yh = min(yl, dy), max(yh, dy)  # the centre is a member: the zeros of others change nothing
