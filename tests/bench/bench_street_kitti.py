@@ -5,6 +5,7 @@ project. Returns within 30 m, vegetation against the rest, depth is |y|. Its rin
 from a k-d tree; formulas are those of `fwclass street`. Error, detection, false alarm in %.
 
 - other side: trained on y < 0, judged on y > 0.
+- own: the features of `fwclass street`, without and with intensities, as they are.
 - unseen piece: the street in four pieces along x, each judged by what was chosen, and trained, on the other three.
 
 Features and method are chosen on folds of what trains: six sectors about the mast, each judged by the others less a gap
@@ -209,6 +210,17 @@ def chosen(tries, y, train, azimuth) -> tuple[str, float]:
     return best, errors[best]
 
 
+def own(tries, y, side, piece) -> None:
+    """The features of `fwclass street` at three radii, without and with intensities; nothing is chosen."""
+    for name in (n for n in tries if n.startswith("fwclass street")):
+        X, method = tries[name]
+        answered = np.empty_like(y)
+        for one in range(4):
+            answered[piece == one] = answers(X, y, piece != one, piece == one, method)
+        other = figures(y[side > 0], answers(X, y, side < 0, side > 0, method))
+        print(f"  {name:<50} other side {other}   unseen pieces {figures(y, answered)}", flush=True)
+
+
 def main() -> None:
     points, intensity, y = sweep(Path(sys.argv[1]))
     print(f"{len(y)} returns, {100 * (y == 0).mean():.1f} % vegetation; error / detection / false alarm, %")
@@ -223,6 +235,7 @@ def main() -> None:
             for kind, train, test in (("random 5 %", chance, ~chance), ("other side", side < 0, side > 0))
         ]
         print(f"  {name:<20}", "   ".join(cells), flush=True)
+    own(tries, y, side, piece)
     train, test = side < 0, side > 0
     name, error = chosen(tries, y, train, azimuth)
     X, method = tries[name]
