@@ -39,6 +39,9 @@ VEGETATION, FAR = 70, 30.0
 RADII = (0.3, 0.6, 1.0)
 """m, of the spheres."""
 
+OWN = "fwclass street"
+"""What the program itself has, by name."""
+
 SECTORS, GAP = 6, 4.0
 """Folds about the mast, and the degrees to both sides of one that do not train for it."""
 
@@ -177,8 +180,8 @@ def candidates(points: NDArray[np.float64], intensity: NDArray[np.float64]) -> d
     columns = np.column_stack([column(points, ground, wide) for wide in (1, 3, 5)])
     whole = [one[r][:, :11] for r in RADII]
     named = {
-        "fwclass street, three radii": tuple(whole),
-        "fwclass street, three radii, intensity": (*whole, lit),
+        f"{OWN}, three radii": tuple(whole),
+        f"{OWN}, three radii, intensity": (*whole, lit),
         "three radii, height": (three, low),
         "three radii, ground": (three, ground),
         "three radii, ground, density": (three, ground, density),
@@ -193,11 +196,13 @@ def candidates(points: NDArray[np.float64], intensity: NDArray[np.float64]) -> d
 
 
 def chosen(tries, y, train, azimuth) -> tuple[str, float]:
-    """The candidate that errs least on folds of `train`, sectors of `azimuth` [deg], and its error there."""
+    """The candidate, but for `own`, that errs least on folds of `train`, sectors of `azimuth` [deg], and its error."""
     edges = np.quantile(azimuth[train], np.linspace(0.0, 1.0, SECTORS + 1))
     edges[-1] += 1.0
     errors = {}
     for name, (X, method) in tries.items():
+        if name.startswith(OWN):
+            continue
         wrong = 0
         for first, last in pairwise(edges):
             test = train & (azimuth >= first) & (azimuth < last)
@@ -212,7 +217,7 @@ def chosen(tries, y, train, azimuth) -> tuple[str, float]:
 
 def own(tries, y, side, piece) -> None:
     """The features of `fwclass street` at three radii, without and with intensities; nothing is chosen."""
-    for name in (n for n in tries if n.startswith("fwclass street")):
+    for name in (n for n in tries if n.startswith(OWN)):
         X, method = tries[name]
         answered = np.empty_like(y)
         for one in range(4):
