@@ -411,13 +411,15 @@ def kept_seeds(folder: Path) -> list[Seed]:
     return made
 
 
-def _frames(count: int = 6) -> list:
+def _frames(count: int = 6, lit: bool = False) -> list:
     from fwclass.street.frames import Frame, Scan
 
     scan, rng = Scan(19, -0.9, 0.1, 0.1, 30.0), np.random.default_rng(5)
     ranges = [rng.uniform(0.05, 31, 19).astype(np.float32) for _ in range(count)]
     labels = np.arange(19, dtype=np.uint8) % 3
-    return [Frame(k, 0.025 * k, scan, r, 1.0, labels=labels) for k, r in enumerate(ranges)]
+    return [
+        Frame(k, 0.025 * k, scan, r, 1.0, labels=labels, intensities=r if lit else None) for k, r in enumerate(ranges)
+    ]
 
 
 FRAMES_CSV = (
@@ -434,15 +436,18 @@ def frame_seeds(folder: Path) -> list[Seed]:
 
     folder.mkdir(parents=True, exist_ok=True)
     made = [Seed(f"csv{k}", "a.csv", {"a.csv": text.encode()}, (), ("a.csv",)) for k, text in enumerate(FRAMES_CSV)]
-    write_recording(folder / "a.parquet", _frames())
-    data = (folder / "a.parquet").read_bytes()
-    fields = tuple(Field("a.parquet", len(data) - k, w) for k in range(8, 900, 3) for w in (1, 4))
-    made.append(Seed("parquet", "a.parquet", {"a.parquet": data}, fields))
-    stream = b"".join(map(encode_frame, _frames()))
-    length = HEAD.size + 4 * 19
     places = [(at, w) for at, w in ((0, 4), (4, 4), *((k, 8) for k in range(8, 56, 8)), (56, 4), (60, 4), (64, 4))]
-    fields = tuple(Field("a.stream", k * length + at, w) for k in range(6) for at, w in places)
-    return [*made, Seed("stream", "a.stream", {"a.stream": stream}, fields)]
+    for lit in (False, True):
+        name = "-lit" if lit else ""
+        write_recording(folder / "a.parquet", _frames(lit=lit))
+        data = (folder / "a.parquet").read_bytes()
+        fields = tuple(Field("a.parquet", len(data) - k, w) for k in range(8, 900, 3) for w in (1, 4))
+        made.append(Seed(f"parquet{name}", "a.parquet", {"a.parquet": data}, fields))
+        stream = b"".join(map(encode_frame, _frames(lit=lit)))
+        length = HEAD.size + 4 * 19 * (1 + lit)
+        fields = tuple(Field("a.stream", k * length + at, w) for k in range(6) for at, w in places)
+        made.append(Seed(f"stream{name}", "a.stream", {"a.stream": stream}, fields))
+    return made
 
 
 def bag_seeds(folder: Path) -> list[Seed]:

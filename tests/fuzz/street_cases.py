@@ -13,7 +13,7 @@ from cases import Case, given
 from mutate import Files
 from seeds import Seed
 
-from fwclass.street.stream import HEAD, MAGIC
+from fwclass.street.stream import HEAD, LIT, MAGIC
 
 STREAM = "a.stream"
 
@@ -39,7 +39,7 @@ def _model(folder: Path) -> Files:
 
 def stream(folder: Path) -> list[Case]:
     """Bytes of a socket, from standard input: damaged, and damaged with sums that fit."""
-    model, frames = _model(folder), [s for s in seeds.frame_seeds(folder / "frames") if s.name == "stream"]
+    model, frames = _model(folder), [s for s in seeds.frame_seeds(folder / "frames") if s.name.startswith("stream")]
     words = ("street", "run", "-", "--model", "m", "--out", "o", *_settings())
     cases = [replace(case, stdin=STREAM) for case in given(frames, *words, fixed=model)]
     return cases + [replace(c, seed=replace(c.seed, name="sealed"), sealed=_summed) for c in cases]
@@ -48,8 +48,9 @@ def stream(folder: Path) -> list[Case]:
 def _summed(files: Files) -> Files:
     """Every frame of the stream with the sum of what it holds now."""
     data, at = bytearray(files[STREAM]), 0
-    while 0 <= (at := data.find(MAGIC, at)) <= len(data) - HEAD.size:
-        end = at + HEAD.size + 4 * int.from_bytes(data[at + 4 : at + 8], "little")
+    while 0 <= (at := data.find(MAGIC[:3], at)) <= len(data) - HEAD.size:
+        each = 8 if data.startswith(LIT, at) else 4
+        end = at + HEAD.size + each * int.from_bytes(data[at + 4 : at + 8], "little")
         total = zlib.crc32(data[at + HEAD.size : end], zlib.crc32(data[at : at + HEAD.size - 4]))
         data[at + HEAD.size - 4 : at + HEAD.size] = total.to_bytes(4, "little")
         at += len(MAGIC)
@@ -59,7 +60,7 @@ def _summed(files: Files) -> Files:
 def recordings(folder: Path) -> list[Case]:
     """Files of frames: looked at, answered one by one, and in parts."""
     model = _model(folder)
-    made: list[Seed] = [s for s in seeds.frame_seeds(folder / "frames") if s.name != "stream"]
+    made: list[Seed] = [s for s in seeds.frame_seeds(folder / "frames") if not s.name.startswith("stream")]
     made += seeds.bag_seeds(folder / "bags")
     more = (*_settings(), "--model", "m")
     return [
