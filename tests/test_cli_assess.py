@@ -153,3 +153,39 @@ def test_neighbours_unknown_codes_and_files_of_another_place(tmp_path):
     ended = fwclass("assess", tmp_path / "r" / "*.las", tmp_path / "p" / "*.las")
     assert "few points of some files have a predicted one (two.las:" in ended.stderr, ended.stderr
     assert "references are counted twice: one.las and three.las and two.las" in ended.stderr
+
+
+def test_houses_are_counted_whole_whatever_the_files(tmp_path: Path) -> None:
+    """Three houses, of which one is missing and one lies in two files."""
+    x, y = (v.ravel() + 0.25 for v in np.meshgrid(np.arange(0, 80, 0.5), np.arange(0, 40, 0.5)))
+    houses = [(5, 15), (35, 50), (60, 70)]
+    truth, answer = (
+        np.where((y > 5) & (y < 20) & np.any([(x > a) & (x < b) for a, b in some], axis=0), 6, 2)
+        for some in (houses, houses[:2])
+    )
+    xyz = np.c_[500_000 + x, 5_400_000 + y, np.where(truth == 6, 8.0, 3.0)]
+    for place, classes in (("ref", truth), ("out", answer)):
+        (tmp_path / place).mkdir()
+        for name, rows in (("all", x > -1), ("one", x < 40), ("two", x >= 40)):
+            lasmaker.write_las(
+                tmp_path / place / f"{name}.las", xyz[rows], point_format=6, classification=classes[rows]
+            )
+    words = ("assess", tmp_path / "ref/all.las", tmp_path / "out/all.las")
+    whole = json.loads(fwclass(*words, "--json").stdout)["objects"]
+    assert (
+        whole
+        == json.loads(fwclass("assess", *(tmp_path / f"{p}/[ot]*.las" for p in ("ref", "out")), "--json").stdout)[
+            "objects"
+        ]
+    )
+    (one,) = whole["classes"]
+    assert (one["name"], one["reference"], one["found"], one["predicted"], one["correct"]) == ("6", 3, 2, 2, 2)
+    assert one["completeness"] == pytest.approx(2 / 3) and one["correctness"] == 1.0 and one["split"] == 0
+    assert "completeness %" in fwclass(*words).stdout
+    assert "completeness" not in fwclass(*words, "--ground").stdout
+    land = json.loads(fwclass(*words, "--map", "land=2;house=6", "--objects", "land, house", "--json").stdout)[
+        "objects"
+    ]
+    assert [c["name"] for c in land["classes"]] == ["land", "house"]
+    ended = fwclass(*words, "--map", "land=2;house=6", "--objects", "hose")
+    assert ended.returncode == 2 and "'hose'" in ended.stderr and "house" in ended.stderr

@@ -96,30 +96,32 @@ def describe(figures: dict[str, Any]) -> str:
     lost = figures.get("unclassified")
     columns = [*names, *(["none"] if lost else []), "producer's %"]
     body = [
-        [name, *(f"{v:,}".replace(",", " ") for v in (*row, *([lost[i]] if lost else []))), _percent(p)]
+        [name, *(f"{v:,}".replace(",", " ") for v in (*row, *([lost[i]] if lost else []))), percent(p)]
         for i, (name, row, p) in enumerate(zip(names, figures["confusion"], figures["producers_accuracy"], strict=True))
     ]
     gap = [""] * (1 + bool(lost))
-    body.append(["user's %", *map(_percent, figures["users_accuracy"]), *gap])
-    body.append(["IoU %", *map(_percent, figures["iou"]), *gap])
-    lines = _align([["reference \\ predicted", *columns], *body])
+    body.append(["user's %", *map(percent, figures["users_accuracy"]), *gap])
+    body.append(["IoU %", *map(percent, figures["iou"]), *gap])
+    lines = align([["reference \\ predicted", *columns], *body])
     width = max(map(len, lines))
     lines.insert(1, "-" * width)
     lines.insert(len(names) + 2, "-" * width)
     summary = [("overall accuracy", "overall_accuracy"), ("mean IoU", "mean_iou")]
     if "type_i" in figures:
         summary += [("type I", "type_i"), ("type II", "type_ii"), ("total error", "total_error")]
-    totals = [f"{label} {_percent(figures[key])} %".replace("- %", "-") for label, key in summary]
+    totals = [f"{label} {percent(figures[key])} %".replace("- %", "-") for label, key in summary]
     kappa = figures["kappa"]
     totals.append(f"kappa {kappa:.3f}" if kappa is not None else "kappa -")
     return "\n".join([*lines, "", ", ".join(totals)])
 
 
-def _percent(value: float | None) -> str:
+def percent(value: float | None) -> str:
+    """`value`, 0 to 1, as text in percent; a dash where there is none."""
     return "-" if value is None else f"{100 * value:.1f}"
 
 
-def _align(rows: list[list[str]]) -> list[str]:
+def align(rows: list[list[str]]) -> list[str]:
+    """Lines of a table of `rows`, the first column to the left and all others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(

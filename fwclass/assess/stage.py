@@ -8,6 +8,7 @@ from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.confusion import confusion, describe, figures, unclassified
 from fwclass.assess.distribution import QUANTILES, distribution, pack, quantiles, summary, unpack
 from fwclass.assess.intervals import caution, difference, intervals
+from fwclass.assess.objects import describe_objects
 from fwclass.assess.params import AssessParams
 from fwclass.errors import QualityError
 
@@ -20,6 +21,7 @@ __all__ = [
     "caution",
     "confusion",
     "describe",
+    "describe_objects",
     "difference",
     "distribution",
     "figures",
@@ -47,5 +49,5 @@ def judge(result: dict[str, Any], params: AssessParams) -> None:
             )
 
 
-CONFUSION_VERSION, ASSESS_VERSION = 7, 9
+CONFUSION_VERSION, ASSESS_VERSION = 8, 10
 """Raised when the same classes and labels of a tile would give other counts, and the same counts other figures."""

@@ -135,12 +135,19 @@ def decompose(
 @click.argument("prediction", type=PATH)
 @click.option("--map", "codes", metavar="NAME=2;NAME=3,4,5", help="Classes by name and reference codes.")
 @click.option("--ground", is_flag=True, help="Two classes: ground (2) against everything else.")
+@click.option("--objects", metavar="NAMES", help="Classes whose objects are judged (default: 6, 13 to 17, 19, 64 on).")
 @ACCEPT_IMPLAUSIBLE
 @JSON
 def assess(
-    reference: Path, prediction: Path, codes: str | None, ground: bool, accept_implausible: bool, as_json: bool
+    reference: Path,
+    prediction: Path,
+    codes: str | None,
+    ground: bool,
+    objects: str | None,
+    accept_implausible: bool,
+    as_json: bool,
 ) -> None:
-    """Confusion matrix and figures of a classified cloud against a reference cloud.
+    """Confusion matrix and figures of a classified cloud against a reference cloud, and how many objects are found.
 
     Both are LAS, LAZ, COPC, or text with a label: class codes, or 0 ground and 1 object; or quoted patterns
     ('tiles/*.laz'), whose files of one name are compared. Or two directories of assessed runs: what the second gains
@@ -149,12 +156,15 @@ def assess(
     if reference.is_dir() and prediction.is_dir():
         _assess_runs(reference, prediction, as_json)
         return
-    from fwclass.assess.stage import describe
+    from fwclass.assess.stage import describe, describe_objects
     from fwclass.single_file.assess import assess_files
     from fwclass.single_file.likeness import judge_likeness
 
-    figures = assess_files(reference, prediction, codes, ground)
-    click.echo(json.dumps(figures, indent=1) if as_json else describe(figures))
+    figures = assess_files(reference, prediction, codes, ground, objects)
+    if as_json:
+        click.echo(json.dumps(figures, indent=1))
+    else:
+        click.echo("\n\n".join(filter(None, (describe(figures), describe_objects(figures["objects"])))))
     matched, lost = figures["matched"], figures["unmatched"]
     click.echo(f"{matched:,} of {matched + lost:,} reference points have a predicted point", err=True)
     if left_out := figures["left_out"]:

@@ -31,7 +31,12 @@ def _check_classes(config: Config) -> None:
         raise ConfigError("class codes lie in 1 to 255", where=f"{where}: survey.classes", got=codes + used)
     weights = config.train.class_weights
     weighted = weights if isinstance(weights, Mapping) else ()
-    for key, called in (("classify.refine.between", config.classify.refine.between), ("train.class_weights", weighted)):
+    asked = (
+        ("classify.refine.between", config.classify.refine.between),
+        ("train.class_weights", weighted),
+        ("assess.objects.classes", (config.assess.objects.classes or ()) if names else ()),
+    )
+    for key, called in asked:
         for name in called:
             if name not in names:
                 raise ConfigError(

@@ -28,6 +28,7 @@ from fwclass.conf.sections import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
 from fwclass.graph.kept import deciding_column, kept_argument
+from fwclass.graph.objects import judged_objects, objects_of_tiles, write_cells
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, class_index, code_index
 from fwclass.schema import Table
@@ -52,11 +53,14 @@ def count_tile(
     areas: AreasSection,
     block: float,
     classes: tuple[ClassDef, ...],
+    objects: tuple[int, ...],
+    cell: float,
     reach: float | None = None,
     kept: Kept | None = None,
 ) -> Result:
     """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
-    areas; the ground filter's counts of all its labelled echoes, for it learns from none.
+    areas, and cells of edge `cell` [m] of the classes whose `objects` are judged; the ground filter's counts of all its
+    labelled echoes, for it learns from none.
 
     `reach`: corrections lie within it of their echo [m]; None where no model of this run learned from any.
     Echoes that are `kept` as the source has them are no answers: they are left out, and counted where they have a
@@ -77,6 +81,8 @@ def count_tile(
     blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
     arrays = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
     write_arrays(here.directory / COUNTS, arrays)
+    if objects:
+        write_cells(here, table, classes, objects, cell)
     sure = by_confidence(table, classes).tolist()
     facts = {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
     return {**facts, **({"kept": left_out} if kept else {})}
@@ -145,11 +151,18 @@ def ground_counts(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int
 
 
 def assess_survey(
-    here: StageInputs, names: tuple[str, ...], classes: tuple[ClassDef, ...], quantiles: tuple[float, ...]
+    here: StageInputs,
+    names: tuple[str, ...],
+    classes: tuple[ClassDef, ...],
+    quantiles: tuple[float, ...],
+    block: float,
+    objects: Mapping[str, Any],
 ) -> Result:
-    """Figures over all test areas with their intervals, and the distribution of the features by class.
+    """Figures over all test areas with their intervals, those of objects, and the distribution of the features by
+    class.
 
-    What it keeps of the blocks serves to compare two runs.
+    What it keeps of the blocks, of edge `block` [m], serves to compare two runs. `objects` is nothing where no class
+    has any, and else what `objects_of_tiles` judges by.
     """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
@@ -173,6 +186,7 @@ def assess_survey(
         "blocks": int(blocks.counts.any(axis=(1, 2)).sum()),
         "pure_share": pure_share(blocks.counts),
         **({"kept": left_out} if left_out else {}),
+        **({"objects": objects_of_tiles(here, "confusion", blocks.counts, block, called, objects)} if objects else {}),
     }
     return {
         "accuracy": accuracy if matrix.any() or lost.any() else None,
@@ -202,6 +216,8 @@ COUNT_CONFUSION = Stage(
         "areas": plan.config.areas,
         "block": plan.config.assess.block,
         "classes": plan.config.classes,
+        "objects": judged_objects(plan),
+        "cell": plan.config.assess.objects.step,
         **kept_argument(plan),
     },
     each=_learned_around,
@@ -222,8 +238,12 @@ ASSESS = Stage(
         "names": feature_columns(plan),
         "classes": plan.config.classes,
         "quantiles": plan.config.assess.quantiles,
+        "block": plan.config.assess.block,
+        "objects": {"params": plan.config.assess.objects, "tile": plan.config.tile.size}
+        if judged_objects(plan)
+        else {},
     },
-    keyed=lambda plan: {"areas": plan.config.areas, "block": plan.config.assess.block},
+    keyed=lambda plan: {"areas": plan.config.areas},
     after=("confusion",),
     needs=lambda plan, part: [("confusion", t.key) for t in plan.layout.tiles],
     check=True,

@@ -41,6 +41,8 @@ CLASSIFIERS = {
     "boosting": "gradient boosting",
 }
 PERCENTILES = ("p5", "p25", "p50", "p75", "p95")
+OBJECTS = ("reference", "found", "split", "predicted", "correct", "merged", "completeness", "correctness", "quality")
+"""What the page has of objects: six counts and three shares."""
 PER_CLASS = ("producers_accuracy", "users_accuracy", "iou")
 LEAST_ANGLE = 0.001
 """Angles are told to this [deg]."""
@@ -133,7 +135,29 @@ def accuracy(
         "any_lost": any(lost),
         "remarks": [text for text in assessment.get("remarks") or () if text not in before],
         "count": number(sum(map(sum, assessment["confusion"])) + sum(lost)),
+        "objects": _objects(assessment.get("objects"), dots),
     }
+
+
+def _objects(objects: Mapping[str, Any] | None, dots: Mapping[str, str]) -> dict[str, Any] | None:
+    """Counts and figures of objects by class and size; None without any."""
+    if not objects or not objects["classes"]:
+        return None
+    counts, shares = OBJECTS[:6], OBJECTS[6:]
+    rows = []
+    for one in objects["classes"]:
+        by_size = [(f"from {r['from']:g} m²", r) for r in one["sizes"]]
+        for k, (size, row) in enumerate([("all", one), *by_size]):
+            cells = [*(number(row[n]) for n in counts), *(percent(row[n]) or "–" for n in shares)]
+            rows.append(
+                {
+                    "name": "" if k else one["name"],
+                    "dot": "" if k else dots.get(one["name"], ""),
+                    "size": size,
+                    "cells": cells,
+                }
+            )
+    return {"cell": f"{objects['cell']:g}", "rows": rows}
 
 
 def _intervals(intervals: Mapping[str, Any] | None) -> str:

@@ -30,6 +30,19 @@ def describe_reliability(reliability: Mapping[str, Any]) -> str:
     return f"{mean:.1f} % on average where {right:.1f} % are right; expected calibration error {error:.1f} %{left}"
 
 
+def object_lines(objects: Mapping[str, Any] | None) -> list[str]:
+    """What was made of the objects of every class, in a line each; none without objects."""
+    lines = []
+    for one in (objects or {}).get("classes", ()):
+        large = one["sizes"][-1]
+        found = f"{one['found']:,} of {one['reference']:,} found"
+        if 0 < large["reference"] < one["reference"]:
+            found += f" ({large['found']:,} of {large['reference']:,} from {large['from']:g} m² on)"
+        false = one["predicted"] - one["correct"]
+        lines.append(f"{one['name']}: {found}, {one['split']:,} split; {false:,} false, {one['merged']:,} of several")
+    return lines
+
+
 def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     """The last words of a run, for the terminal; what it delivered lies below `root`."""
     if "words" in report:  # of a workflow that has no echoes
@@ -58,6 +71,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             + (f", kappa {kappa:.3f}" if kappa is not None else "")
             + f" on {accuracy['area']}"
         )
+        rows += [f"objects     {text}" for text in object_lines(accuracy.get("objects"))]
     elif report["training"]:
         none = (
             "unknown: no labelled echo lies in a test area (areas.test, areas.gap; with areas.train: all none is left)"

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.assess.stage import confusion, figures, unclassified
-from fwclass.errors import ConfigError, InputError
+from fwclass.assess.objects import ObjectCells, cells_across, count_objects, object_classes, object_figures
+from fwclass.assess.stage import BlockCounts, confusion, figures, unclassified
+from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.grid import quantise
 from fwclass.model import ClassDef
 from fwclass.read.cloud import FAR
@@ -76,33 +77,65 @@ def parse_classes(text: str) -> tuple[ClassDef, ...]:
     return tuple(classes)
 
 
-def assess_files(reference: Path, prediction: Path, codes: str | None, ground: bool = False) -> dict[str, Any]:
+def assess_files(
+    reference: Path, prediction: Path, codes: str | None, ground: bool = False, objects: str | None = None
+) -> dict[str, Any]:
     """Figures of `prediction` against `reference`: point by point, or by nearest point within `label.max_distance`.
 
     Both are LAS, LAZ, COPC or text with labels, or patterns of such (``tiles/*.laz``), whose files of one name are
     compared and counted together. Without `codes` every code that the reference uses is a class (0 is
     "never classified"). With `ground` there are two classes, ground (2) and all other codes; whatever the prediction
-    does not call ground is other. ``left_out`` counts reference points of codes that no class has, by code;
-    ``implausible`` and ``remarks`` tell what the pairs themselves show (`likeness`).
+    does not call ground is other. ``objects`` is what `object_figures` tells of the classes that `objects` names, with
+    commas between; of None those whose codes are things; None where there is no such class. ``left_out`` counts
+    reference points of codes that no class has, by code; ``implausible`` and ``remarks`` tell what the pairs themselves
+    show (`likeness`).
     """
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
     pairs_of_files = _pairs_of_files(reference, prediction)
     some = [_codes_of_pair(*pair) for pair in pairs_of_files]
-    wanted, answered = (np.concatenate([pair[k] for pair in some]) for k in (0, 1))
-    alike, given = [pair[2] for pair in some], answered
+    wanted, answered, x, y = (np.concatenate([pair[k] for pair in some]) for k in range(4))
+    alike, given = [pair[4] for pair in some], answered
     classes, answered = _classes(wanted, answered, codes, ground)
     names = [c.name for c in classes]
     plain = figures(confusion(wanted, answered, classes), names, unclassified(wanted, answered, classes))
     left_out = _left_out(wanted, classes)
     return {
         **plain,
+        "objects": _objects((x, y), wanted, answered, classes, objects),
         "matched": len(wanted),
         "unmatched": sum(one.points - one.matched for one in alike),
         "left_out": left_out,
         "implausible": likeness.faults(alike),
         "remarks": [*_twice(pairs_of_files), *likeness.remarks(alike), *_unknown(given, classes, ground)],
     }
+
+
+def _objects(
+    xy: tuple[NDArray[np.float64], NDArray[np.float64]],
+    wanted: NDArray[np.uint8],
+    answered: NDArray[np.uint8],
+    classes: tuple[ClassDef, ...],
+    asked: str | None,
+) -> dict[str, Any] | None:
+    params, names = conf.section("assess"), [c.name for c in classes]
+    called = None if asked is None else [name.strip() for name in asked.split(",")]
+    for name in called or ():
+        if name not in names:
+            raise ConfigError(
+                f"no class is called {name!r}",
+                where="--objects",
+                expected=", ".join(names),
+                got=name,
+                do=nearest(name, names),
+            )
+    judged = object_classes(classes, called)
+    if not judged:
+        return None
+    blocks = BlockCounts.of(*xy, wanted, answered, classes, params.block)
+    cell = cells_across(blocks.counts, params.block, params.objects) * params.objects.step
+    cells = ObjectCells.of(xy, wanted, answered, classes, judged, cell)
+    return object_figures(count_objects(cells, len(classes), cell, params.objects), names, cell, params.objects)
 
 
 def _twice(pairs_of_files: list[tuple[Path, Path]]) -> list[str]:
@@ -135,8 +168,9 @@ def _unknown(answered: NDArray[np.uint8], classes: tuple[ClassDef, ...], ground:
     return [f"{total:,} predicted points have codes that no class has ({listed}), and count as unclassified: --map?"]
 
 
-def _codes_of_pair(reference: Path, prediction: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Likeness]:
-    """Codes of the reference's points that have a predicted one, those predicted, and how alike the two are."""
+def _codes_of_pair(reference: Path, prediction: Path) -> tuple[Any, ...]:
+    """Codes of the reference's points that have a predicted one, those predicted, x and y of these points [m], and how
+    alike the two clouds are."""
     (truth, one), (answer, other) = _cloud(reference), _cloud(prediction)
     rows = pairs(_places(truth), _places(answer), conf.section("label").max_distance)
     known = rows >= 0
@@ -154,7 +188,8 @@ def _codes_of_pair(reference: Path, prediction: Path) -> tuple[NDArray[np.uint8]
         answer["source_class"],
         reference.samefile(prediction),
     )
-    return truth["source_class"][known], answer["source_class"][rows[known]], alike
+    x, y = truth["x"][known], truth["y"][known]
+    return truth["source_class"][known], answer["source_class"][rows[known]], x, y, alike
 
 
 def _pairs_of_files(reference: Path, prediction: Path) -> list[tuple[Path, Path]]:

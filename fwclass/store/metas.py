@@ -75,6 +75,10 @@ def _by_class(shape: dict[str, Shape]) -> Related:
     return Related(shape, "as many of each as there are classes", _of_one_length(*_BY_CLASS, of="classes"))
 
 
+_OBJECTS = {
+    **dict.fromkeys(("reference", "found", "split", "predicted", "correct", "merged"), COUNT),
+    **dict.fromkeys(("completeness", "correctness", "quality"), _FIGURE),
+}
 _INTERVALS = {"level": NUMBER, "blocks": COUNT, "overall_accuracy": Maybe([_FIGURE])}
 _CARD = Related(
     {
@@ -339,7 +343,17 @@ META: dict[str, Shape] = {
     "assess": {
         "accuracy": Maybe(
             _by_class(
-                {**_FIGURES, "blocks": COUNT, "pure_share?": _FIGURE, "intervals": Maybe(_INTERVALS), "kept?": COUNT}
+                {
+                    **_FIGURES,
+                    "blocks": COUNT,
+                    "pure_share?": _FIGURE,
+                    "intervals": Maybe(_INTERVALS),
+                    "kept?": COUNT,
+                    "objects?": {
+                        "cell": POSITIVE,
+                        "classes": [{"name": TEXT, **_OBJECTS, "sizes": [{"from": POSITIVE, **_OBJECTS}]}],
+                    },
+                }
             )
         ),
         "distribution": Related(

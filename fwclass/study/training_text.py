@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.assess.stage import describe as confusion_table
+from fwclass.assess.stage import describe_objects
 from fwclass.report.sampling import ambiguous_text
 
 MOST = 10
@@ -28,6 +29,7 @@ def describe(result: dict[str, Any]) -> str:
         lines.append(f"note        {ambiguous_text(result['ambiguous'])}")
     if result["accuracy"]:
         lines += ["", confusion_table(result["accuracy"]), ""]
+        lines += [text, ""] if (text := describe_objects(result["accuracy"].get("objects"))) else []
     lines += [f"remark      {text}" for text in result.get("remarks", ())]
     return "\n".join(lines)
 

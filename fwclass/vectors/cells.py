@@ -10,6 +10,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
+from fwclass.pieces import pieces_of
 from fwclass.schema import Table
 from fwclass.vectors.params import VectorParams
 
@@ -141,17 +142,7 @@ def join_cells(cells: Table) -> Table:
     """Cells of many windows, numbered anew by what touches by a side or a corner; by piece, row and column."""
     order = np.lexsort((cells["cell_column"], cells["cell_row"]))
     cells = cells.take(order)
-    row, col = cells["cell_row"].astype(np.int64), cells["cell_column"].astype(np.int64)
-    wide = int(col.max(initial=0) - col.min(initial=0)) + 3
-    key = row * wide + (col - col.min(initial=0))
-    ends = []
-    for step in (1, wide - 1, wide, wide + 1):
-        place = np.minimum(np.searchsorted(key, key + step), max(len(key) - 1, 0))
-        near = np.flatnonzero(key[place] == key + step) if len(key) else place
-        ends.append(np.stack([near, place[near]]))
-    one, other = np.concatenate(ends, axis=1)
-    links = scipy.sparse.coo_array((np.ones(len(one), bool), (one, other)), (len(key), len(key)))
-    _, piece = scipy.sparse.csgraph.connected_components(links, directed=False)
+    piece = pieces_of(cells["cell_row"].astype(np.int64), cells["cell_column"].astype(np.int64))
     cells = cells.with_columns({"component": piece})
     return cells.take(np.argsort(piece, kind="stable"))
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from fwclass import conf
 from fwclass.assess.stage import AssessParams, confusion, describe, figures, judge, unclassified
 from fwclass.errors import QualityError
 from fwclass.model import ClassDef
@@ -154,7 +155,7 @@ def test_the_table_for_a_terminal():
 def test_a_missed_threshold_is_a_quality_error():
     made = figures(np.array([[8, 2], [2, 8]]), NAMES[:2])
     asked = {"block": 25.0, "quantiles": (0.5,), "min_overall_accuracy": None, "min_kappa": None}
-    asked |= {"pure": 0.9, "tested": 0.1, "unscored": 0.01}
+    asked |= {"pure": 0.9, "tested": 0.1, "unscored": 0.01, "objects": conf.section("assess").objects}
     judge(made, AssessParams(**asked))
     judge(made, AssessParams(**asked | {"min_overall_accuracy": 0.8, "min_kappa": 0.59}))
     with pytest.raises(QualityError, match="kappa"):

@@ -22,6 +22,8 @@ from fwclass.publish.sections import measure, number, percent, quantity, seconds
 
 PNG = b"\x89PNG\r\n\x1a\n-not-really"
 EVIL = "<script>alert('x')</script>&\"'{{ 7 * 7 }}"
+OBJECTS = {"reference": 31, "found": 30, "split": 2, "predicted": 29, "correct": 28, "merged": 1}
+OBJECTS |= {"completeness": 30 / 31, "correctness": 28 / 29, "quality": None}
 CLASSES = [{"name": "ground", "code": 2}, {"name": "building", "code": 6}]
 
 
@@ -59,6 +61,10 @@ def full(survey: str = "city") -> dict[str, Any]:
             "type_ii": 0.1,
             "total_error": 0.1,
             "area": "one tile",
+            "objects": {
+                "cell": 0.75,
+                "classes": [{"name": "building", **OBJECTS, "sizes": [{"from": 2.0, **OBJECTS}]}],
+            },
         },
         "training": {"samples": {"ground": 500, "building": 400}, "trees": 100, "features": ["zc", "echo_ratio_r100"]},
         "distribution": {
@@ -166,6 +172,9 @@ def test_everything_is_there(tmp_path: Path) -> None:
         "3–10 m",
         "size: 100.0",
         "one tile",
+        "in cells of 0.75 m",
+        "building all 31 30 2 29 28 1 96.8 96.6 –",
+        "from 2 m² 31",
         "echo ratio ER, r = 1 m",
         "12.5 s",
         "EPSG:25832",
