@@ -9,12 +9,18 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 from fwclass.cli import main
 from fwclass.errors import INTERRUPTS
 
 Ended = subprocess.CompletedProcess[str]
+
+
+def coarse() -> Any:
+    """While this holds, pictures of a run have a ninth of their dots: they took a quarter of a small run's time."""
+    return mock.patch("fwclass.publish.drawing.DPI", 50)
 
 
 def fwclass(*words: object, cwd: Path | None = None) -> Ended:
@@ -25,6 +31,7 @@ def fwclass(*words: object, cwd: Path | None = None) -> Ended:
     line, code = ["fwclass", *map(str, words)], 0
     before = {number: signal.getsignal(number) for number in INTERRUPTS}
     with (
+        coarse(),
         contextlib.chdir(cwd or Path.cwd()),
         mock.patch.object(sys, "argv", line),
         contextlib.redirect_stdout(io.StringIO()) as out,

@@ -11,6 +11,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pyarrow.parquet as pq
+from commandline import coarse
 
 from fwclass import conf
 from fwclass.operate.status.walk import RunStatus, look_at
@@ -32,6 +33,7 @@ SETTINGS = (
     "train.importance_repeats=2",
     "areas.train=[[512000, 5403000, 512060, 5403120]]",
     "read.chunk_pulses=9000",
+    "pulse.sample=3000",
     "ground.block=64",
     "terrain.block=64",
     "publish.figure_pixels=200",
@@ -44,6 +46,7 @@ def walk(
     """Run the classification of `survey`, or another `workflow`, into `location`; return the runner and the report."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
     with (
+        coarse(),
         Display() as display,
         locked(location, display.say) as (own, held),
         executor or contextlib.nullcontext(Loop()) as running,

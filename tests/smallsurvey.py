@@ -6,9 +6,7 @@ from pathlib import Path
 
 import lasmaker
 import numpy as np
-from click.testing import CliRunner
-
-from fwclass.cli import cli
+from commandline import fwclass
 
 CONFIG = """survey:
   name: small
@@ -47,7 +45,5 @@ def small_survey(place: Path, stray: tuple[float, float] | None = None) -> Path:
 def deliver(place: Path, *settings: str) -> None:
     """Run the survey of a directory into ``run`` beside it."""
     words = [w for s in settings for w in ("--set", s)]
-    made = CliRunner().invoke(
-        cli, ["run", str(place / "s.yaml"), "--out", str(place / "run"), "--workers", "0", *words]
-    )
-    assert made.exit_code == 0, made.output
+    made = fwclass("run", place / "s.yaml", "--out", place / "run", "--workers", 0, *words)
+    assert made.returncode == 0, made.stderr

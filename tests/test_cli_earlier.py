@@ -14,18 +14,29 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 
-@pytest.fixture
-def two(tmp_path: Path) -> Path:
-    """The small survey as two files, run once."""
-    path = small_survey(tmp_path)
-    whole = laspy.read(tmp_path / "a.las")
+@pytest.fixture(scope="module")
+def run_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The small survey as two files, run once, and a copy of all."""
+    place = tmp_path_factory.mktemp("earlier") / "place"
+    place.mkdir()
+    path = small_survey(place)
+    whole = laspy.read(place / "a.las")
     x = np.asarray(whole.x)
     for name, rows in (("west", x < 500_040), ("east", x >= 500_040)):
         part = laspy.LasData(whole.header)
         part.points = whole.points[rows]
-        part.write(tmp_path / f"{name}.las")
+        part.write(place / f"{name}.las")
     path.write_text(path.read_text().replace("[a.las]", '["*st.las"]'))
     assert fwclass(*line(path)).returncode == 0
+    return path, shutil.copytree(place, place.with_name("kept"), symlinks=True)
+
+
+@pytest.fixture
+def two(run_once: tuple[Path, Path]) -> Path:
+    """As it was after the run, in the place where it was made, which a run directory knows."""
+    path, kept = run_once
+    shutil.rmtree(path.parent)
+    shutil.copytree(kept, path.parent, symlinks=True)
     return path
 
 

@@ -107,7 +107,10 @@ def echoes(root):
     return table.sort_values(KEYS).reset_index(drop=True)
 
 
-@pytest.mark.parametrize("way", ["one layer", "in context", "thinned"])
+_OTHERS = [pytest.param(way, marks=pytest.mark.slow) for way in ("one layer", "thinned")]
+
+
+@pytest.mark.parametrize("way", ["in context", *_OTHERS])
 def test_unsure_echoes_are_left_and_nothing_else_changes(way, tmp_path):
     more = {"one layer": (), "in context": ("classify.context.cells=[1]",), "thinned": ("thin.rate=0.5",)}[way]
     words = [w for s in more for w in ("--set", s)]

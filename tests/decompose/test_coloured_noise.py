@@ -153,7 +153,7 @@ def test_short_waveforms_are_foretold_from_fewer_samples(params):
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("growth", [0.05, 0.15])
+@pytest.mark.parametrize("growth", [pytest.param(0.05, marks=pytest.mark.slow), 0.15])
 def test_noise_that_grows_with_the_signal(base, params, growth):
     noise = {"noise": (1.3, 1.3), "growth": growth}
     pulse = asked(base, params, **noise)

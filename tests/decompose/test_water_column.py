@@ -66,7 +66,7 @@ def test_the_column_is_finite_everywhere():
                 assert 0.0 <= column_shape(u, 0.3, decay, length) < 1e7
 
 
-@pytest.mark.parametrize("lag1", [0.0, 0.5])
+@pytest.mark.parametrize("lag1", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_a_lake_is_as_deep_as_it_was_made(tmp_path, lag1):
     truth = lake(tmp_path / "lake.las", 600, lag1=lag1, seed=3, depths=(1.5, 15.0))
     words = ("decompose", truth.path, "--set", "plausibility.accept=true")

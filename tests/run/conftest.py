@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from commandline import coarse
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
@@ -13,6 +15,12 @@ from fwclass.graph.stage import Plan
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_pictures() -> Iterator[None]:
+    with coarse():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -168,6 +168,7 @@ def test_both_layers_learn_from_base_rows_though_a_class_has_no_label(contextual
     assert {2, 5} <= set(written.tolist()), "a class without a label is not forgotten"
 
 
+@pytest.mark.slow
 def test_rows_in_context_change_with_neither_tiles_nor_workers(contextual, tmp_path):
     for name, words in (("a", ()), ("b", ("tile.size=40",))):
         shutil.copytree(contextual[1] / "labels", tmp_path / name / "labels")

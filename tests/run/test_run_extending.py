@@ -254,11 +254,15 @@ GIVES = "def g(chunk):\n    return {}\n" + PUT.format("g")
     ("text", "words"),
     [
         (GIVES.format("{'my': np.zeros(chunk.table.rows + 1)}"), "wrong number of values of 'my'"),
-        (GIVES.format("{'my': 3.0}"), "one for every echo of the tile"),
-        (GIVES.format("None"), "gives columns"),
-        (GIVES.format("{'your': np.zeros(len(chunk.core))}"), "other columns than its stage writes"),
+        pytest.param(GIVES.format("{'my': 3.0}"), "one for every echo of the tile", marks=pytest.mark.slow),
+        pytest.param(GIVES.format("None"), "gives columns", marks=pytest.mark.slow),
+        pytest.param(
+            GIVES.format("{'your': np.zeros(len(chunk.core))}"),
+            "other columns than its stage writes",
+            marks=pytest.mark.slow,
+        ),
         (GIVES.format("{'my': chunk.table['intensity'][chunk.core]}"), "named in the stage's `reads`"),
-        (GIVES.format("{'my': 1 / 0}"), r"mine.py:\d+, stage my-stage"),
+        pytest.param(GIVES.format("{'my': 1 / 0}"), r"mine.py:\d+, stage my-stage", marks=pytest.mark.slow),
         (GIVES.format("exit(0)"), "SystemExit"),
         (
             "MY = Column('small', 'u1', '', 'x')\n"

@@ -44,7 +44,7 @@ def run(directory, name, *settings):
     return report
 
 
-_OTHERS = ((4, "external"), (5, "internal"), (9, "internal"), (10, "external"))
+_OTHERS = ((4, "external"), (5, "internal"), (5, "external"), (9, "internal"), (9, "external"), (10, "external"))
 """Formats and places of waveforms in the pairs that are tested in the slow suite alone."""
 
 
@@ -57,13 +57,7 @@ def samples(path, points):
 
 @pytest.mark.parametrize(
     ("point_format", "where"),
-    [
-        (4, "internal"),
-        (5, "external"),
-        (9, "external"),
-        (10, "internal"),
-        *(pytest.param(*other, marks=pytest.mark.slow) for other in _OTHERS),
-    ],
+    [(4, "internal"), (10, "internal"), *(pytest.param(*other, marks=pytest.mark.slow) for other in _OTHERS)],
 )
 def test_every_waveform_format_goes_the_whole_road(tmp_path, point_format, where):
     bits = 16 if point_format in (5, 10) else 8
@@ -119,7 +113,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", ["compressed", *(pytest.param(f, marks=pytest.mark.slow) for f in list(FAULTS)[:2])])
 def test_a_file_without_any_usable_packet_is_refused_or_kept_as_asked(tmp_path, fault):
     survey(tmp_path / "a.las", 200, **FAULTS[fault])
     with pytest.raises(InputError, match=r"none can be read[\s\S]*missing_packets=keep"):

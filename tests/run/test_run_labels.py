@@ -98,7 +98,7 @@ def test_every_echo_has_the_class_of_its_square(squares, drawn):
     [
         ("parquet", 25832, "tile.size=37.5", "klass"),
         ("geojson", 4326, "tile.size=1000", "klass"),
-        ("shp", 3857, "tile.size=100", "code"),
+        pytest.param("shp", 3857, "tile.size=100", "code", marks=pytest.mark.slow),
     ],
 )
 def test_the_format_the_system_and_the_tiles_change_no_label(
