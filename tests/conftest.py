@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as in the Makefile
+sys.dont_write_bytecode = False  # every process that a test starts would compile the program anew, every run the tests
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as in the command, and before numpy is there: more wait busily
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -70,6 +70,7 @@ def test_another_width_than_recorded_is_told():
     assert disagree(2.05, 4.09) and disagree(7.6, 6.5) and disagree(27.6, 6.53)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("widths", "sizes"), [((3.5, 6.0), (3000, 2000)), ((8.0, 4.0), (1500, 3000))])
 def test_every_channel_has_its_own_pulse(params, widths, sizes):
     waves = both(of_width(widths[0], sizes[0]), of_width(widths[1], sizes[1], 2, 4095.0))
@@ -159,6 +160,7 @@ def test_a_stored_pulse_of_a_channel_is_checked(params):
             SystemPulse.from_json({**stored, "channels": [{**own, "pulse": wrong}]})
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("swapped", [False, True])
 def test_a_tone_is_told_of_the_channel_that_has_it(params: PulseParams, fit: DecomposeParams, swapped: bool) -> None:
     """The other one is correlated, and known less."""

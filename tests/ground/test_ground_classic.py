@@ -42,7 +42,13 @@ def not_undercut(x, y, z, params):
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
-    ("radius", "steep"), [(1.7, 0.3), (9.0, 0.3), (18.0, 0.15), pytest.param(200.0, 1.0, marks=pytest.mark.slow)]
+    ("radius", "steep"),
+    [
+        (1.7, 0.3),
+        (9.0, 0.3),
+        pytest.param(18.0, 0.15, marks=pytest.mark.statistics),
+        pytest.param(200.0, 1.0, marks=pytest.mark.slow),
+    ],
 )
 def test_slope_filter_is_its_definition(seed, radius, steep):
     params = SlopeParams(radius=radius, slope=steep, tolerance=0.2)

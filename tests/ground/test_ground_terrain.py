@@ -331,6 +331,7 @@ SEAM, SEAM_SHARE = 0.01, 0.001
 """The terrain of blocks differs from that of one block by no more than SEAM [m], but for SEAM_SHARE of the cells."""
 
 
+@pytest.mark.statistics
 def test_blocks_join_without_seams_in_a_town_with_large_halls():
     x, y, z, ground, _ = town(600, 1, 0.03)
     noise = np.zeros(len(x), bool)

@@ -23,6 +23,7 @@ def settings(**changes: Any) -> SimulateParams:
     return SimulateParams(**{**base, "size": 110.0, "strips": 3, "seed": 4, **changes})
 
 
+@pytest.mark.statistics
 def test_search_finds_every_thing_in_the_beam() -> None:
     params = settings()
     scene = build_scene(params)
