@@ -84,10 +84,10 @@ def test_neither_hall_nor_hillside_is_lost_as_with_one_set(land: Path, run: Path
     assert shares[0][1] < 0.05 and shares[0][1] < shares[1][1]
 
 
-LARGE = pytest.param(("--set", "tile.size=300"), marks=pytest.mark.slow)
+SMALL = pytest.param(("--set", "tile.size=25", "--workers", "2"), marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize("setting", [LARGE, ("--set", "tile.size=25", "--workers", "2")])
+@pytest.mark.parametrize("setting", [("--set", "tile.size=300"), SMALL])
 def test_tiles_and_workers_change_nothing(land: Path, run: Path, setting: tuple[str, ...], tmp_path: Path) -> None:
     told = fwclass("run", land / "two.yaml", "--out", tmp_path / "run", *WORDS, *setting)
     assert told.returncode == 0, told.stderr
