@@ -73,8 +73,8 @@ class FwclassError(Exception):
             ("got", self.got),
             ("what to do", self.do),
         ):
-            if text:
-                rows.append(f"  {label}: {text}")
+            if text:  # of several lines the further ones are set in: none of a file passes for one of these labels
+                rows.append(f"  {label}: " + text.replace("\n", "\n    "))
         return "\n".join(rows)
 
     def __reduce__(self) -> tuple[object, ...]:

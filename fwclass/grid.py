@@ -18,7 +18,11 @@ from fwclass.errors import ConfigError
 from fwclass.hashing import hash_keys
 from fwclass.units import QUANTUM
 
-_KEY = re.compile(r"^(-?\d+)_(-?\d+)$")
+_KEY = re.compile(r"(-?[0-9]{1,18})_(-?[0-9]{1,18})")
+
+FURTHEST = 1e8
+"""m, no coordinate system in metres has larger numbers on Earth (zones before the easting: 6e7); far beyond, whole
+millimetres are no numbers of 64 bits any more."""
 
 
 def millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -152,7 +156,7 @@ class TileGrid:
 
     def tile(self, key: str) -> Tile:
         """The tile of a key (``<column>_<row>``); `ConfigError` for what is no key."""
-        match = _KEY.match(key)
+        match = _KEY.fullmatch(key)
         if match is None:
             raise ConfigError("not a tile key", where="tiles", expected="column_row, for example 12_34", got=key)
         return Tile(int(match[1]), int(match[2]), self.size, self.origin)

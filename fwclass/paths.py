@@ -58,7 +58,8 @@ def below(directory: Path, name: str, links: bool = True) -> Path:
     fault = relative_fault(name)
     path = directory / name if not fault else directory
     if not fault:
-        root, parent = directory.resolve(), path.parent.resolve()
+        # Path.resolve has a RuntimeError for links that lead in a ring: what opens them has better words
+        root, parent = Path(os.path.realpath(directory)), Path(os.path.realpath(path.parent))
         if not parent.is_relative_to(root) or not (links or parent == (root / name).parent):
             fault = f"a link on the way leads to {parent}"
     if fault:

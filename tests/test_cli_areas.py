@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import laspy
@@ -13,6 +14,7 @@ import shapely
 from commandline import fwclass
 from smallsurvey import small_survey
 
+from fwclass.survey import area_files
 from fwclass.survey.area_files import boxes_of
 from fwclass.survey.area_of_interest import edges
 
@@ -104,3 +106,27 @@ def test_boxes_are_the_squares_whose_middles_lie_inside() -> None:
     times = sum(b.contains(middle_x, middle_y).astype(int) for b in boxes)
     assert (times == inside).all() and inside.sum() > 500
     assert sum(b.area for b in boxes) == inside.sum()
+
+
+def test_polygons_of_many_corners_take_no_time_for_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of 98,000 rows looked at all of 200,000 edges; a comb is taken by larger squares at once."""
+    way = np.linspace(0, 2 * np.pi, 20_001)
+    tall = np.c_[500_020 + 15 * np.cos(way), 5_400_000 + 49_000 * np.sin(way)]
+    tall[-1] = tall[0]
+    began = time.process_time()
+    boxes = area_files._few_boxes(tall[:-1], tall[1:], 1.0)
+    assert boxes is not None and sum((b.xmax - b.xmin) * (b.ymax - b.ymin) for b in boxes) == pytest.approx(
+        np.pi * 15 * 49_000, rel=1e-2
+    )
+    comb = np.array([[500_000 + k / 2000, 5_400_000 + (k % 2) * 90_000] for k in range(100_001)])
+    assert area_files._few_boxes(comb[:-1], comb[1:], 1.0) is None
+    assert time.process_time() - began < 5  # s; two minutes were not enough
+
+
+def test_a_corner_that_is_nowhere_is_told(place: Path) -> None:
+    data = np.array([shapely.box(-1e300, -1e300, 1e300, 1e300).wkb], object)
+    pyogrio.raw.write(
+        place / "huge.gpkg", data, [], [], layer="a", driver="GPKG", geometry_type="Polygon", crs="EPSG:32633"
+    )
+    told = fwclass("plan", place / "s.yaml", "--set", "areas.train={polygons: huge.gpkg}")
+    assert told.returncode == 1 and "nowhere on Earth" in told.stderr, told.stderr

@@ -194,3 +194,15 @@ def test_a_tile_that_was_not_delivered_is_not_compared(runs, tmp_path):
     shutil.copy(min(tables.iterdir()), tables / "mine.parquet")
     ended = fwclass("diff", "s", "s", cwd=tmp_path)
     assert ended.returncode == 1 and "mine.parquet" in ended.stderr and "the delivery is damaged" in ended.stderr
+
+
+@pytest.mark.parametrize("below", ["parquet/*.parquet", "rasters/classes.tif"])
+def test_a_file_of_another_size_is_not_read(runs, tmp_path, below):
+    """A raster of a terabyte that takes no room on the disk was read to its end, for hours."""
+    shutil.copytree(runs / "s", tmp_path / "s", symlinks=True)
+    file = min((tmp_path / "s" / "current").resolve().glob(below))
+    file.chmod(0o644)
+    with file.open("r+b") as stream:
+        stream.truncate(1 << 40)
+    ended = fwclass("diff", "s", "s", cwd=tmp_path)
+    assert ended.returncode == 1 and file.name in ended.stderr and "the delivery is damaged" in ended.stderr

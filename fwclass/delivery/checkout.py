@@ -40,7 +40,7 @@ class Note:
     Attributes
     ----------
     run : absolute path of the run directory.
-    survey, generation, manifest : names of the survey and of the delivery, and the digest of the delivery's manifest.
+    survey, generation : names of the survey and of the delivery.
     tiles : keys, and the digest of the file of each with the classes that it had.
     collected : when changes were collected, microseconds since 1970 (UTC); rows of corrections with such a time are
         this directory's.
@@ -49,14 +49,8 @@ class Note:
     run: str
     survey: str
     generation: str
-    manifest: str
     tiles: Mapping[str, str]
     collected: tuple[int, ...] = ()
-
-
-def manifest_digest(delivery: Delivery) -> str:
-    """Tells deliveries apart, also those of two runs that bear the same number."""
-    return file_digest(delivery.path / MANIFEST)
 
 
 def tile_file(directory: Path, tile: str) -> Path:
@@ -113,9 +107,7 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
     with whole_directory(directory) as beside:
         labels = {key: _copy_tile(delivery, Path(known[key]["file"]), key, beside) for key in keys}
         _write_project(delivery, [known[key] for key in keys], beside)
-        note = Note(
-            str(delivery.root), delivery.report["survey"], delivery.path.name, manifest_digest(delivery), labels
-        )
+        note = Note(str(delivery.root), delivery.report["survey"], delivery.path.name, labels)
         write_json(beside / NOTE, asdict(note))
     echoes = sum(int(known[key]["echoes"]) for key in keys)
     size = sum(tile_file(directory, key).stat().st_size for key in keys)
@@ -172,10 +164,12 @@ def read_note(directory: Path) -> Note:
         if path.stat().st_size > MOST_NOTE:
             raise ValueError(f"{path.stat().st_size} bytes")
         plain = json.loads(path.read_bytes())
-        texts = {n: plain[n] for n in ("run", "survey", "generation", "manifest")}
+        texts = {n: plain[n] for n in ("run", "survey", "generation")}
         tiles, times = plain["tiles"], plain["collected"]
         if not all(isinstance(v, str) for v in (*texts.values(), *tiles, *tiles.values())):
             raise ValueError("text is wanted")
+        if not Path(texts["run"]).is_absolute():
+            raise ValueError(f"the run {texts['run']!r} has no absolute path")
         for key in tiles:
             TileGrid(1.0).tile(key)  # they become names of files
         if not all(type(t) is int and 0 <= t < LATEST for t in times):

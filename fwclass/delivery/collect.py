@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.delivery.checkout import PLACE, Note, add_time, labels_file, manifest_digest, read_note, tile_file
+from fwclass.delivery.checkout import PLACE, Note, add_time, labels_file, read_note, tile_file
 from fwclass.delivery.opened import Delivery, open_run
 from fwclass.errors import InputError
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels, read_echo_labels
@@ -59,17 +59,18 @@ class Collected:
 
 @dataclass(frozen=True)
 class _Changed:
-    """Echoes with their new class, and the class that each had."""
+    """Echoes of a tile with their new class, the class that each had, and the keys of all echoes of the tile."""
 
     labels: EchoLabels
     before: NDArray[np.int16]
+    keys: NDArray[np.uint64]
 
 
 def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected:
     """Add what was changed since the last collection to the corrections of the run.
 
     Nothing is written unless all tiles are sound. An echo whose change was undone is taken back, unless somebody else
-    corrected it meanwhile. After a later delivery changed echoes have to lie where they lay.
+    corrected it meanwhile; only echoes of the tiles are. Changed echoes have to lie where the delivery has them now.
 
     Parameters
     ----------
@@ -89,12 +90,15 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     tiles = [_changes(directory, key, digest) for key, digest in sorted(note.tiles.items())]
     _check_codes(tiles, list(note.tiles), delivery.correctable)
     changed = EchoLabels.joined([t.labels for t in tiles])
-    before = np.concatenate([t.before for t in tiles]) if tiles else np.empty(0, np.int16)
-    stays = _at_their_place(changed, note, delivery)
+    before, keys = (
+        np.concatenate([getattr(t, n) for t in tiles] or [np.empty(0, kind)])
+        for n, kind in (("before", np.int16), ("keys", np.uint64))
+    )
+    stays = np.concatenate([np.empty(0, bool), *(_at_their_place(t.labels, delivery) for t in tiles)])
     time = max(time, *note.collected, 0) + 1
 
     def change(earlier: EchoLabels) -> EchoLabels:
-        new = new_rows(earlier, changed, note.collected, time, who)
+        new = new_rows(earlier, changed, keys, note.collected, time, who)
         lost = np.isin(changed.key[~stays], new.take(new.code != TAKEN_BACK).key)
         if lost.any():
             raise _lost_error(changed.take(np.flatnonzero(~stays)[lost]), note, delivery)
@@ -111,18 +115,21 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     return Collected(pairs, added.rows - labels.rows, changed.rows, names, Path(str(where)))
 
 
-def new_rows(earlier: EchoLabels, changed: EchoLabels, collected: Sequence[int], time: int, who: str) -> EchoLabels:
+def new_rows(
+    earlier: EchoLabels, changed: EchoLabels, keys: NDArray[np.uint64], collected: Sequence[int], time: int, who: str
+) -> EchoLabels:
     """Rows that say of every echo what its tile says now, where `earlier` ones do not.
 
     Parameters
     ----------
     changed : all echoes of the directory whose class is not the one that was checked out, each once.
+    keys : of all its echoes; others are left as they are.
     collected : times of earlier rows that come from this directory.
     """
     ours, last = earlier.take(np.isin(earlier.time, np.array(collected, np.int64))).standing(), earlier.standing()
     said, stands = codes_that_stand(changed, ours), codes_that_stand(changed, last)
     add = changed.take((changed.code != said) & (changed.code != stands))
-    undone = ours.take((ours.code != TAKEN_BACK) & ~np.isin(ours.key, changed.key))
+    undone = ours.take((ours.code != TAKEN_BACK) & np.isin(ours.key, keys) & ~np.isin(ours.key, changed.key))
     undone = undone.take(last.time[np.searchsorted(last.key, undone.key)] == undone.time)
     both = EchoLabels.joined([add, undone])
     codes = np.append(add.code, np.full(undone.rows, TAKEN_BACK))
@@ -190,7 +197,7 @@ def _changes(directory: Path, tile: str, digest: str) -> _Changed:
     rows = np.flatnonzero(code != labels.code[a])
     own = labels.take(a[rows])
     columns = {n: getattr(own, n) for n in (*IDENTITY, *PLACE)}
-    return _Changed(EchoLabels.of(columns, code[rows], 0, ""), own.code)
+    return _Changed(EchoLabels.of(columns, code[rows], 0, ""), own.code, labels.key)
 
 
 def _read_points(path: Path, echoes: int) -> NDArray[np.int64]:
@@ -250,10 +257,11 @@ def _check_codes(tiles: Sequence[_Changed], keys: Sequence[str], names: Mapping[
             )
 
 
-def _at_their_place(changed: EchoLabels, note: Note, delivery: Delivery) -> NDArray[np.bool_]:
-    """bool (rows,): the delivery has the echo where it was when it was checked out."""
-    if not changed.rows or manifest_digest(delivery) == note.manifest:
-        return np.ones(changed.rows, bool)
+def _at_their_place(changed: EchoLabels, delivery: Delivery) -> NDArray[np.bool_]:
+    """bool (rows,): the delivery has the echo of a tile where it was when it was checked out. Not even of the same
+    delivery is this believed: who sends a directory may have written all of it."""
+    if not changed.rows:
+        return np.ones(0, bool)
     box = (changed.x.min() - 1, changed.y.min() - 1, changed.x.max() + 1, changed.y.max() + 1)
     table = delivery.echoes(box, (*IDENTITY, *PLACE)).to_arrow()
     columns = {n: table.column(n).to_numpy() for n in (*IDENTITY, *PLACE)}

@@ -156,6 +156,20 @@ def check_echo_labels(path: Path, field: str = FIELD) -> None:
         raise _unreadable(fault, path, "name a Parquet file of labels by echo (docs/corrections.md)") from fault
 
 
+def is_echo_labels(path: Path) -> bool:
+    """A Parquet file whose columns are those of labels by echo; what is none, or has geometries, is not."""
+    if path.suffix.lower() != ".parquet" or not path.is_file():
+        return False
+    try:
+        with path.open("rb") as stream:
+            check_unpacked(stream, path.stat().st_size, EACH)
+        with pq.ParquetFile(path) as file:
+            names, metadata = file.schema_arrow.names, file.schema_arrow.metadata or {}
+    except (pa.ArrowException, OSError, ValueError, InputError):
+        return False
+    return {*_IDENTITY, FIELD, *_PLACE} <= {*names} and b"geo" not in metadata
+
+
 def written_by_fwclass(path: Path) -> bool:
     """The file is a table that a run has delivered: what it calls classes may be a model's answers."""
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.grid import Box, millimetres
+from fwclass.grid import FURTHEST, Box, millimetres
 from fwclass.kernel import kernel
 from fwclass.schema import Table
 from fwclass.stage import Chunk
@@ -65,6 +65,15 @@ class Polygons:
 
         `InputError` where a polygon is too large to be one.
         """
+        reach = max(float(np.abs(v).max(initial=0.0)) for v in (shapes.x, shapes.y))
+        if not reach <= FURTHEST:  # beyond, whole millimetres would be other numbers
+            raise InputError(
+                "a polygon has a corner that is nowhere on Earth",
+                where=where,
+                expected=f"coordinates of at most {FURTHEST / 1000:,.0f} km",
+                got=f"{reach / 1000:.3g} km",
+                do="check the file and its coordinate system (survey.reference.crs)",
+            )
         part_code = code[shapes.feature]
         polygons = cls(
             millimetres(shapes.x),

@@ -15,10 +15,12 @@ from fwclass.formats import vector
 from fwclass.formats.area_of_use import place_faults, time_faults
 from fwclass.formats.checks import first_hole
 from fwclass.formats.crs import describe_crs
+from fwclass.formats.echo_labels import is_echo_labels
 from fwclass.formats.flat import flat_faults
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
 from fwclass.read.beams import beam_fault
+from fwclass.read.echo_labels_info import describe_echo_labels, echo_labels_info
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, looked_into
 from fwclass.read.pls_info import describe_pulses, pulse_info
@@ -101,7 +103,7 @@ def info(path: str | Path) -> dict[str, Any]:
     """Contents and faults of a file as plain data for JSON.
 
     One pass over the points (or pulses); memory does not grow with their number. Of a file of polygons its layers,
-    fields and their values.
+    fields and their values; of labels by echo their rows and classes.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def info(path: str | Path) -> dict[str, Any]:
         The file cannot be read.
     """
     if is_polygon_file(path) and not is_beam_file(path):
-        return polygon_info(Path(path))
+        return echo_labels_info(Path(path)) if is_echo_labels(Path(path)) else polygon_info(Path(path))
     opened = open_source(path)
     if isinstance(opened, BeamSource):
         return beam_rows_info(opened)
@@ -270,6 +272,8 @@ def describe(info_: dict[str, Any]) -> str:
     """`info` for a terminal."""
     if "layers" in info_:
         return describe_polygons(info_)
+    if "labels" in info_:
+        return describe_echo_labels(info_)
     crs = info_["crs"]
     rows = [
         ("file", f"{info_['path']}  ({info_['size']:,} bytes)"),

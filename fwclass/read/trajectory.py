@@ -24,6 +24,9 @@ FIELDS = 17
 """Doubles of an SBET record: time, latitude, longitude, altitude, then velocities, attitude, rates."""
 
 WEEK = 604_800.0
+DAY = 86_400.0
+"""s, no flight pauses for longer: times that fall back at the end of a week fall by a week, but for a pause."""
+
 ADJUSTED = 1e9
 """Adjusted standard GPS time is GPS seconds minus this (LAS 1.4 R15, global encoding)."""
 
@@ -58,7 +61,7 @@ def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Tab
       easting, northing, height; or latitude and longitude in degrees with a height), or every line begins with time,
       x, y, z. Lines before the heading, comments (#) and further columns are passed over.
     - SBET, 17 little-endian doubles a record, angles in radians. Times that fall back to 0 at the end of a GPS week
-      run on.
+      run on; such that fall back elsewhere are refused, as none of a flight do.
 
     Parameters
     ----------
@@ -70,7 +73,8 @@ def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Tab
 
     Raises
     ------
-    InputError : not such a file, truncated, too large, no usable fix, or geographic without `crs`.
+    InputError : not such a file, truncated, too large, no usable fix, times that fall back (SBET), or geographic
+        without `crs`.
     """
     path = Path(path)
     size = path.stat().st_size
@@ -194,8 +198,18 @@ def _sbet(path: Path, size: int) -> _Columns:
             got=f"record {bad}: {time[bad]:g}, {lat[bad]:g}, {lon[bad]:g}, {z[bad]:g}",
             do="check that the file is a smoothed best estimate of trajectory, or export it as text with a heading",
         )
-    weeks = np.cumsum(np.diff(time, prepend=time[0]) < -WEEK / 2)
-    return time + weeks * WEEK, np.degrees(lon), np.degrees(lat), z, True
+    fall = np.diff(time, prepend=time[:1])
+    new_week = np.abs(fall + WEEK) < DAY
+    if ((fall < 0) & ~new_week).any():
+        at = int(np.argmax((fall < 0) & ~new_week))
+        raise InputError(
+            "the times of an SBET file fall back",
+            where=path,
+            expected="records in the order of their times, which begin anew at the end of a GPS week alone",
+            got=f"record {at}: {time[at]:.3f} s after {time[at - 1]:.3f} s",
+            do="give flights that were joined as files of their own (survey.trajectory.files), or export it again",
+        )
+    return time + np.cumsum(new_week) * WEEK, np.degrees(lon), np.degrees(lat), z, True
 
 
 def _text(path: Path, head: bytes) -> _Columns:

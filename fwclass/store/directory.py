@@ -7,6 +7,7 @@ a part or a delivery appear whole. `bucket` has the same on object storage.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import stat
@@ -394,8 +395,10 @@ def _size(path: str) -> int | None:
     """Bytes of a file, None where there is none."""
     try:
         facts = os.stat(path)  # noqa: PTH116 (half the time of Path.stat, for every file of a run)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
+    except OSError as fault:
+        if fault.errno in (errno.ENOENT, errno.ENOTDIR, errno.ELOOP):
+            return None
+        raise
     return facts.st_size if stat.S_ISREG(facts.st_mode) else None
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +15,7 @@ from pyproj import CRS
 from fwclass.conf import Config
 from fwclass.conf.sections import AreaFilesSection
 from fwclass.errors import ConfigError, InputError
-from fwclass.grid import Box
+from fwclass.grid import FURTHEST, Box
 from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
@@ -31,8 +31,8 @@ CELL = 1.0
 MOST_BOXES = 1000
 """Boxes of one file of polygons: an echo is held against those that meet its tile."""
 
-MOST_ROWS = 100_000
-"""Rows of squares, of a polygon's height."""
+MOST_ROWS, MOST_CROSSED = 100_000, 1_000_000
+"""Rows of squares, of a polygon's height, and how many of them its edges cross, all together."""
 
 UPPER = 0.001
 """m, added to a file's bounds: its last points lie on them, and a box ends before its edge."""
@@ -89,11 +89,17 @@ def _of_polygons(config: Config, directory: Path | Url, name: str, by: AreaFiles
             "the file has no polygon", where=path, got=f"{opened.features} features", do="check its export"
         )
     a, b = edges(shapes.x, shapes.y, shapes.ring_start)
+    reach = float(np.abs(b).max())
+    if not reach <= FURTHEST:
+        raise InputError(
+            "a polygon has a corner that is nowhere on Earth",
+            where=path,
+            expected=f"coordinates of at most {FURTHEST / 1000:,.0f} km",
+            got=f"{reach / 1000:.3g} km",
+            do="check the file and its coordinate system",
+        )
     cell = CELL
-    while True:
-        boxes = None if (b[:, 1].max() - b[:, 1].min()) / cell > MOST_ROWS else list(boxes_of(a, b, cell))
-        if boxes is not None and len(boxes) <= MOST_BOXES:
-            break
+    while (boxes := _few_boxes(a, b, cell)) is None:
         cell *= 2.0
     if not boxes:
         raise InputError(
@@ -114,24 +120,41 @@ def _system(config: Config, directory: Path | Url) -> CRS | None:
     return system_of(open_all(first, config)[0])
 
 
+def _few_boxes(a: NDArray[np.float64], b: NDArray[np.float64], cell: float) -> list[Box] | None:
+    """As `boxes_of`; None where these, or the work for them, are too much."""
+    low, high = np.minimum(a[:, 1], b[:, 1]), np.maximum(a[:, 1], b[:, 1])
+    if (high.max() - low.min()) / cell > MOST_ROWS or ((high - low) / cell).sum() > MOST_CROSSED:
+        return None
+    boxes = list(islice(boxes_of(a, b, cell), MOST_BOXES + 1))
+    return boxes if len(boxes) <= MOST_BOXES else None
+
+
 def boxes_of(a: NDArray[np.float64], b: NDArray[np.float64], cell: float) -> Iterator[Box]:
     """Boxes of the squares of edge `cell` [m] of the global grid whose middles lie in polygons with edges `a` to `b`,
     (n, 2) each [m]; holes are left out. No two share area."""
-    low, high = (math.floor(f(b[:, 1]) / cell) for f in (np.min, np.max))
     growing: dict[tuple[int, int], int] = {}
-    for row in range(low, high + 2):
-        runs = set(_runs(a, b, row, cell)) if row <= high else set()
+    for row, found in _runs(a, b, cell):
+        runs = set(found)
         for run in [r for r in growing if r not in runs]:
             yield Box(run[0] * cell, growing.pop(run) * cell, run[1] * cell, row * cell)
         growing |= {run: row for run in sorted(runs) if run not in growing}
 
 
-def _runs(a: NDArray[np.float64], b: NDArray[np.float64], row: int, cell: float) -> Iterator[tuple[int, int]]:
-    """First column, and the one behind the last, of the squares of a row whose middles lie inside."""
+def _runs(a: NDArray[np.float64], b: NDArray[np.float64], cell: float) -> Iterator[tuple[int, list[tuple[int, int]]]]:
+    """Row by row, and one row more, the first column, and the one behind the last, of the squares whose middles lie
+    inside. Each edge is looked at in the rows that it crosses alone."""
+    low, high = (np.floor(f(a[:, 1], b[:, 1]) / cell).astype(np.int64) for f in (np.minimum, np.maximum))
+    count = high - low + 3  # a row more on either side, whatever the rounding
+    edge = np.repeat(np.arange(len(a)), count)
+    row = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count - (low - 1), count)
     y = (row + 0.5) * cell
-    over = (a[:, 1] > y) != (b[:, 1] > y)
-    p, q = a[over], b[over]
-    x = np.sort(p[:, 0] + (y - p[:, 1]) / (q[:, 1] - p[:, 1]) * (q[:, 0] - p[:, 0]))
-    for first, last in np.ceil(x / cell - 0.5).astype(np.int64).reshape(-1, 2).tolist():
-        if first < last:
-            yield first, last
+    over = (a[edge, 1] > y) != (b[edge, 1] > y)
+    p, q, y, row = a[edge[over]], b[edge[over]], y[over], row[over]
+    x = p[:, 0] + (y - p[:, 1]) / (q[:, 1] - p[:, 1]) * (q[:, 0] - p[:, 0])
+    order = np.lexsort((x, row))
+    columns = np.ceil(x[order] / cell - 0.5).astype(np.int64)
+    first, last = int(low.min()), int(high.max())
+    start = np.searchsorted(row[order], np.arange(first, last + 3))
+    for k, (i, j) in enumerate(pairwise(start.tolist())):
+        pairs = columns[i:j].reshape(-1, 2)
+        yield first + k, [(m, n) for m, n in pairs[pairs[:, 0] < pairs[:, 1]].tolist()]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,8 +17,9 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 from fwclass.formats.copc import Cube, nodes_of, write_copc
-from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
+from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels, echo_labels_bytes, read_echo_labels
 from fwclass.formats.las_header import read_header
+from fwclass.store.atomic import file_digest
 from fwclass.store.corrections import add_corrections, read_corrections
 
 TILES = "20000_216000,20001_216000"
@@ -230,6 +232,28 @@ def alien(path):
     edited(path, lambda las: np.where(np.arange(len(las.points)) < 3, 17, las.classification))
 
 
+def forged(out, change):
+    """Echoes that the run has not: a tile and the classes that it had, both made to fit each other and the note."""
+    path, key = out / "labels" / "20000_216000.parquet", "20000_216000"
+    las, labels = read(tile(out)), read_echo_labels(path, path)
+    las.classification = swapped(las)
+    labels = change(las, labels)
+    saved_plainly(las, tile(out))
+    path.write_bytes(echo_labels_bytes(labels))
+    note = json.loads((out / "checkout.json").read_text())
+    relabel(out / "checkout.json", tiles=note["tiles"] | {key: file_digest(path)})
+
+
+def other_pulses(las, labels):
+    las.pulse = np.asarray(las.pulse) + 1_000_000
+    return replace(labels, pulse=labels.pulse + np.uint32(1_000_000))
+
+
+def moved(las, labels):
+    las.x = np.asarray(las.x) + 1
+    return replace(labels, x=labels.x + 1)
+
+
 def relabel(note, **changes):
     note.write_text(json.dumps(json.loads(note.read_text()) | changes))
 
@@ -246,6 +270,10 @@ FAULTS = {
     "no tiles were checked out": lambda out, run: (out / "checkout.json").unlink(),
     "cannot be read": lambda out, run: (out / "checkout.json").write_text("{"),
     "not a tile key": lambda out, run: relabel(out / "checkout.json", tiles={"../../x": "1"}),
+    "got: not a tile key": lambda out, run: relabel(out / "checkout.json", tiles={"1_2\n": "1"}),
+    "has no absolute path": lambda out, run: relabel(out / "checkout.json", run="../run"),
+    "others, for example": lambda out, run: forged(out, other_pulses),
+    "not at their place any more": lambda out, run: forged(out, moved),
     "times are wanted": lambda out, run: relabel(out / "checkout.json", collected=[2**63]),
     "of another run": lambda out, run: relabel(out / "checkout.json", survey="other"),
     "--run where it is now": lambda out, run: run.rename(run.with_name("elsewhere")),
@@ -264,6 +292,22 @@ def test_what_cannot_be_collected_is_told_and_nothing_is_written(run, out, words
     for root in run.parent.glob("*"):
         assert not (root / "labels" / "corrections.parquet").exists()
     assert not list(out.parent.rglob(".*.parquet*"))
+
+
+def test_only_echoes_of_the_tiles_are_taken_back(run, out):
+    """A note that named the times of others' corrections took them back, wherever they were."""
+    labels = read_echo_labels(out / "labels" / "20000_216000.parquet", "")
+    elsewhere = EchoLabels.of(
+        {**{n: getattr(labels, n)[:3] for n in ("strip", "echo_number", "x", "y", "z")}, "pulse": [2**31] * 3},
+        [5] * 3,
+        7,
+        "you",
+    )
+    add_corrections(run, lambda _: elsewhere)
+    relabel(out / "checkout.json", collected=[7])
+    ended = collect(out)
+    assert ended.returncode == 0 and "nothing new" in ended.stdout, ended.stderr
+    assert (read_corrections(run).standing().code == 5).all()
 
 
 def test_a_run_that_was_moved_is_named(run, out):
@@ -304,3 +348,16 @@ def test_the_least_sure_tiles_are_those_of_the_report(run, tmp_path):
         ended = fwclass("label", "checkout", run, tmp_path / "other", *words)
         assert ended.returncode == 2 and "one of --tiles, --least-sure and --places" in ended.stderr
     assert not (tmp_path / "other").exists()
+
+
+def test_info_tells_what_labels_by_echo_hold(run, out):
+    """It took them for polygons, and advised to write them as GeoParquet."""
+    told = fwclass("info", out / "labels" / "20000_216000.parquet")
+    assert told.returncode == 0 and "labels by echo" in told.stdout and "no faults found" in told.stdout, told.stderr
+    labels = read_echo_labels(out / "labels" / "20000_216000.parquet", "")
+    assert f"2: {(labels.code == 2).sum():,}, 5: {(labels.code == 5).sum():,}" in told.stdout
+    edited(tile(out), one_less)
+    collect(out)
+    told = json.loads(fwclass("info", "--json", run / "labels" / "corrections.parquet").stdout)
+    assert "'labels': 1" in str(told) and "'codes': {'0': 1}" in str(told)
+    assert "polygons" in fwclass("info", run / "parquet" / "20000_216000.parquet").stdout

@@ -194,3 +194,12 @@ def test_implausible_echoes_have_no_label_whatever_polygon_is_above(tmp_path, mo
     inputs = SimpleNamespace(chunk=lambda tile, halo, columns, present: chunk)
     table, facts = label.label_by_polygons(StageInputs(inputs, tmp_path, chunk.tile.key, place=chunk.tile))
     assert table["reference"].tolist() == [6, 0] and facts == {"codes": {"0": 1, "6": 1}, "ambiguous": 0}
+
+
+@pytest.mark.parametrize("far", [1e300, 1e16])
+def test_a_polygon_that_whole_millimetres_do_not_hold_is_refused(far):
+    """All of its corners became one number, and what it held had no label: nobody was told."""
+    square = shapely.box(-far, -far, far, far)
+    one = np.zeros(1, np.int16)
+    with pytest.raises(InputError, match="nowhere on Earth"):
+        Polygons.of(shapes([shapely.to_wkb(square)], "a.gpkg"), one, one, "a.gpkg")

@@ -112,6 +112,16 @@ def test_sbet_across_the_end_of_a_week_runs_on(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(got["gps_time"]), 1 / 200, atol=1e-9)
 
 
+@pytest.mark.parametrize("fall", [0.02, 3 * 86_400.0, WEEK + 2 * 86_400.0])
+def test_sbet_whose_times_fall_back_is_refused(tmp_path: Path, fall: float) -> None:
+    """It was sorted in silence, or moved by a week."""
+    rows, _ = around()
+    rows[:, 0] += 2 * WEEK
+    rows[len(rows) // 2 :, 0] -= fall
+    with pytest.raises(InputError, match="fall back"):
+        read_trajectory(written(tmp_path, sbet(rows)), CRS)
+
+
 @pytest.mark.parametrize(
     ("content", "crs", "match"),
     [

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commandline import fwclass
 
 from fwclass import paths
 from fwclass.errors import InputError, StoreError
@@ -20,7 +21,7 @@ from fwclass.paths import below, path_matches
 from fwclass.run.logs import log_attempt, remove_logs
 from fwclass.store.atomic import file_digest, read_json
 from fwclass.store.corrections import WRITING, check_writable
-from fwclass.store.directory import Directory
+from fwclass.store.directory import Directory, _size
 from fwclass.store.history import append as append_history
 from fwclass.store.history import lines as history_lines
 from fwclass.store.lock import SCHEDULE, WRITER, holder, writer
@@ -364,3 +365,15 @@ def test_a_pipe_in_the_place_of_what_a_run_has_noted_keeps_nobody_waiting(name: 
     }
     with pytest.raises(InputError, match="this is no file"):
         uses.get(name, lambda: Directory(tmp_path).get(name))()
+
+
+def test_links_in_a_ring_are_told_in_words(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "store").symlink_to("store")
+    with contextlib.suppress(InputError):
+        below(tmp_path / "run", "store/x")
+    Directory(tmp_path / "run")
+    assert _size(str(tmp_path / "run" / "store")) is None
+    for words in (("status", "run/store"), ("status", "run"), ("history", "run"), ("clean", "run", "--keep", "latest")):
+        ended = fwclass(*words, cwd=tmp_path)
+        assert ended.returncode in (1, 2) and ended.stderr.startswith(("fwclass: ", "Usage: ")), ended.stderr

@@ -215,3 +215,10 @@ def test_a_record_with_markup_is_read_and_told(tmp_path: Path) -> None:
     head[100:104] = (int.from_bytes(data[100:104], "little") + 1).to_bytes(4, "little")
     path.write_bytes(bytes(head) + data[start:])
     assert not controls(describe(info(path)))
+
+
+def test_a_line_of_a_file_does_not_pass_for_one_of_the_message() -> None:
+    """The run that the note of a checkout names may have a line end in its name."""
+    fault = InputError("no such run", where="a\nb", expected="a run", got="x\n  what to do: rm -rf /", do="check it")
+    labels = [line for line in str(fault).splitlines() if re.match(r"  \S", line)]
+    assert [line.split(":")[0].strip() for line in labels] == ["where", "expected", "got", "what to do"]

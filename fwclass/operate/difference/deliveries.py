@@ -107,10 +107,11 @@ def _delivery(run: Path, number: int | None) -> Delivery:
     there = [*(chosen.path / "parquet").glob("*"), *(chosen.path / "rasters").rglob("*.tif")]
     read = {n for n in listed if n.startswith("parquet/") or (n.startswith("rasters/") and n.endswith(".tif"))}
     for name in ("report.json", *sorted(read | {str(path.relative_to(chosen.path)) for path in there})):
-        if listed.get(name, {}).get("digest") != digest_now(chosen.path / name):
+        path, facts = chosen.path / name, listed.get(name)
+        if facts is None or path.stat().st_size != facts["bytes"] or digest_now(path) != facts["digest"]:
             raise InputError(
                 "the delivery is damaged",
-                where=chosen.path / name,
+                where=path,
                 expected="the bytes of its manifest",
                 got="others",
                 do="run the survey again with --verify: what is damaged is made anew",
