@@ -10,6 +10,7 @@ from typing import Any
 
 from fwclass.delivery.echoes import Bounds, Echoes
 from fwclass.delivery.explain import Explanation, explain
+from fwclass.delivery.held import REPORT, TILES, held
 from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
@@ -183,7 +184,8 @@ class Delivery:
     @cached_property
     def report(self) -> dict[str, Any]:
         """``report.json``: accuracy, counts, inputs, settings."""
-        return dict(read_json(self.file("report.json")))
+        path = self.file("report.json")
+        return dict(held(read_json(path), REPORT, path))
 
     @cached_property
     def classes(self) -> list[dict[str, Any]]:
@@ -210,7 +212,8 @@ class Delivery:
     def tiles(self) -> list[dict[str, Any]]:
         """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax), ``height`` (mean z [m])."""
         listed = self.file(CATALOGUE)
-        catalogue = read_json(listed if listed.is_file() else self._part("laz") / listed.name)
+        listed = listed if listed.is_file() else self._part("laz") / listed.name
+        catalogue = held(read_json(listed), TILES, listed)
         return [
             {
                 "tile": item["id"],

@@ -29,8 +29,8 @@ OUTGOING, RETURNING = 1, 2
 FLUCTUATES = -0x70000001
 """Optical centre to anchor: 0x8FFFFFFF says that there is no constant distance."""
 
-MAX_UNIT = 100.0
-"""No laser scanner samples slower than this [ns]."""
+MIN_UNIT, MAX_UNIT = 0.001, 100.0
+"""No laser scanner samples faster or slower than this [ns]; the first is the least that a LAS file can say."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Sampling:
             return f"sampling of unknown type {self.kind}"
         if self.bits not in (8, 16):
             return f"{self.bits} bits per sample"
-        if not 0 < self.spacing_ns <= MAX_UNIT:
+        if not MIN_UNIT <= self.spacing_ns <= MAX_UNIT:
             return f"sample spacing of {self.spacing_ns:g} ns"
         if self.duration_bits not in (0, 8, 16, 32) or {self.segment_bits, self.length_bits} - {0, 8, 16}:
             return "unknown width of a duration or a count"

@@ -375,6 +375,7 @@ def test_bad_waves_are_counted(tmp_path, params, at, form, value, fault):
         (Sampling(spacing=0.0), "spacing of 0 ns"),
         (Sampling(spacing=np.nan), "spacing of nan ns"),
         (Sampling(spacing=1e9), "spacing of 1e"),
+        (Sampling(spacing=1e-30), "spacing of 1e-30"),
         (Sampling(scale=np.nan), "scaled by nan"),
         (Sampling(offset=np.inf), "offset by inf"),
         (Sampling(scale=0.0), "scaled by 0"),

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
+import socket
 import sys
+import threading
+import time
 
 import pytest
 from hook import Hook
@@ -64,6 +68,47 @@ def test_what_may_pass_is_tried_again(answers, tries, fault):
         told = post(params(webhook=f"http://{hook.place}/{HIDDEN}"), RECORD, never)
     assert (told.tries, told.fault) == (tries, fault) and len(hook.got) == tries
     assert HIDDEN not in str(told)
+
+
+def _dripped(there, head):
+    there.sendall(head)
+    while True:
+        there.sendall(b"x")
+        time.sleep(0.05)
+
+
+def _put_off(there):
+    while True:
+        there.sendall(b"HTTP/1.1 100 Continue\r\n\r\n" * 100)
+
+
+ENDLESS = {
+    "a body letter by letter": (lambda t: _dripped(t, b"HTTP/1.1 200 OK\r\nContent-Length: 100000\r\n\r\n"), ""),
+    "heads letter by letter": (lambda t: _dripped(t, b"HTTP/1.1 "), "no answer in time"),
+    "put off for ever": (_put_off, "no answer in time"),
+}
+
+
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_an_answer_without_end_holds_nobody_up(kind):
+    """A thread went on with it as long as the service did, of a schedule that runs for months."""
+    answer, fault = ENDLESS[kind]
+
+    def serve():
+        there, _ = listening.accept()
+        with there, contextlib.suppress(OSError):
+            there.recv(65_536)
+            answer(there)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"http://127.0.0.1:{listening.getsockname()[1]}/x"
+        told: list = []
+        words = params(webhook=address, webhook_timeout=0.2, webhook_tries=1)
+        asking = threading.Thread(target=lambda: told.append(post(words, RECORD, never)), daemon=True)
+        asking.start()
+        asking.join(30)
+    assert [t.fault for t in told] == [fault]
 
 
 @pytest.mark.parametrize("kind", [301, 302, 303, 307, 308])

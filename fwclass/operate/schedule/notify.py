@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import http.client
 import json
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -24,11 +26,8 @@ from fwclass.operate.schedule.child import Signals, without
 from fwclass.operate.schedule.ticks import now
 from fwclass.redact import redacted
 
-ANSWER_BYTES = 65536
-"""Of an answer, no more is read: only its status counts."""
-
 STEPS = 4
-"""Of a try: connection, encryption, request, answer."""
+"""Of a try: connection, encryption, request, answer. Of this only status and heads are read."""
 
 REPEATED = frozenset({408, 425, 429, 500, 502, 503, 504})
 """Answers after which the same may succeed later."""
@@ -39,6 +38,26 @@ class _Unheeding(urllib.request.HTTPRedirectHandler):
 
     def redirect_request(self, *words: Any, **named: Any) -> None:
         return None
+
+
+class _Held(urllib.request.HTTPHandler):
+    """Keeps the connections that it makes, so that they can be ended: heads that come one letter at a time, or are put
+    off for ever (100 Continue), hold no time of the socket's up."""
+
+    def __init__(self, kept: list[http.client.HTTPConnection]) -> None:
+        super().__init__()
+        self._kept = kept
+
+    def do_open(self, http_class: Any, req: urllib.request.Request, **words: Any) -> Any:
+        def connection(host: str, **named: Any) -> http.client.HTTPConnection:
+            self._kept.append(http_class(host, **named))
+            return self._kept[-1]
+
+        return super().do_open(connection, req, **words)
+
+
+class _HeldSafe(_Held, urllib.request.HTTPSHandler):
+    """The same of encrypted ones."""
 
 
 @dataclass(frozen=True)
@@ -130,10 +149,30 @@ def _try(request: urllib.request.Request, timeout: float) -> tuple[str, bool]:
 
     Texts of exceptions are not told: they may quote the address.
     """
-    opener = urllib.request.build_opener(_Unheeding())
+    kept: list[http.client.HTTPConnection] = []
+    over = threading.Event()
+
+    def end() -> None:
+        over.set()
+        for one in kept:
+            with contextlib.suppress(AttributeError, OSError):
+                one.sock.shutdown(socket.SHUT_RDWR)
+
+    late = threading.Timer(STEPS * timeout, end)
+    late.daemon = True
+    late.start()
     try:
-        with opener.open(request, timeout=timeout) as answer:
-            answer.read(ANSWER_BYTES)
+        return _opened(urllib.request.build_opener(_Unheeding(), _HeldSafe(kept)), request, timeout, over)
+    finally:
+        late.cancel()
+
+
+def _opened(
+    opener: urllib.request.OpenerDirector, request: urllib.request.Request, timeout: float, over: threading.Event
+) -> tuple[str, bool]:
+    """As `_try`, which sets `over` when it ends the connection."""
+    try:
+        opener.open(request, timeout=timeout).close()
         return "", False
     except urllib.error.HTTPError as fault:
         fault.close()
@@ -141,9 +180,9 @@ def _try(request: urllib.request.Request, timeout: float) -> tuple[str, bool]:
             return f"answered {fault.code}: it redirects, which is not followed; name the final address", False
         return f"answered {fault.code}", fault.code in REPEATED
     except urllib.error.URLError as fault:
-        return _words(fault.reason), True
+        return _words(TimeoutError() if over.is_set() else fault.reason), True
     except (OSError, http.client.HTTPException) as fault:
-        return _words(fault), not isinstance(fault, http.client.InvalidURL)
+        return _words(TimeoutError() if over.is_set() else fault), not isinstance(fault, http.client.InvalidURL)
     except ValueError as fault:
         return _words(fault), False
 

@@ -1,0 +1,76 @@
+"""A stranger's finished run, whose manifest fits: what it names lies nowhere else, and is told in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commandline import fwclass
+from smallsurvey import deliver, small_survey
+
+from fwclass.store.atomic import bytes_digest, file_digest
+from fwclass.store.seal import seal, unseal
+
+TILE = "20000_216000"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("stranger")
+    small_survey(place)
+    deliver(place)
+    return place / "run"
+
+
+def rewrite(path: Path, data: bytes) -> None:
+    path.unlink()
+    path.write_bytes(data)
+
+
+def forged(run: Path, name: str, change: Callable[[Any], object]) -> None:
+    """Change a file of the delivery, and make its manifest fit."""
+    delivery = (run / "current").resolve()
+    told = json.loads((delivery / name).read_bytes())
+    change(told)
+    rewrite(delivery / name, json.dumps(told).encode())
+    manifest = json.loads((delivery / "manifest.json").read_bytes())
+    manifest["files"][name] |= {"bytes": (delivery / name).stat().st_size, "digest": file_digest(delivery / name)}
+    rewrite(delivery / "manifest.json", json.dumps(manifest).encode())
+    facts = unseal(json.loads((delivery / "generation.json").read_bytes()))
+    facts["manifest"] = bytes_digest((delivery / "manifest.json").read_bytes())
+    rewrite(delivery / "generation.json", json.dumps(seal(facts)).encode())
+
+
+def first(change: Callable[[Any], object]) -> Callable[[Any], object]:
+    return lambda told: change(told["features"][0])
+
+
+VPC, REPORT = "laz/survey.vpc", "report.json"
+FORGED: dict[str, tuple[str, Callable[[Any], object]]] = {
+    "a path that leads up": (VPC, first(lambda t: t["assets"]["data"].update(href="../../../../../../etc/passwd"))),
+    "an absolute path": (VPC, first(lambda t: t["assets"]["data"].update(href="/etc/passwd"))),
+    "a tile elsewhere": (VPC, first(lambda t: t.update(id="../../../../etc/passwd"))),
+    "no bounds": (VPC, first(lambda t: t["properties"].update({"proj:bbox": [1]}))),
+    "bounds without end": (VPC, first(lambda t: t["properties"].update({"proj:bbox": [-1e300] * 3 + [1e300] * 3}))),
+    "a count that is none": (VPC, first(lambda t: t["properties"].update({"pc:count": "x"}))),
+    "no height": (VPC, first(lambda t: t["properties"].update({"pc:statistics": []}))),
+    "a list of nothing": (VPC, lambda told: told.clear()),
+    "classes without code": (REPORT, lambda told: told.update(classes=[{"name": "a"}])),
+    "a survey without name": (REPORT, lambda told: told.update(survey=None)),
+}
+
+
+@pytest.mark.parametrize("kind", FORGED)
+def test_a_delivery_that_somebody_made_is_told_in_words(run: Path, tmp_path: Path, kind: str) -> None:
+    before = {n: (run / "current" / n).read_bytes() for n in (VPC, REPORT, "manifest.json", "generation.json")}
+    forged(run, *FORGED[kind])
+    try:
+        ended = fwclass("label", "checkout", run, tmp_path / "out", "--tiles", TILE)
+    finally:
+        for name, data in before.items():
+            rewrite((run / "current").resolve() / name, data)
+    assert ended.returncode in (1, 2) and "tells what no run writes" in ended.stderr, ended.stderr
+    assert not (tmp_path / "out").exists()
