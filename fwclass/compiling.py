@@ -7,6 +7,7 @@ each other's. A file that is cut off is none; a directory that cannot be written
 from __future__ import annotations
 
 import errno
+import gc
 import hashlib
 import io
 import os
@@ -21,6 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from fwclass import inner
 from fwclass.isolation import kernel_cache
 
 try:
@@ -42,7 +44,7 @@ KEPT = 30 * 86400.0
 
 SUFFIX = ".kernel"
 
-LINKING = 1
+LINKING = 2
 """Goes into the names of the files; it changes with what is done to kernels while they are compiled."""
 
 NOTIFY_AFTER = 1.0
@@ -59,6 +61,8 @@ asked: list[tuple[str, Any]] = []
 _under_way = Counter[str]()
 _stacks: list[ExitStack] = []
 """What is held for the kernels that are asked for, one on behalf of another; numba lets in one thread at a time."""
+_names: list[str] = []
+"""Their names."""
 _since, _spent = 0.0, 0.0
 _count = 0
 
@@ -132,6 +136,23 @@ def notify(listener: Callable[[bool], None]) -> Iterator[None]:
         listeners.remove(listener)
 
 
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Python looks for no cycles in what numba makes, millions of objects that live until a kernel is compiled."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+def _asked_by_kernel(name: str) -> bool:
+    """Whether the function `name` is compiled, or loaded, for a kernel that calls it and not for Python."""
+    return bool(_names) and (len(_names) > 1 or _names[0] != name)
+
+
 class KernelFiles:
     """What numba asks for compiled code of one kernel. `stamp`: digest of what the kernel does."""
 
@@ -156,26 +177,34 @@ class KernelFiles:
             kernel_there = self._load(signature, context)  # it may have been made meanwhile
         return kernel_there
 
-    def compile_with(self, compiled: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """`compiled`, a dispatcher's method, that compiles only what nobody else does."""
+    def compile_with(self, dispatcher: Any) -> Callable[[Any], Any]:
+        """The `compile` of `dispatcher`, that compiles only what nobody else does."""
         from numba.core.compiler_lock import global_compiler_lock
+
+        compiled = dispatcher.compile
 
         def alone(signature: Any) -> Any:
             with global_compiler_lock, ExitStack() as held:
                 if not _stacks:
                     asked.append((self._name, signature))
+                    inner.forget(dispatcher, signature)
+                    held.enter_context(_without_collection())
                 _stacks.append(held)
+                _names.append(self._name)
                 try:
                     return compiled(signature)
                 finally:
                     _stacks.pop()
+                    _names.pop()
 
         return alone
 
     def _path(self, signature: Any, codegen: Any) -> Path:
         import numba
 
-        parts = (LINKING, _type_key(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
+        # What only kernels call has no machine code, so that it has a file of its own.
+        compiler = (codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
+        parts = (LINKING, len(_stacks) > 1, _type_key(signature), *compiler)
         key = hashlib.blake2b(repr(parts).encode(), digest_size=8).hexdigest()
         return kernel_cache() / f"{self._name}-{self._stamp[:16]}-{key}{SUFFIX}"
 
@@ -240,36 +269,13 @@ def _environment(module: str, constants: list[Any], name: str) -> Any:
     return there
 
 
-@cache
-def _with_own_copies() -> None:
-    """Let compiled code run its own copies of the functions that it calls.
-
-    numba leaves those copies weak: a process that has compiled such a function by itself too runs that one's code,
-    which was optimised in other surroundings. Where sums may be reordered, the last bits of a result would then depend
-    on what else a process has compiled, and whether it has or only loaded it.
-    """
-    import llvmlite.binding as llvm
-    from numba.core.codegen import CPUCodeLibrary as Library
-
-    optimise = getattr(Library, "_optimize_final_module", None)
-    if optimise is None:  # another numba: its own way, and the test of the bytes tells
-        return
-
-    def own(library: Any) -> None:
-        for function in library._final_module.functions:
-            if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
-                function.linkage = llvm.Linkage.internal
-        optimise(library)
-
-    Library._optimize_final_module = own  # type: ignore[method-assign,unused-ignore]
-
-
 def attach(dispatcher: Any, name: str, stamp: str) -> None:
     """Keep what `dispatcher`, numba's of the kernel `name`, compiles, and compile nothing that others compile now."""
-    _with_own_copies()
+    inner.change_numba(_asked_by_kernel)
     files = KernelFiles(name, stamp)
     dispatcher._cache = files
-    dispatcher.compile = files.compile_with(dispatcher.compile)
+    dispatcher.compile = files.compile_with(dispatcher)
+    dispatcher.add_overload = inner.kept_from_python(dispatcher)
     dispatcher.get_call_template = _for_all_numbers(dispatcher.get_call_template)
 
 

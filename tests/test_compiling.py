@@ -227,6 +227,49 @@ def test_versions_long_gone_are_removed(program: Path, tmp_path: Path) -> None:
     assert len(list(cache.glob("upper.total-*"))) == 2
 
 
+def test_what_only_kernels_call_has_no_machine_code_until_python_calls_it(program: Path, tmp_path: Path) -> None:
+    code = """
+import gc
+from fwclass import inner
+from lower import more
+waiting = {library.name for library in inner._waiting} & {"more", "place", "total"}
+answer = more(answer) if waiting == {"more", "place"} and gc.isenabled() else waiting
+"""
+    cache = tmp_path / "cache"
+    assert ended(started(TOTAL + code + TELL, program, cache)) == (10.0, KERNELS + 1, "")
+    alone = "from fwclass import compiling; from lower import more; answer = more(1.0)\n"
+    assert ended(started(alone + TELL, program, cache)) == (2.0, 0, "")
+
+
+FAULT = """
+from fwclass.kernel import kernel
+class Wrong(ValueError): pass
+@kernel
+def refuse(x):
+    if x > 1.0:
+        raise Wrong("too high", 7)
+    return x
+@kernel
+def outer(x):
+    return refuse(x) + 1.0
+"""
+
+
+def test_what_a_kernel_inside_another_raises_arrives_compiled_or_loaded(tmp_path: Path) -> None:
+    (tmp_path / "upper.py").write_text(FAULT)
+    code = """
+import gc
+from fwclass import compiling
+from upper import Wrong, outer
+try:
+    outer(2.0)
+except Wrong as fault:
+    answer = fault.args[1] + outer(1.0)
+"""
+    found = [ended(started(code + TELL, tmp_path, tmp_path / "cache")) for _ in range(2)]
+    assert found == [(9.0, 2, ""), (9.0, 0, "")]
+
+
 def test_a_kernel_does_not_divide_as_its_first_caller_may(program: Path, tmp_path: Path) -> None:
     """numba hands `fastmath` down to whatever says nothing of it, and keeps that for all callers."""
     code = (
