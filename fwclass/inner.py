@@ -11,6 +11,9 @@ from functools import cache
 from typing import Any
 from weakref import WeakSet
 
+TRIED = "0.68."
+"""Versions of numba whose insides are known; any other compiles its own way, which takes a third longer."""
+
 _waiting: WeakSet[Any] = WeakSet()
 """Libraries of numba that are optimised and have no machine code yet."""
 
@@ -18,15 +21,16 @@ _waiting: WeakSet[Any] = WeakSet()
 @cache
 def change_numba(inner: Callable[[str], bool]) -> None:
     """Let numba work so. `inner` tells whether a function, by its module and name, is for compiled code alone."""
+    import numba
     from numba.core import codegen, ir
 
     _with_own_copies(codegen.CPUCodeLibrary)
+    if not numba.__version__.startswith(TRIED):
+        return
     # Each block of a function that is written into another would get a copy of the scope, and of all names in it.
     ir.Scope.__deepcopy__ = lambda scope, memo: scope  # type: ignore[attr-defined,unused-ignore]
-    private = {"_finalize_specific", "_get_compiled_object", "get_pointer_to_function", "serialize_using_object_code"}
-    if private <= set(dir(codegen.JITCodeLibrary)) and "_add_module" in dir(codegen.JITCPUCodegen):
-        _code_when_asked_for(codegen)
-        _no_address_inside(inner)
+    _code_when_asked_for(codegen)
+    _no_address_inside(inner)
 
 
 def _with_own_copies(library_class: Any) -> None:
