@@ -17,8 +17,9 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(autouse=True)
 def coarse_pictures() -> Iterator[None]:
+    """Of one test: tests of other directories draw as users see it."""
     with coarse():
         yield
 
