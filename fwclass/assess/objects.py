@@ -21,7 +21,7 @@ from fwclass.grid import Box, TileGrid, Window
 from fwclass.model import ClassDef, class_index, code_index
 from fwclass.pieces import pieces_of
 
-TOLD = ("reference", "found", "split", "predicted", "correct", "merged")
+COUNTED = ("reference", "found", "split", "predicted", "correct", "merged")
 """What is counted of objects, by class and size; the first three of the reference's, the others of the answer's."""
 
 _BUILDING, _BUILT, _OWN = 6, (13, 14, 15, 16, 17, 19), 64
@@ -126,7 +126,7 @@ class ObjectCells:
 
 
 def count_objects(cells: ObjectCells, classes: int, cell: float, params: ObjectParams) -> NDArray[np.int64]:
-    """int64 (classes, sizes, `TOLD`): objects by class and size, sizes as `params.sizes` begins them [m²].
+    """int64 (classes, sizes, `COUNTED`): objects by class and size, sizes as `params.sizes` begins them [m²].
 
     `cells` of edge `cell` [m] hold every object whole; counts of cells apart add up. An object of fewer echoes than
     `params.echoes`, or smaller than the first size, is none. An object of the reference is *found* where a share of at
@@ -135,7 +135,7 @@ def count_objects(cells: ObjectCells, classes: int, cell: float, params: ObjectP
     objects of the answer or more hold a share of `params.piece` of its echoes each; one of the answer is *merged* where
     it holds such a share of two objects of the reference or more, by the echoes of each.
     """
-    counts = np.zeros((classes, len(params.sizes), len(TOLD)), np.int64)
+    counts = np.zeros((classes, len(params.sizes), len(COUNTED)), np.int64)
     for k in np.unique(cells.place[:, 0]):
         own = cells.take(cells.place[:, 0] == k)
         (truth, so), (answer, said) = (_objects(own, which, cell, params) for which in (0, 1))
@@ -155,44 +155,49 @@ def object_figures(
     counts: NDArray[np.int64], names: Sequence[str], cell: float, params: ObjectParams
 ) -> dict[str, Any]:
     """What is told of objects: their cells' edge ``cell`` [m] and, of every class of `names` with an object, the counts
-    of `TOLD` and three figures, of all sizes and by ``sizes``. `counts` int64 (names, sizes, `TOLD`)."""
+    of `COUNTED` and three figures, of all sizes and by ``sizes``. `counts` int64 (names, sizes, `COUNTED`)."""
     return {
         "cell": cell,
         "classes": [
-            {"name": name, **_told(by_size.sum(axis=0))}
-            | {"sizes": [{"from": size, **_told(row)} for size, row in zip(params.sizes, by_size, strict=True)]}
+            {"name": name, **_figures_of(by_size.sum(axis=0))}
+            | {"sizes": [{"from": size, **_figures_of(row)} for size, row in zip(params.sizes, by_size, strict=True)]}
             for name, by_size in zip(names, counts, strict=True)
             if by_size.any()
         ],
     }
 
 
-def _told(row: NDArray[np.int64]) -> dict[str, Any]:
+def _figures_of(row: NDArray[np.int64]) -> dict[str, Any]:
     """The counts, and the completeness and correctness of objects and the quality that both make, 1 / (1 / completeness
     + 1 / correctness - 1) (Rutzinger, Rottensteiner and Pfeifer 2009, equations 1 to 3); None where an object of either
     kind is lacking."""
-    told: dict[str, Any] = dict(zip(TOLD, row.tolist(), strict=True))
-    complete = told["found"] / told["reference"] if told["reference"] else None
-    correct = told["correct"] / told["predicted"] if told["predicted"] else None
+    row_figures: dict[str, Any] = dict(zip(COUNTED, row.tolist(), strict=True))
+    complete = row_figures["found"] / row_figures["reference"] if row_figures["reference"] else None
+    correct = row_figures["correct"] / row_figures["predicted"] if row_figures["predicted"] else None
     if complete is None or correct is None:
         quality = None
     else:
         quality = 1.0 / (1.0 / complete + 1.0 / correct - 1.0) if complete and correct else 0.0
-    return {**told, "completeness": complete, "correctness": correct, "quality": quality}
+    return {**row_figures, "completeness": complete, "correctness": correct, "quality": quality}
 
 
-def describe_objects(told: Mapping[str, Any] | None) -> str:
+def describe_objects(objects: Mapping[str, Any] | None) -> str:
     """What `object_figures` tells as a table for a terminal, sizes as areas that they begin with; empty without
     objects."""
-    if not told or not told["classes"]:
+    if not objects or not objects["classes"]:
         return ""
     figures = ("completeness", "correctness", "quality")
-    rows = [["objects", "m²", *TOLD, *(f"{n} %" for n in figures)]]
-    for one in told["classes"]:
+    rows = [["objects", "m²", *COUNTED, *(f"{n} %" for n in figures)]]
+    for one in objects["classes"]:
         for name, size, row in ((one["name"], "all", one), *(("", f"{r['from']:g}+", r) for r in one["sizes"])):
-            if any(row[n] for n in TOLD):
+            if any(row[n] for n in COUNTED):
                 rows.append(
-                    [name, size, *(f"{row[n]:,}".replace(",", " ") for n in TOLD), *(percent(row[n]) for n in figures)]
+                    [
+                        name,
+                        size,
+                        *(f"{row[n]:,}".replace(",", " ") for n in COUNTED),
+                        *(percent(row[n]) for n in figures),
+                    ]
                 )
     return "\n".join(align(rows))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.objects import ObjectCells, cells_across, count_objects, object_classes, object_figures
+from fwclass.assess.objects import COUNTED, ObjectCells, cells_across, count_objects, object_classes, object_figures
 from fwclass.assess.params import ObjectParams
 from fwclass.graph.stage import Plan, StageInputs
 from fwclass.grid import TileGrid
@@ -42,7 +42,7 @@ def objects_of_tiles(
     params: ObjectParams = judging["params"]
     across = cells_across(blocks, block, params)
     cell, tiles = across * params.step, TileGrid(judging["tile"])
-    counts, beyond = np.zeros((len(names), len(params.sizes), 6), np.int64), []
+    counts, beyond = np.zeros((len(names), len(params.sizes), len(COUNTED)), np.int64), []
     for tile in here.parts(stage):
         arrays, _ = here.inputs.arrays(stage, tile, OBJECTS)
         whole, rest = ObjectCells(arrays["place"], arrays["counts"]).coarser(across).parted(tiles.tile(tile).box, cell)

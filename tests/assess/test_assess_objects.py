@@ -11,7 +11,7 @@ import scipy.ndimage
 from fwclass import conf
 from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.objects import (
-    TOLD,
+    COUNTED,
     ObjectCells,
     cells_across,
     count_objects,
@@ -63,13 +63,13 @@ def by_raster(x, y, truth, answer, code, cell):
             mask & (labels[row, col] == k)
         ).sum() >= PARAMS.echoes
 
-    told = dict.fromkeys(TOLD, 0)
+    told = dict.fromkeys(COUNTED, 0)
     objects = {kind: [k for k in range(1, said[kind][1] + 1) if large(kind, k)] for kind in said}
     held = np.zeros((said["so"][1] + 1, said["said"][1] + 1), bool)
     for i, j in itertools.product(objects["so"], objects["said"]):
         mine = said["so"][2] & (said["so"][0][row, col] == i)
         held[i, j] = (mine & both & (said["said"][0][row, col] == j)).sum() >= PARAMS.piece * mine.sum()
-    for kind, names, more in (("so", TOLD[:3], held.sum(axis=1)), ("said", TOLD[3:], held.sum(axis=0))):
+    for kind, names, more in (("so", COUNTED[:3], held.sum(axis=1)), ("said", COUNTED[3:], held.sum(axis=0))):
         for k in objects[kind]:
             mine = said[kind][2] & (said[kind][0][row, col] == k)
             told[names[0]] += 1
@@ -85,9 +85,9 @@ def test_counts_are_those_of_a_raster_that_is_labelled_at_once(across):
     counts = count_objects(cells_of(x, y, truth, answer).coarser(across), 3, cell, PARAMS)
     assert not counts[0].any()
     for k in (1, 2):
-        made = dict(zip(TOLD, counts[k].sum(axis=0).tolist(), strict=True))
+        made = dict(zip(COUNTED, counts[k].sum(axis=0).tolist(), strict=True))
         assert made == by_raster(x, y, truth, answer, CLASSES[k].code, cell)
-    split, merged = (counts[:, :, TOLD.index(n)].sum() for n in ("split", "merged"))
+    split, merged = (counts[:, :, COUNTED.index(n)].sum() for n in ("split", "merged"))
     assert split if across == 2 else merged, "the scene has some"
 
 
@@ -129,7 +129,7 @@ def counted(reference, predicted):
 
     truth, answer = (np.where(inside(boxes), 6, 2).astype(np.uint8) for boxes in (reference, predicted))
     counts = count_objects(cells_of(x, y, truth, answer).coarser(2), 3, PARAMS.cell, PARAMS)
-    return dict(zip(TOLD, counts[1].sum(axis=0).tolist(), strict=True))
+    return dict(zip(COUNTED, counts[1].sum(axis=0).tolist(), strict=True))
 
 
 A, B = (0.0, 0.0, 10.0, 10.0), (12.0, 0.0, 22.0, 10.0)
@@ -164,7 +164,7 @@ def test_figures_are_those_of_the_paper_and_nothing_where_there_is_no_object():
     assert [row["completeness"] for row in one["sizes"]] == [None, 1 / 3, 1.0]
     assert one["sizes"][0] == {
         "from": 2.0,
-        **dict.fromkeys(TOLD, 0),
+        **dict.fromkeys(COUNTED, 0),
         **dict.fromkeys(one["sizes"][0].keys() & {"completeness", "correctness", "quality"}),
     }
     table = describe_objects(told)
