@@ -232,8 +232,13 @@ class Track:
         return self._place_frame(frame, self.geometry)
 
     def _has_light(self, frame: Frame) -> bool:
-        """Whether the frame has intensities; `InputError` where not one did before it."""
-        if frame.intensities is not None and len(frame.intensities) == len(frame.ranges):
+        """Whether one of the frame's returns has an intensity, or it has no return; `InputError` where no frame had one
+        before it."""
+        limits = frame.scan.range_min, min(frame.scan.range_max, FARTHEST)
+        returns = (frame.ranges >= limits[0]) & (frame.ranges < limits[1])
+        light = frame.intensities
+        lit = light is not None and len(light) == len(returns) and not np.isnan(light[returns]).all()
+        if lit or not returns.any():
             return True
         if self.used:
             return False
@@ -317,9 +322,10 @@ class Track:
         place = round(self._along / UNIT)
         self.sound.see(frame.ranges, limits[0], geometry.direction, place, (x, y, z, r), self._moved)
         light = np.empty(0, np.int32)
-        if self.params.intensity is not None and frame.intensities is not None:
-            light = levels_of(frame.intensities, self.params.intensity)
-            self.sound.see_light(frame.intensities[~np.isnan(r)])
+        if self.params.intensity is not None:
+            given = np.full(beams, np.nan, np.float32) if frame.intensities is None else frame.intensities
+            light = levels_of(given, self.params.intensity)
+            self.sound.see_light(given[~np.isnan(r)])
         here = beams - int(np.isnan(r).sum())
         self.returns += here
         self.blind += here == 0

@@ -95,8 +95,7 @@ class SoundParams(Params):
     counts as one [m]; growth : of the changes over half a second, over those from frame to frame, that a standing
     vehicle does not see, in at least `stood` frames; standing : share of the moving one's growth that wind makes.
     max_clipped : share of the returns with an intensity above `street.intensity`; least_light : share of it that one
-    return of a hundred exceeds.
-    max_outside, max_second : share of the
+    return of a hundred exceeds; max_unlit : share of the returns that have none. max_outside, max_second : share of the
     points of a LAS file outside of the trajectory's time, and in a beam that has one.
     """
 
@@ -121,6 +120,7 @@ class SoundParams(Params):
     stood: int = Field(ge=1, le=1_000_000)
     growth: float = Field(ge=1, le=100)
     max_clipped: float = Field(ge=0, le=1)
+    max_unlit: float = Field(ge=0, le=1)
     least_light: float = Field(ge=0, le=1)
     max_outside: float = Field(ge=0, le=1)
     max_second: float = Field(ge=0, le=1)

@@ -118,6 +118,20 @@ def frame_of(
     )
 
 
+def class_codes(values: NDArray[Any], where: str) -> NDArray[np.uint8]:
+    """Labels (beams,) of a frame as class codes; `InputError` for one that is none."""
+    wrong = ~((values >= 0) & (values <= 255) & (values == np.floor(values)))
+    if wrong.any():
+        raise InputError(
+            "a label is no class code",
+            where=where,
+            expected="whole numbers from 0 (none) to 255",
+            got=values[wrong][0],
+            do="write the labels again",
+        )
+    return np.asarray(values.astype(np.uint8))
+
+
 def check_scan(scan: Scan, where: str) -> None:
     """`InputError` for beams that no scanner has."""
     if scan.step < 0:

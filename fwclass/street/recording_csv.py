@@ -1,4 +1,4 @@
-"""Recordings as CSV: a heading, then a line a frame; the ranges are the columns behind `ranges`."""
+"""Recordings as CSV: a heading, then a line a frame; ranges, and labels and intensities where named, stand last."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from fwclass.errors import InputError
 from fwclass.paths import open_regular
 from fwclass.street.frames import Frame, Scan
-from fwclass.street.recording_columns import MOST_BEAMS, NUMBERS, check_columns, frame_of
+from fwclass.street.recording_columns import LISTS, MOST_BEAMS, NUMBERS, check_columns, class_codes, frame_of
 
 LONGEST_LINE = 1 << 20
 """Bytes; 30 000 ranges of ten letters have 330 kB."""
@@ -21,7 +21,8 @@ LONGEST_LINE = 1 << 20
 class CsvRecording:
     """Frames of a text file: ``time,speed,ranges`` and then, on every line, time, speed and one range per beam.
 
-    Separated by comma, semicolon or tab; an empty field or ``nan`` is no value. `ranges` is the last column.
+    Separated by comma, semicolon or tab; an empty field or ``nan`` is no value. Lists are the last columns: with
+    ``time,ranges,intensities`` all ranges of a line stand before its intensities, as many of both.
     """
 
     def __init__(self, path: Path, scan: Scan) -> None:
@@ -33,15 +34,16 @@ class CsvRecording:
         while names and names[-1] == "":
             names.pop()
         check_columns(names, path)
-        if names[-1] != "ranges" or "labels" in names or "intensities" in names:
+        self._lists = [n for n in names if n in LISTS]
+        self._names = names[: -len(self._lists)]
+        if names != self._names + self._lists:
             raise InputError(
                 "the heading does not end with ranges",
                 where=f"{path}: line 1",
-                expected="ranges as the last column, no other list",
+                expected="ranges, labels and intensities as the last columns",
                 got=", ".join(names)[:200],
-                do="write labels and intensities as Parquet",
+                do="write the ranges behind all other columns",
             )
-        self._names = names[:-1]
         self.about: Mapping[str, Any] = {"kind": "CSV", "columns": names}
 
     def frames(self) -> Iterator[Frame]:
@@ -58,15 +60,23 @@ class CsvRecording:
 
     def _frame(self, text: str, line: int, at: int) -> Frame:
         fields = text.split(self._mark)
-        n = len(self._names)
-        if len(fields) <= n or len(fields) - n > MOST_BEAMS:
-            self._refuse(line, f"{n} columns and 1 to {MOST_BEAMS} ranges", f"{len(fields)} fields")
+        n, many = len(self._names), len(self._lists)
+        beams, rest = divmod(len(fields) - n, many)
+        if rest or not 0 < beams <= MOST_BEAMS:
+            each = " and as many ".join(self._lists)
+            self._refuse(line, f"{n} columns and 1 to {MOST_BEAMS} {each}", f"{len(fields)} fields")
         try:
             numbers = {k: _number(v) for k, v in zip(self._names, fields, strict=False) if k in NUMBERS}
-            ranges = np.array([_number(v) for v in fields[n:]], np.float32)
+            values = np.array([_number(v) for v in fields[n:]]).reshape(many, beams)
         except ValueError as fault:
             self._refuse(line, "numbers", str(fault)[:100])
-        return frame_of(at, numbers, ranges, None, self._scan, self.path)
+        lists = dict(zip(self._lists, values, strict=True))
+        where = f"{self.path}: line {line}"
+        labels = (
+            class_codes(np.where(np.isnan(lists["labels"]), 0, lists["labels"]), where) if "labels" in lists else None
+        )
+        light = lists["intensities"].astype(np.float32) if "intensities" in lists else None
+        return frame_of(at, numbers, lists["ranges"].astype(np.float32), labels, self._scan, self.path, light)
 
     def _text(self, raw: bytes, line: int) -> str:
         if len(raw) >= LONGEST_LINE:

@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.formats.parquet_footer import check_file, count_values
 from fwclass.street.frames import Frame, Scan
-from fwclass.street.recording_columns import COLUMNS, LISTS, MOST_BEAMS, NUMBERS, check_columns, frame_of, settings_of
+from fwclass.street.recording_columns import (
+    COLUMNS,
+    LISTS,
+    MOST_BEAMS,
+    NUMBERS,
+    check_columns,
+    class_codes,
+    frame_of,
+    settings_of,
+)
 
 BLOCK = 64
 """Frames that are held at a time."""
@@ -102,17 +111,7 @@ class ParquetRecording:
         if values is None:
             return np.empty(0, np.uint8)
         codes = np.asarray(values.fill_null(0).to_numpy(zero_copy_only=False))
-        if codes.dtype != np.uint8:
-            wrong = ~((codes >= 0) & (codes <= 255) & (codes == np.floor(codes)))
-            if wrong.any():
-                raise InputError(
-                    "a label is no class code",
-                    where=f"{self.path}: row {at + 1}",
-                    expected="whole numbers from 0 (none) to 255",
-                    got=codes[wrong][0],
-                    do="write the labels again",
-                )
-        return codes.astype(np.uint8)
+        return class_codes(codes, f"{self.path}: row {at + 1}")
 
 
 def _numbers(column: pa.Array) -> NDArray[np.float64]:

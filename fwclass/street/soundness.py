@@ -58,7 +58,7 @@ class Soundness:
     Attributes
     ----------
     frozen : frames whose ranges are those of the frame before to the last digit, though the vehicle moved.
-    light : returns with an intensity, those above `street.intensity`, those above `SoundParams.least_light` of it.
+    light : returns, those whose intensity is above `street.intensity`, above `SoundParams.least_light` of it, missing.
     changed : (state, lag, sum and count): shares of the beams whose range changed by more than `SoundParams.change`
         since the frame before, and since the one `LAG` before, while the vehicle stood (0) or moved (1) all the time.
     """
@@ -74,7 +74,7 @@ class Soundness:
     road: Thinned = field(default_factory=Thinned)
     slope: Thinned = field(default_factory=Thinned)
     speed: Thinned = field(default_factory=Thinned)
-    light: NDArray[np.int64] = field(default_factory=lambda: np.zeros(3, np.int64))
+    light: NDArray[np.int64] = field(default_factory=lambda: np.zeros(4, np.int64))
     changed: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 2, 2)))
     same: Counter[float] = field(default_factory=Counter)
     sampled_returns: int = 0
@@ -136,6 +136,7 @@ class Soundness:
             len(intensities),
             int((intensities > full).sum()),
             int((intensities > self.params.sound.least_light * full).sum()),
+            int(np.isnan(intensities).sum()),
         ]
 
     def _measure_ranges(self, valid: NDArray[np.float32]) -> None:
@@ -182,6 +183,7 @@ class Soundness:
             "place_over_speed": self.by_place / self.by_speed if self.by_speed else None,
             "clipped_share": self.light[1] / self.light[0] if self.light[0] else None,
             "light_share": self.light[2] / self.light[0] if self.light[0] else None,
+            "unlit_share": self.light[3] / self.light[0] if self.light[0] else None,
             "leap_metres": self.leap,
             "metres": self.length,
         }
@@ -282,6 +284,8 @@ def _light_faults(facts: Mapping[str, Any], params: StreetParams) -> list[str]:
     clipped, bright, full = facts["clipped_share"], facts["light_share"], params.intensity
     if clipped is None or bright is None:
         return []
+    if facts["unlit_share"] > params.sound.max_unlit:
+        return [f"{100 * facts['unlit_share']:.1f} % of the returns have no intensity, and are taken as dark"]
     if clipped > params.sound.max_clipped:
         return [
             f"{100 * clipped:.1f} % of the intensities are above street.intensity, {full:g}: the scanner's strongest "

@@ -115,10 +115,23 @@ def test_csv(tmp_path):
         ("time,ranges\n0\n", "a line cannot be read"),
         ("speed,ranges\n0,1\n", "a column is missing"),
         ("time,ranges,speed\n0,1\n", "does not end with ranges"),
+        ("time,ranges,intensities\n0,1,2,3\n", "a line cannot be read"),
+        ("time,ranges,labels\n0,1,5.5\n", "a label is no class code"),
     ):
         path.write_text(text)
         with pytest.raises(InputError, match=match):
             list(open_recording(path, SCAN).frames())
+
+
+def test_csv_with_labels_and_intensities(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("time;labels;ranges;intensities\n0;5;;1;inf;200;\n1;5;1;2;3;4\n")
+    read = open_recording(path, SCAN).frames()
+    frame = next(read)
+    assert frame.ranges.tolist() == [1.0, math.inf] and frame.labels.tolist() == [5, 0]
+    assert frame.intensities[0] == 200.0 and math.isnan(frame.intensities[1])
+    with pytest.raises(InputError, match=r"line 3(.|\n)*1 to 30000 labels and as many ranges and as many intensities"):
+        next(read)
 
 
 def test_damaged_parquet_is_told(tmp_path):

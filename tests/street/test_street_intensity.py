@@ -108,6 +108,30 @@ def test_a_frame_that_lacks_them_is_left_out_and_counted():
     assert track.counts()["faults"]["no intensities"] == 2
 
 
+def test_frames_without_them_are_left_out_alike_from_parquet_where_others_have_them(tmp_path):
+    frames = [replace(f, intensities=None) if k in (4, 7) else f for k, f in enumerate(lit_drive()[:12])]
+    blind = np.full(len(frames[0].ranges), np.nan, np.float32)
+    frames[9] = replace(frames[9], ranges=blind, intensities=None)  # nothing is lost of it
+    write_recording(tmp_path / "a.parquet", frames)
+    scan = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
+    track, other = Track(config(*BRIGHT).street), Track(config(*BRIGHT).street)
+    placed = [track.take(f) for f in open_recording(tmp_path / "a.parquet", scan).frames()]
+    assert [k for k, one in enumerate(placed) if one is None] == [4, 7]
+    assert [other.take(f) is None for f in frames] == [one is None for one in placed]
+    assert track.counts()["faults"]["no intensities"] == 2 and placed[9].light.tolist() == [0] * 1081
+
+
+def test_returns_without_one_are_told(tmp_path):
+    frames = []
+    for f in lit_drive()[:60]:
+        light = f.intensities.copy()
+        light[::20] = np.nan
+        frames.append(replace(f, intensities=light))
+    write_recording(tmp_path / "a.parquet", frames)
+    told = info(tmp_path / "a.parquet", config(*BRIGHT).street)
+    assert len([text for text in told["implausible"] if "of the returns have no intensity" in text]) == 1
+
+
 @pytest.mark.parametrize(
     ("full", "words"), [(100.0, "are above street.intensity, 100"), (65535.0, "strongest is lower, or it tells none")]
 )
