@@ -1,5 +1,7 @@
 """Water under a green laser through a whole run: what tiles have, whatever their size, and what is made anew."""
 
+import json
+
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -42,17 +44,27 @@ def run(survey, name, *words):
 
 
 def test_tiles_of_any_size_tell_of_water(survey):
-    _, one = run(survey, "one", *ON)
+    out, one = run(survey, "one", *ON)
+    told, deep = json.loads((out / "report.json").read_text())["bathymetry"], one["water"] == 2
+    assert told["bottoms"] == deep.sum() and told["surfaces"] == (one["water"] == 1).sum() and not told["remarks"]
+    assert abs(told["mean_depth"] - one["water_depth"][deep].mean()) < 2e-3
+    assert f"{deep.sum():,} of them bottoms of water" in (out / "report.html").read_text()
     _, two = run(survey, "two", *ON, "--set", "tile.size=20")
     for name in one:
         np.testing.assert_array_equal(one[name], two[name])
     assert (one["water"] == 2).sum() > 150
-    deep = one["water"] == 2
     assert np.isfinite(one["water_depth"][deep]).all() and np.isnan(one["water_depth"][~deep]).all()
+
+
+def test_a_survey_without_water_that_is_asked_for_it_says_so(survey):
+    settings = ("--set", "bathymetry.least_decay=0.299", "--set", "bathymetry.gain=1e6")
+    ended = fwclass("run", survey, "--out", survey.parent / "dry", *WORDS, *ON, *settings)
+    assert ended.returncode == 0 and "no waveform shows a bottom of water" in ended.stderr, ended.stderr
 
 
 def test_without_the_setting_nothing_tells_of_water_and_nothing_is_read_again(survey):
     out, off = run(survey, "off")
+    assert json.loads((out / "report.json").read_text())["bathymetry"] is None
     assert not set(COLUMNS) & set(off)
     ended = fwclass("run", survey, "--out", out, *WORDS, *ON)
     assert ended.returncode == 0, ended.stderr

@@ -37,6 +37,7 @@ class PlanSection(Params):
     returns_per_pulse : where nothing could be read.
     density, neighbour : of the survey that the costs were measured on [1/m²], and processor time that an echo's
         neighbourhood takes for every echo in it beyond those at this density [ns].
+    water : processor time that looking for water (`bathymetry`) takes a waveform more [µs].
     echoes_per_return : that a decomposition finds.
     wave_bytes : waveforms of a pulse that is not simulated yet [bytes].
     crowding : echoes of the fullest tile or block over those that evenly spread files give it.
@@ -53,6 +54,7 @@ class PlanSection(Params):
     returns_per_pulse: float = Field(ge=1, le=1000)
     density: float = Field(gt=0, le=1e6)
     neighbour: float = Field(ge=0, le=1e6)
+    water: float = Field(ge=0, le=1e6)
     echoes_per_return: float = Field(gt=0, le=1000)
     wave_bytes: float = Field(ge=0)
     crowding: float = Field(ge=1, le=1000)

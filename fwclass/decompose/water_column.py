@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ from fwclass.decompose.water_kernel import (
     fit_water,
 )
 from fwclass.decompose.water_model import Search
+from fwclass.schema import Table
 from fwclass.units import AREA_PER_FWHM, FWHM_PER_SIGMA, METRES_PER_NS, REFRACTIVE_INDEX
 from fwclass.waveforms import Waveforms
 
@@ -63,6 +65,38 @@ class Waters:
 def speed_in_water(params: BathymetryParams) -> float:
     """One-way distance in water [m] that one nanosecond of two-way time stands for."""
     return METRES_PER_NS * REFRACTIVE_INDEX / params.group_index
+
+
+def water_counts(echoes: Table) -> dict[str, int]:
+    """Surfaces and bottoms among `echoes`, and the sum of the bottoms' depths in whole millimetres."""
+    bottoms = echoes["water"] == BOTTOM
+    depths = np.rint(1000.0 * echoes["water_depth"][bottoms].astype(np.float64))
+    return {
+        "surfaces": int((echoes["water"] == SURFACE).sum()),
+        "bottoms": int(bottoms.sum()),
+        "depth_mm": int(depths.sum()),
+    }
+
+
+def water_facts(counts: Mapping[str, int]) -> dict[str, Any]:
+    """``surfaces``, ``bottoms`` and their ``mean_depth`` [m] of `water_counts`, and ``remarks`` where there is none."""
+    bottoms = counts["bottoms"]
+    none = (
+        "bathymetry.enabled: no waveform shows a bottom of water. Is this a survey by a green laser, and does it hold "
+        "water?"
+    )
+    return {
+        "surfaces": counts["surfaces"],
+        "bottoms": bottoms,
+        "mean_depth": round(1e-3 * counts["depth_mm"] / bottoms, 3) if bottoms else None,
+        "remarks": [] if bottoms else [none],
+    }
+
+
+def water_words(facts: Mapping[str, Any]) -> str:
+    """`water_facts` in a line."""
+    deep = f", {facts['mean_depth']:.2f} m deep on average" if facts["bottoms"] else ""
+    return f"{facts['surfaces']:,} surfaces, {facts['bottoms']:,} bottoms{deep}"
 
 
 def with_water(

@@ -20,6 +20,7 @@ from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.water_column import water_counts
 from fwclass.decompose.width_walk import width_walk
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.read.beams import sensor_height
@@ -283,6 +284,7 @@ def _write_echoes(here: StageInputs, result: tuple[Table, Table, Mapping[str, in
         "kept_returns": int((origin == 1).sum()),
         "read_as_echoes": int((origin == 2).sum()),
         "without_width": int(np.isnan(echoes["width"]).sum()),
+        **({"water": water_counts(echoes)} if "water" in echoes else {}),
     }
 
 

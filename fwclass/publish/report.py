@@ -194,6 +194,8 @@ def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], co
         text.append(f"with {number(counts['pulses'])} pulses")
     if counts.get("echoes_decomposed"):
         text.append(f"gave {number(counts['echoes_decomposed'])} echoes")
+        if water := report.get("bathymetry"):
+            text[-1] += f", {number(water['bottoms'])} of them bottoms of water"
     elif counts.get("echoes_in_tiles"):
         text.append(f"hold {number(counts['echoes_in_tiles'])} echoes")
     first = " ".join(text)

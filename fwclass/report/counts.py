@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from fwclass.decompose.water_column import water_facts
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
 from fwclass.graph.contours import DELIVER_CONTOURS
 from fwclass.graph.learn import TRAIN_FOREST
@@ -60,6 +61,12 @@ def echo_counts(runner: Runner) -> dict[str, int]:
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),
     }
+
+
+def bathymetry_facts(runner: Runner) -> dict[str, Any] | None:
+    """`water_facts` of the run; None of a survey that is not asked for water."""
+    parts = [r.meta["water"] for r in receipts_of_run(runner, "decompose") if "water" in r.meta]
+    return water_facts({name: sum(part[name] for part in parts) for name in parts[0]}) if parts else None
 
 
 def withheld_returns(runner: Runner) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from fwclass.decompose.water_column import water_words
 from fwclass.errors import first_few, several
 from fwclass.store.url import Url
 
@@ -59,6 +60,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(
             f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
         )
+    if report.get("bathymetry"):
+        rows.append(f"water       {water_words(report['bathymetry'])} in waveforms")
     rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
     accuracy, model = report["accuracy"], report.get("model") or {}
     if model.get("path"):

@@ -16,7 +16,14 @@ from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
 from fwclass.quality.covered import CoveredArea
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
-from fwclass.report.counts import delivered_files, echo_counts, source_files, stage_figures, withheld_returns
+from fwclass.report.counts import (
+    bathymetry_facts,
+    delivered_files,
+    echo_counts,
+    source_files,
+    stage_figures,
+    withheld_returns,
+)
 from fwclass.report.earlier import since_earlier
 from fwclass.report.facts import legacy_codes, metas_of_run, place_of, receipts_of_run, sureness, unsure_of_run
 from fwclass.report.figures import report_figures
@@ -114,6 +121,7 @@ def _of_the_survey(
     return {
         "input": files,
         "counts": echo_counts(runner),
+        "bathymetry": bathymetry_facts(runner),
         "earlier": since_earlier(runner, REPORT, config.survey.name, files["files"]),
         "place": place_of(tiles, survey.crs, survey.standard_time, covered, spacings),
         "areas": config.areas.shown(layout.box),
@@ -173,7 +181,7 @@ def _remarks(
     return [
         *of("accuracy", "earlier", "place"),
         *(report["radiometry"] or {}).get("implausible", ()),
-        *of("repeated", "ground", "plausibility", "drift", "unsure"),
+        *of("repeated", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),
         *remarks_on_empty_files(report["input"]),

@@ -14,7 +14,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.stage import VENDOR_KEPT
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.decompose.water_column import BOTTOM, SURFACE
+from fwclass.decompose.water_column import water_counts, water_facts, water_words
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL
 from fwclass.formats.area_of_use import elsewhere, place_faults
@@ -119,10 +119,11 @@ def decompose_file(
     judged |= {"radiometry": odd_radiometry, "place": {"remarks": place, "elsewhere": beyond}}
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
+    water = water_facts(water_counts(table)) if "water" in table else None
     rows = [
         *_summary(table, read_from),
         *([_pulse_words(pulse)] if opened.has_waves else []),
-        *_water_words(table),
+        *([f"water: {water_words(water)}", *water["remarks"]] if water else []),
         *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
         *(f"plausibility: {text}" for text in plausibility_remarks([judged], fit)),
         *notes,
@@ -151,16 +152,6 @@ def _summary(table: Table, read_from: str) -> list[str]:
         (read, "read as echoes"),
     )
     return [f"{table.rows:,} echoes from {read_from}: " + ", ".join(f"{n:,} {what}" for n, what in parts if n)]
-
-
-def _water_words(table: Table) -> list[str]:
-    """What was found of water, where it was asked for."""
-    if "water" not in table:
-        return []
-    depth = table["water_depth"][table["water"] == BOTTOM]
-    surfaces = int((table["water"] == SURFACE).sum())
-    deep = f", {np.median(depth):.2f} m deep in the median" if len(depth) else ""
-    return [f"water: {surfaces:,} surfaces, {len(depth):,} bottoms{deep}"]
 
 
 def _pulse_words(pulse: SystemPulse) -> str:

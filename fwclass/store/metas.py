@@ -257,6 +257,7 @@ META: dict[str, Shape] = {
         **dict.fromkeys(
             ("returns_without_echo", "echoes", "fitted", "kept_returns", "read_as_echoes", "without_width"), COUNT
         ),
+        "water?": dict.fromkeys(("surfaces", "bottoms", "depth_mm"), COUNT),
     },
     "split": {**_CUT, "codes?": {CODE: COUNT}},
     "reference-split": _CUT,

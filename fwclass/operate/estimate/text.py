@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fwclass.errors import several
-from fwclass.operate.estimate.density import density_known, too_dense
+from fwclass.operate.estimate.costs import density_known, too_dense
 from fwclass.operate.estimate.headers import SourceFacts
 from fwclass.operate.estimate.whole import Plan
 

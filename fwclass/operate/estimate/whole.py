@@ -11,7 +11,7 @@ from fwclass.conf import Config
 from fwclass.graph import stage
 from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
-from fwclass.operate.estimate.density import costs_at_density, too_dense
+from fwclass.operate.estimate.costs import costs_of_survey, too_dense
 from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimate_run, propose_size
 from fwclass.operate.estimate.headers import SurveyFacts, with_returns
 from fwclass.operate.estimate.limits import Limit, Room, allowed_mib, limits
@@ -64,7 +64,7 @@ def make_plan(
     begun, facts = with_returns(begun, facts)
     size, counts = config.tile.size, Counts.of(config, facts)
     observed = measure_costs(trial, config.plan.stages, amounts(begun, facts, size, stages)) if trial else None
-    costs = observed.costs if observed else costs_at_density(begun, facts)
+    costs = observed.costs if observed else costs_of_survey(begun, facts)
     estimate = estimate_run(begun, facts, size, workers, costs, stages)
     if observed:
         base = measured_base(observed, estimate, config.plan.base_mib)
