@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -81,6 +82,17 @@ def test_a_model_is_used_by_its_name(place: Path, monkeypatch: pytest.MonkeyPatc
     damaged = fwclass("models")
     assert damaged.returncode == 0 and "damaged" in damaged.stdout
     assert json.loads(fwclass("models", "--json").stdout)[0]["fault"]
+
+
+def test_a_strangers_card_is_listed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Classes without a name, and figures that no float holds."""
+    made, judged = models()["forest"], {"tested": {"overall_accuracy": 10**400, "kappa": 0, "mean_iou": 0, "echoes": 1}}
+    classes = [{"code": c["code"], "codes": c["codes"]} for c in made.card["classes"]]
+    save_model(tmp_path / "town", replace(made, card={**made.card, "classes": classes, "measured": judged}))
+    monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path))
+    listed = fwclass("models")
+    assert listed.returncode == 0 and "2 2, 3 3, 4 4" in listed.stdout, listed.stderr
+    assert json.loads(fwclass("models", "--json").stdout)[0]["classes"][0] == {"name": "2", "code": 2}
 
 
 def test_a_path_goes_before_a_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def _as_a_stranger(card: Mapping[str, Any]) -> str:
     judged = measured.get("left_out") if isinstance(measured, Mapping) else None
     try:
         rows = sorted((float(o["unsure"]), float(o["overall_accuracy"]), str(o["source"])) for o in judged or ())
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return ""
     each = [f"{100 * share:.1f} % on {visible(name)} ({100 * right:.1f} % right)" for share, right, name in rows]
     return f"; on what it had not seen it was unsure of {first_few(each, SHOWN)}" if each else ""

@@ -89,7 +89,7 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
     card of an earlier version that does not say what it learned.
     """
     learned: Any = card.get("computed", {}).get("quantities")
-    if not isinstance(learned, Mapping):
+    if not isinstance(learned, Mapping) or not all(isinstance(one, Mapping) for one in learned.values()):
         hang = [n for n in card["features"] if quantity_of_feature(n)]
         if not hang or not files:
             return []

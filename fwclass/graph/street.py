@@ -107,9 +107,10 @@ def model_remarks(model: Model, params: StreetParams) -> list[str]:
         if learned[name] != value and not (name == "intensity" and value is None)
     ]
     mounting, here = learned_mounting(model), params.mounting.model_dump(mode="json")
-    other = [name for name in here if mounting and mounting.get(name) != here[name]]
+    there = {name: (mounting or here).get(name) for name in here}
+    other = [name for name in here if there[name] != here[name]]
     if other:
-        words = ", ".join(f"{name} {mounting[name]} there, {here[name]} here" for name in other if mounting)
+        words = ", ".join(f"{name} {there[name]} there, {here[name]} here" for name in other)
         said.append(f"the model learned with another mounting ({words}): heights and sides count from the scanner")
     return said
 

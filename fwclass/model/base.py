@@ -15,6 +15,9 @@ from fwclass.schema import Table, require
 LEAF = 65535
 """Value of `feature` in a leaf; no model has so many features."""
 
+LARGEST = 1e100
+"""What a model's numbers may be at most: of float32 samples no sum of products with them is infinite."""
+
 ClassifierMethod = Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
 """Classifiers that can be trained, by the name that ``train.method`` takes."""
 
@@ -102,6 +105,11 @@ class Model:
     def _fault(self) -> str:
         """What is wrong beyond card and layout; "" if nothing is."""
         raise NotImplementedError
+
+
+def bounded(array: NDArray[np.float64]) -> bool:
+    """Whether no value of `array` is NaN or beyond `LARGEST`."""
+    return bool((np.abs(array) <= LARGEST).all())
 
 
 def sample_matrix(features: Table, names: Iterable[str], where: object = "features") -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.model.base import Model
+from fwclass.model.base import LARGEST, Model, bounded
 from fwclass.model.trees import node_fault, offsets_fault, threshold_fault
 
 
@@ -60,8 +60,8 @@ class Boosted(Model):
         for name in ("threshold", "child", "missing_left", "value"):
             if len(getattr(self, name)) != nodes:
                 return f"array {name!r} has {len(getattr(self, name))} values for {nodes} nodes"
-        if len(self.baseline) != scores or not np.isfinite(self.baseline).all() or not np.isfinite(self.value).all():
-            return f"its scores are not {scores} finite numbers"
+        if len(self.baseline) != scores or not bounded(self.baseline) or not bounded(self.value):
+            return f"its scores are not {scores} numbers up to {LARGEST:g}"
         fault = offsets_fault(self.offsets, nodes)
         if not fault and self.trees % scores:
             fault = f"its {self.trees} trees do not share out among {scores} scores"

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.model.base import Model
+from fwclass.model.base import LARGEST, Model, bounded
 from fwclass.model.boosted import scores_of
 
 
@@ -53,9 +53,9 @@ class Machine(Model):
             return f"its card does not say how samples are prepared ({type(fault).__name__}: {fault})"
         for name in ("fill", "shift", "scale"):
             values = getattr(preparation, name)
-            if values.shape != (len(self.features),) or not np.isfinite(values).all():
+            if values.shape != (len(self.features),) or not bounded(values):
                 return f"its card's {name!r} is not a number for every feature"
-        if (preparation.scale <= 0).any():
+        if (preparation.scale < 1 / LARGEST).any():
             return "its card scales a feature by nothing"
         if len(self.codes) < 2:
             return "it tells only one class"
@@ -86,8 +86,8 @@ class LinearMachine(Machine):
         scores = scores_of(len(self.codes))
         if self.weights.shape != (scores, len(self.features)) or self.bias.shape != (scores,):
             return f"its weights have shape {self.weights.shape}, not {(scores, len(self.features))}"
-        if not np.isfinite(self.weights).all() or not np.isfinite(self.bias).all():
-            return "its weights are not finite"
+        if not bounded(self.weights) or not bounded(self.bias):
+            return f"its weights are no numbers up to {LARGEST:g}"
         return self._preparation_fault()
 
 
@@ -135,8 +135,6 @@ class KernelMachine(Machine):
             return f"it has {len(self.bias)} pairs and {len(self.counts)} counts for {n} classes"
         if (self.counts < 0).any() or (self.counts > rows).any() or self.counts.sum() != rows:
             return f"its counts do not add up to its {rows} support vectors"
-        if self.gamma.shape != (1,) or not all(
-            np.isfinite(a).all() for a in (self.vectors, self.dual, self.bias, self.gamma)
-        ):
-            return "its numbers are not finite"
+        if self.gamma.shape != (1,) or not all(map(bounded, (self.vectors, self.dual, self.bias, self.gamma))):
+            return f"its numbers are none up to {LARGEST:g}"
         return "its gamma is negative" if self.gamma[0] < 0 else self._preparation_fault()

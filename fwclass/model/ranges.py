@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -48,6 +49,8 @@ def check_ranges(card: Mapping[str, Any]) -> None:
             continue
         if not (isinstance(pair, list) and len(pair) == 2 and all(type(v) in (int, float) for v in pair)):
             raise ValueError(f"its {RANGES} of {str(name)[:80]!r} are no pair of numbers")
+        if any(abs(v) > sys.float_info.max for v in pair):
+            raise ValueError(f"its {RANGES} of {str(name)[:80]!r} are beyond what a number holds")
         if not pair[0] <= pair[1]:
             raise ValueError(f"its {RANGES} of {str(name)[:80]!r} do not rise")
 

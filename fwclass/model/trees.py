@@ -17,7 +17,7 @@ def offsets_fault(offsets: NDArray[np.int64], nodes: int) -> str:
     """What is wrong with `offsets` (trees + 1,), the places where trees begin; "" if nothing is."""
     if not 2 <= len(offsets) <= MAX_TREES + 1:
         return f"it has {len(offsets) - 1} trees"
-    if offsets[0] != 0 or offsets[-1] != nodes or (np.diff(offsets) < 1).any():
+    if offsets[0] != 0 or offsets[-1] != nodes or (offsets[1:] <= offsets[:-1]).any():
         return f"its trees do not fill its {nodes} nodes"
     return ""
 

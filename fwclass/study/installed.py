@@ -20,13 +20,13 @@ def facts_of_models() -> list[dict[str, Any]]:
     for name, place in sorted(installed_models().items()):
         one: dict[str, Any] = {"name": name, "where": str(place)}
         try:
-            card = load_model(place).card
+            model = load_model(place)
         except FwclassError as fault:
             facts.append({**one, "fault": fault.what})
             continue
-        classes = [{"name": c["name"], "code": c["code"]} for c in card["classes"]]
-        known = {"kind": card["kind"], "classes": classes, "features": list(card["features"])}
-        facts.append({**one, **known, "samples": card.get("samples"), "measured": card.get("measured")})
+        classes = [{"name": c.name, "code": c.code} for c in model.classes]
+        known = {"kind": model.kind, "classes": classes, "features": list(model.features)}
+        facts.append({**one, **known, "samples": model.card.get("samples"), "measured": model.card.get("measured")})
     return facts
 
 
@@ -50,7 +50,7 @@ def describe(facts: Sequence[dict[str, Any]]) -> str:
         measured = one["measured"] if isinstance(one["measured"], dict) else {}
         try:
             judged = measured_lines(measured)
-        except (KeyError, TypeError, ValueError, AttributeError):
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
             judged = []
         lines += [f"  {visible(line)}" for line in judged] or ["  its card does not say how good it is elsewhere"]
         lines.append(f"  {one['where']}")

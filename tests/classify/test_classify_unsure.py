@@ -186,3 +186,8 @@ def test_confidences_of_a_kernel_machine_are_told_and_not_judged():
     told = facts(300, given={"method": "rbf-svm"})
     assert "no probabilities" in told["remarks"][0]
     judge_unsure(told, PARAMS, "m")
+
+
+def test_a_card_that_tells_numbers_that_are_none_says_nothing_of_strangers():
+    card = {"measured": {"left_out": [judged(10**400, 0.9, "a")]}}
+    assert "on what it had not seen" not in facts(100, given=card)["remarks"][0]

@@ -127,6 +127,9 @@ def test_old_cards_and_widths_are_told_not_refused():
     card = {"features": ["width"], "computed": {"quantities": quantities_by_feature(["width"], WAVES)}}
     assert "learned echo widths fitted" in check_learned(card, {"a.las": RIEGL}, "m")[0]
     assert check_learned(card, {"a.las": WAVES}, "m") == []
+    for none in ({"width": "fitted"}, {"width": None}, {"width": []}):  # a stranger's
+        damaged = {**card, "computed": {"quantities": none}}
+        assert "does not say which quantity" in check_learned(damaged, {"a.las": RIEGL}, "m")[0]
     with pytest.raises(ConfigError, match="another echo width"):
         check_learned(card, {"a.las": PLAIN}, "m")
 

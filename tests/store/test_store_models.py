@@ -14,6 +14,7 @@ from modelmaker import NAMES, card, contextual, models, two_layers
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, KINDS, LEAF, Boosted, Contextual, KernelMachine, Layered, TwoLayer, trees
+from fwclass.model.base import LARGEST
 from fwclass.store.models import load_forest, load_model, model_digest, save_model
 
 ONE_LAYER = sorted(name for name, kind in KINDS.items() if not issubclass(kind, Layered))
@@ -186,6 +187,61 @@ def test_thresholds_of_inner_nodes_are_numbers_or_divide_known_from_missing(kind
         return
     with pytest.raises(InputError, match="threshold"):
         made.check()
+
+
+def test_offsets_that_go_round_the_numbers_are_refused(tmp_path):
+    """0, 2^63 - 1, -2, 5: each is one more than the last or more, as 64 bits count."""
+    made = models()["forest"]
+    for offsets in ([0, 2**63 - 1, -2, 5], [0, 2, 2**62 + 2, -(2**63) + 1, -(2**62), 1, 5]):
+        assert (np.diff(np.array(offsets, np.int64)) >= 1).all()
+        save_model(tmp_path / str(len(offsets)), replace(made, offsets=np.array(offsets, np.int64)))
+        with pytest.raises(InputError, match="do not fill"):
+            load_model(tmp_path / str(len(offsets)))
+
+
+def test_usual_values_beyond_what_a_number_holds_are_refused(tmp_path):
+    save_model(tmp_path / "m", models()["forest"])
+    for pair in ([0, 10**400], [-(10**400), 0]):
+        rewrite(tmp_path / "m", ranges=dict.fromkeys(NAMES, pair))
+        with pytest.raises(InputError, match="beyond what a number holds"):
+            load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("linear-svm", "weights"),
+        ("linear-svm", "bias"),
+        ("rbf-svm", "dual"),
+        ("rbf-svm", "vectors"),
+        ("rbf-svm", "gamma"),
+        ("boosting", "value"),
+        ("boosting", "baseline"),
+    ],
+)
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_no_sum_of_a_model_is_infinite(kind, name, sign):
+    """Shares that are no numbers would be delivered: a model's numbers are refused, or give some."""
+    X = np.array([[3e38, -3e38], [np.nan, 9.0], [0.5, 1.0]], np.float32)
+    for value, sound in ((LARGEST, True), (2 * LARGEST, False), (1e308, False)):
+        made = models()[kind]
+        getattr(made, name)[...] = abs(value) if name == "gamma" else sign * value
+        if not sound:
+            with pytest.raises(InputError, match="1e\\+100"):
+                answer(X, made)
+            continue
+        winner, shares = answer(X, made)
+        np.testing.assert_allclose(shares.sum(axis=1), 1)
+        assert (winner < shares.shape[1]).all()
+
+
+@pytest.mark.parametrize("kind", ["linear-svm", "rbf-svm"])
+def test_a_preparation_that_makes_samples_infinite_is_refused(kind):
+    made = models()[kind]
+    for changed in ({"scale": [1.0, 5e-324]}, {"shift": [0.0, 1e308]}, {"fill": [1e308, 0.0]}):
+        ready = {**made.card["preparation"], **changed}
+        with pytest.raises(InputError):
+            replace(made, card={**made.card, "preparation": ready}).check()
 
 
 def test_no_number_of_json_and_no_object_are_refused(tmp_path):

@@ -68,6 +68,13 @@ def test_the_card_says_what_full_scale_was(lit):
     assert model_remarks(model, other) == ["street.intensity is the model's, 255.0, not 65535.0"]
 
 
+def test_a_card_that_tells_half_of_a_mounting_is_told_as_another(lit):
+    model = load_model(lit[0] / "model")
+    card = {**model.card, "computed": {**model.card["computed"], "mounting": {"height": 9.0}}}
+    (said,) = model_remarks(replace(model, card=card), config().street)
+    assert "height 9.0 there" in said and "side None there" in said
+
+
 def test_a_recording_without_them_is_refused_by_a_model_that_learned_by_them(tmp_path, lit):
     write_recording(tmp_path / "dark.parquet", drive()[:20])
     asked = online.Run(str(tmp_path / "dark.parquet"), lit[0] / "model", tmp_path / "out", False, False)
