@@ -97,12 +97,20 @@ def columns(path: Path, names: Sequence[str]) -> dict[str, list[Any]]:
         left = SPARE + EACH * path.stat().st_size
         with _opened(path, names) as file:
             for name in names:
+                _check_rows(file.metadata, left)
                 values = file.read([name]).column(name)
                 left -= _check_size(values, left)
                 held[name] = [value for chunk in values.chunks for value in _plain(chunk).to_pylist()]
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError) as fault:
         raise _foreign(path, f"column {name}: {fault}") from fault
     return held
+
+
+def _check_rows(footer: Any, most: int) -> None:
+    """`ValueError` where a column of all rows takes more bytes: Arrow makes them whatever the file holds of them."""
+    rows = [footer.num_rows, sum(footer.row_group(g).num_rows for g in range(footer.num_row_groups))]
+    if ROW * max(rows) > most:
+        raise ValueError(f"{max(rows):,} rows, which take more than {most:,} bytes")
 
 
 def _check_size(values: Any, most: int) -> int:

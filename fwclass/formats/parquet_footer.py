@@ -56,8 +56,10 @@ def values_in(stream: BinaryIO, size: int) -> int:
 
 
 def check_unpacked(stream: BinaryIO, size: int, each: int) -> None:
-    """`ValueError` where the pages of all columns unpack to more than `SPARE` and `each` bytes for one of the file."""
+    """`ValueError` where the pages of all columns unpack to more than `SPARE` and `each` bytes for one of the file, or
+    their headers are more than the file."""
     most = total = SPARE + each * size
+    unread = size
     for chunk in _chunks(stream, size):
         pages, dictionary = chunk.get(_PAGES, 0), chunk.get(_DICTIONARY, 0)
         at = dictionary if 0 < dictionary < pages else pages
@@ -67,6 +69,9 @@ def check_unpacked(stream: BinaryIO, size: int, each: int) -> None:
             packed = header.get(_PACKED_PAGE, 0)
             total -= max(0, header.get(_UNPACKED_PAGE, 0)) + PAGE
             at += length + packed if packed >= 0 else size
+            unread -= length
+            if unread < 0:
+                raise ValueError("pages that several columns share")
     if total < 0:
         raise ValueError(f"{size:,} bytes that unpack to more than {most:,}")
 
@@ -152,17 +157,21 @@ class _Thrift:
         count = head >> 4 if head >> 4 < 15 else self._number()
         kind = head & 15
         for _ in range(count):
-            if kind in (_TRUE, _FALSE):
-                self._skip(1)
-            else:
-                yield from self._value(kind, wanted, is_wanted, depth + 1)
+            yield from self._element(kind, wanted, is_wanted, depth)
+
+    def _element(self, kind: int, wanted: tuple[int, ...], is_wanted: bool, depth: int) -> Iterator[dict[int, int]]:
+        """Of a list or map: truth values, which are no bytes in a struct, take one here."""
+        if kind in (_TRUE, _FALSE):
+            self._skip(1)
+        else:
+            yield from self._value(kind, wanted, is_wanted, depth + 1)
 
     def _map(self, depth: int) -> None:
         count = self._number()
         kinds = self._byte() if count else 0
         for _ in range(count):
             for kind in (kinds >> 4, kinds & 15):
-                list(self._value(kind, (), False, depth + 1))
+                list(self._element(kind, (), False, depth))
 
     def _byte(self) -> int:
         self.at += 1
