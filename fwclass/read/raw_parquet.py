@@ -10,10 +10,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_footer import check_file, count_values
+from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer
 from fwclass.read.beam_source import LONGEST, BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
@@ -29,14 +28,6 @@ from fwclass.read.raw_columns import (
 MAGIC = b"PAR1"
 BLOCK = 2_000
 """Rows that are held at a time."""
-
-EACH = 2000
-"""Bytes that one of a file unpacks to, at most."""
-
-FEWEST_BYTES = 1 / 2000
-"""A number takes at least so many bytes of a file, on average: samples of a receiver cannot be packed closer."""
-
-Lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
 
 
 def is_raw_parquet(path: Path) -> bool:
@@ -93,7 +84,7 @@ class ParquetLayout(Layout):
             with pq.ParquetFile(self.path) as file:
                 batches = file.iter_batches(BLOCK, row_groups=list(groups), columns=self.columns, use_threads=False)
                 for batch in batches:
-                    numbers = {n: _numbers(batch.column(n)) for n in self.columns if n not in LISTS}
+                    numbers = {n: numbers_of(batch.column(n)) for n in self.columns if n not in LISTS}
                     lists = {n: _ragged(batch.column(n)) for n in LISTS if n in self.columns}
                     yield beam_rows(numbers, lists, self.settings, self.direction, first)
                     first += batch.num_rows
@@ -104,39 +95,14 @@ class ParquetLayout(Layout):
 def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
     """Look at schema and counts; `InputError` for what is no table of waveforms, or counts more than it can hold."""
     try:
-        with pq.ParquetFile(path) as file:
-            schema, footer = file.schema_arrow, file.metadata
-            rows = [footer.row_group(g).num_rows for g in range(footer.num_row_groups)]
-        values = count_values(path)
-        check_file(path, EACH)
+        footer = read_footer(path)
     except (pa.ArrowException, OSError, ValueError) as fault:
         raise _damaged(path, fault) from None
-    metadata = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
-    settings = Settings.of(metadata, path)
-    check_columns(list(schema.names), settings, path)
-    for name in (n for n in schema.names if n in (*REQUIRED, *OPTIONAL)):
-        kind = schema.field(name).type
-        nested = any(test(kind) for test in Lists)
-        inner = kind.value_type if nested else kind
-        if nested != (name in LISTS) or not (pa.types.is_integer(inner) or pa.types.is_floating(inner)):
-            raise InputError(
-                "a column has a type that it cannot have",
-                where=f"{path}: column {name}",
-                expected="lists of whole numbers or floats" if name in LISTS else "numbers",
-                got=str(kind),
-                do="write the column again",
-            )
-    size = path.stat().st_size
-    if min([*rows, 0]) < 0 or sum(rows) * FEWEST_BYTES > size or values * FEWEST_BYTES > size:
-        raise InputError(
-            "the file counts more than it can hold",
-            where=path,
-            expected=f"numbers of {size} bytes",
-            got=f"{sum(rows)} rows, {values} numbers",
-            do="the file is damaged; write it again",
-        )
-    columns = tuple(n for n in (*REQUIRED, *OPTIONAL) if n in schema.names)
-    groups = tuple(np.concatenate([[0], np.cumsum(rows)]).astype(int).tolist())
+    settings, names = Settings.of(footer.metadata, path), list(footer.schema.names)
+    check_columns(names, settings, path)
+    check_numbers(path, footer, (*REQUIRED, *OPTIONAL), LISTS)
+    columns = tuple(n for n in (*REQUIRED, *OPTIONAL) if n in names)
+    groups = tuple(np.concatenate([[0], np.cumsum(footer.rows)]).astype(int).tolist())
     return ParquetLayout(path, settings, columns, _direction(path, columns, settings), groups), settings
 
 
@@ -147,15 +113,11 @@ def _direction(path: Path, columns: tuple[str, ...], settings: Settings) -> str:
             batch = next(file.iter_batches(BLOCK, columns=wanted, use_threads=False), None)
             if batch is None:
                 return kind_of_direction(np.empty((0, 3)), np.empty(0), path)
-            numbers = {n: _numbers(batch.column(n)) for n in wanted}
+            numbers = {n: numbers_of(batch.column(n)) for n in wanted}
     except (pa.ArrowException, OSError, ValueError) as fault:
         raise _damaged(path, fault) from None
     spacing = numbers.get("spacing_ns", np.full(batch.num_rows, settings.spacing or np.nan))
     return kind_of_direction(np.stack([numbers[n] for n in ("dx", "dy", "dz")], axis=1), spacing, path)
-
-
-def _numbers(column: pa.Array) -> NDArray[np.float64]:
-    return np.asarray(column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False))
 
 
 def _ragged(column: pa.Array) -> Ragged:

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_footer import check_file, count_values
+from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import (
     COLUMNS,
@@ -28,16 +28,8 @@ from fwclass.street.recording_columns import (
 BLOCK = 64
 """Frames that are held at a time."""
 
-EACH = 2000
-"""Bytes that one of a file unpacks to, at most."""
-
-FEWEST_BYTES = 1 / 2000
-"""A number takes at least so many bytes of a file, on average."""
-
 ROWS = 512
 """Frames of a row group that is written."""
-
-Lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
 
 
 class ParquetRecording:
@@ -46,26 +38,14 @@ class ParquetRecording:
     def __init__(self, path: Path, scan: Scan) -> None:
         self.path = path
         try:
-            with pq.ParquetFile(path) as file:
-                schema, meta = file.schema_arrow, file.metadata
-                rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
-            values = count_values(path)
-            check_file(path, EACH)
+            footer = read_footer(path)
         except (pa.ArrowException, OSError, ValueError) as fault:
             raise damage_error(path, fault) from None
-        check_columns(schema.names, path)
-        for name in schema.names:
-            kind = schema.field(name).type
-            nested = any(test(kind) for test in Lists)
-            inner = kind.value_type if nested else kind
-            if nested != (name in LISTS) or not (pa.types.is_integer(inner) or pa.types.is_floating(inner)):
-                raise InputError(
-                    "a column has a type that it cannot have",
-                    where=f"{path}: column {name}",
-                    expected="lists of numbers" if name in LISTS else "numbers",
-                    got=str(kind),
-                    do="write the column again",
-                )
+        self._names = list(footer.schema.names)
+        check_columns(self._names, path)
+        check_numbers(path, footer, self._names, LISTS)
+        for name in self._names:
+            kind = footer.schema.field(name).type
             if pa.types.is_fixed_size_list(kind) and kind.list_size > MOST_BEAMS:
                 raise InputError(
                     "a frame has more beams than any scanner",
@@ -73,19 +53,8 @@ class ParquetRecording:
                     expected=f"at most {MOST_BEAMS}",
                     got=kind.list_size,
                 )
-        size = path.stat().st_size
-        if min([*rows, 0]) < 0 or max(values, sum(rows)) * FEWEST_BYTES > size:
-            raise InputError(
-                "the file counts more than it can hold",
-                where=path,
-                expected=f"numbers of {size} bytes",
-                got=f"{sum(rows)} frames, {values} numbers",
-                do="the file is damaged; write it again",
-            )
-        held = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
-        self._names = list(schema.names)
-        self._scan = settings_of(held, scan)
-        self.about: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
+        self._scan = settings_of(footer.metadata, scan)
+        self.about: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(footer.rows), "columns": self._names}
 
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
@@ -93,7 +62,7 @@ class ParquetRecording:
         try:
             with pq.ParquetFile(self.path, pre_buffer=False) as file:  # a buffer would keep all that was read
                 for batch in file.iter_batches(BLOCK, columns=self._names, use_threads=False):
-                    numbers = {n: _numbers(batch.column(n)) for n in self._names if n in NUMBERS}
+                    numbers = {n: numbers_of(batch.column(n)) for n in self._names if n in NUMBERS}
                     for row in range(batch.num_rows):
                         here = {n: float(v[row]) for n, v in numbers.items()}
                         ranges = _floats(batch, "ranges", row)
@@ -112,10 +81,6 @@ class ParquetRecording:
             return np.empty(0, np.uint8)
         codes = np.asarray(values.fill_null(0).to_numpy(zero_copy_only=False))
         return class_codes(codes, f"{self.path}: row {at + 1}")
-
-
-def _numbers(column: pa.Array) -> NDArray[np.float64]:
-    return np.asarray(column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False))
 
 
 def _floats(batch: pa.RecordBatch, name: str, row: int) -> NDArray[np.float32]:
