@@ -15,8 +15,7 @@ from fwclass.errors import InputError
 from fwclass.formats.parquet_footer import check_file, count_values
 
 EACH = 2000
-"""Bytes that one of a file unpacks to, at most; a number takes as small a share of one, on average: neither ranges nor
-samples of a receiver can be packed closer."""
+"""Bytes that one of a file unpacks to, at most."""
 
 _LISTS = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
 
@@ -47,9 +46,11 @@ def read_footer(path: Path) -> Footer:
     return Footer(schema, rows, values)
 
 
-def check_numbers(path: Path, footer: Footer, columns: Collection[str], lists: Collection[str]) -> None:
+def check_numbers(
+    path: Path, footer: Footer, columns: Collection[str], lists: Collection[str], free: int, a_byte: int
+) -> None:
     """`InputError` where one of `columns` does not hold numbers, or, those of `lists`, lists of numbers; or where the
-    file counts more of them than it has bytes for."""
+    file counts more of them than `free` and `a_byte` further ones for each of its bytes."""
     for name in (n for n in footer.schema.names if n in columns):
         kind = footer.schema.field(name).type
         nested = any(test(kind) for test in _LISTS)
@@ -63,13 +64,14 @@ def check_numbers(path: Path, footer: Footer, columns: Collection[str], lists: C
                 do="write the column again",
             )
     size, rows = path.stat().st_size, sum(footer.rows)
-    if min([*footer.rows, 0]) < 0 or max(footer.values, rows) > EACH * size:
+    most = free + a_byte * size
+    if min([*footer.rows, 0]) < 0 or max(footer.values, rows) > most:
         raise InputError(
             "the file counts more than it can hold",
             where=path,
-            expected=f"numbers of {size} bytes",
-            got=f"{rows} rows, {footer.values} numbers",
-            do="the file is damaged; write it again",
+            expected=f"at most {most:,} numbers in {size:,} bytes",
+            got=f"{rows:,} rows, {footer.values:,} numbers",
+            do="the file is damaged, or nearly all of its numbers are equal: write it again, or without compression",
         )
 
 

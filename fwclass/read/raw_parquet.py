@@ -29,6 +29,10 @@ MAGIC = b"PAR1"
 BLOCK = 2_000
 """Rows that are held at a time."""
 
+FREE, A_BYTE = 2_000_000, 50
+"""Numbers that a file of any size may hold, and further ones for each of its bytes: each takes some 28 bytes of memory,
+and samples of a receiver, which differ, are packed to a byte for a few."""
+
 
 def is_raw_parquet(path: Path) -> bool:
     """A Parquet file with a column of samples; polygons have none."""
@@ -100,7 +104,7 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
         raise _damaged(path, fault) from None
     settings, names = Settings.of(footer.metadata, path), list(footer.schema.names)
     check_columns(names, settings, path)
-    check_numbers(path, footer, (*REQUIRED, *OPTIONAL), LISTS)
+    check_numbers(path, footer, (*REQUIRED, *OPTIONAL), LISTS, FREE, A_BYTE)
     columns = tuple(n for n in (*REQUIRED, *OPTIONAL) if n in names)
     groups = tuple(np.concatenate([[0], np.cumsum(footer.rows)]).astype(int).tolist())
     return ParquetLayout(path, settings, columns, _direction(path, columns, settings), groups), settings

@@ -28,6 +28,9 @@ from fwclass.street.recording_columns import (
 BLOCK = 64
 """Frames that are held at a time."""
 
+A_BYTE = 2000
+"""Numbers that a byte of a file holds, at most: those of frames without a return are all the same."""
+
 ROWS = 512
 """Frames of a row group that is written."""
 
@@ -43,7 +46,7 @@ class ParquetRecording:
             raise damage_error(path, fault) from None
         self._names = list(footer.schema.names)
         check_columns(self._names, path)
-        check_numbers(path, footer, self._names, LISTS)
+        check_numbers(path, footer, self._names, LISTS, 0, A_BYTE)
         for name in self._names:
             kind = footer.schema.field(name).type
             if pa.types.is_fixed_size_list(kind) and kind.list_size > MOST_BEAMS:
