@@ -41,7 +41,7 @@ ABOVE_ROOMS = (
 )
 """What runs commands and whole surveys: its tests are another tier, whether or not they start a process."""
 
-DRAWING = ("fwclass.publish.waveform_pictures", "fwclass.publish.figures")
+DRAWING = tuple(f"fwclass.publish.{n}" for n in ("waveform_pictures", "figures", "papers.plots", "papers.scene"))
 """What draws with matplotlib, at up to a second a picture."""
 
 ELSEWHERE = (

@@ -7,6 +7,7 @@ coding of differences. Shares nothing with the reader.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 
 TOP = 1 << 32
 
@@ -43,11 +44,8 @@ class Frequencies:
         if self.total > 1 << 15:
             self.seen = [(n + 1) // 2 for n in self.seen]
             self.total = sum(self.seen)
-        scale, self.starts = (1 << 31) // self.total, []
-        below = 0
-        for n in self.seen:
-            self.starts.append(scale * below >> 16)
-            below += n
+        scale = (1 << 31) // self.total
+        self.starts = [scale * below >> 16 for below in accumulate(self.seen[:-1], initial=0)]
         self.period = self.wait = min(5 * self.period // 4, 8 * (len(self.seen) + 6))
 
     def saw(self, symbol: int) -> None:
@@ -113,14 +111,17 @@ class Differences:
     """Whole numbers of `bits` bits, as what they are more than was expected."""
 
     def __init__(self, coder: Coder, bits: int, contexts: int = 1) -> None:
-        self.coder, self.bits, self.zero = coder, bits, Chance()
-        self.lengths = [Frequencies(bits + 1) for _ in range(contexts)]
+        self.coder, self.bits, self.contexts, self.zero = coder, bits, contexts, Chance()
+        self.lengths: dict[int, Frequencies] = {}
         self.known: dict[int, Frequencies] = {}
 
     def put(self, expected: int, value: int, context: int = 0) -> None:
         half = 1 << (self.bits - 1)
         c = (value - expected + half) % (2 * half) - half
         k = (-c if c <= 0 else c - 1).bit_length()
+        assert context < self.contexts
+        if context not in self.lengths:
+            self.lengths[context] = Frequencies(self.bits + 1)
         self.coder.symbol(self.lengths[context], k)
         if k == 0:
             self.coder.bit(self.zero, c)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -107,6 +108,7 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     return {"path": str(path), "bytes": size, "sections": shown}
 
 
+@functools.cache
 def environment() -> Environment:
     """Jinja's environment of the pages: it escapes every text, writes out what would turn one around, and a name that
     is not given is an error."""

@@ -175,8 +175,9 @@ def test_figures_are_those_of_the_paper_and_nothing_where_there_is_no_object():
 def test_cells_are_as_wide_as_the_tested_echoes_lie_apart():
     r = np.random.default_rng(1)
     for density, expected in ((25.0, 2), (3.0, 3), (1.0, 5), (0.2, 11)):
-        n = int(density * 200**2)
-        x, y, code = r.uniform(0, 200, n), r.uniform(0, 200, n), np.full(n, 6, np.uint8)
+        side = 100 if density > 10 else 200
+        n = int(density * side**2)
+        x, y, code = r.uniform(0, side, n), r.uniform(0, side, n), np.full(n, 6, np.uint8)
         blocks = BlockCounts.of(x, y, code, code, CLASSES, 25.0)
         assert cells_across(blocks.counts, 25.0, PARAMS) == expected
     assert cells_across(np.zeros((0, 3, 4), np.int64), 25.0, PARAMS) == 2

@@ -86,7 +86,7 @@ def test_every_channel_has_its_own_pulse(params, widths, sizes):
 
 
 def test_channels_are_fitted_as_if_each_were_alone(params, fit):
-    waves = both(of_width(3.5), of_width(6.0, 3000, 2, 4095.0))
+    waves = both(of_width(3.5, 1500), of_width(6.0, 1500, 2, 4095.0))
     pulse = estimate_pulse(waves, params)
     together = fit_waveforms(waves, fit, pulse)
     left = signal_of(together, waves, pulse, fit)
@@ -109,10 +109,10 @@ def test_channels_are_fitted_as_if_each_were_alone(params, fit):
 
 
 def test_channels_of_one_receiver_share_its_pulse(params):
-    waves = both(of_width(4.5), of_width(4.5, 2000, 2, 4095.0))
+    waves = both(of_width(4.5, 1500), of_width(4.5, 1000, 2, 4095.0))
     pulse = estimate_pulse(waves, params)
     assert len(pulse.channels) == 2 and not any(c.pulse for c in pulse.channels)
-    few = both(of_width(4.5), of_width(9.0, 40, 2, 4095.0))
+    few = both(of_width(4.5, 1500), of_width(9.0, 40, 2, 4095.0))
     assert not any(c.pulse for c in estimate_pulse(few, params).channels), "too few of its own"
 
 
@@ -141,7 +141,7 @@ def test_where_echoes_share_no_width_the_recorded_pulse_is_taken(params, fit, n)
 @pytest.mark.parametrize(("width", "widest"), [(4.1, 1.6), (5.2, 1.6), (3.0, 1.6), (8.2, 1.0)])
 def test_echoes_that_share_a_width_are_believed(params, fit, width, widest):
     """A receiver other than the one that recorded the outgoing pulse: told, not overruled."""
-    waves, recorded = of_width(width, widest=widest), recorded_pulse(sent(4.1), params)
+    waves, recorded = of_width(width, 1500, widest=widest), recorded_pulse(sent(4.1), params)
     pulse = estimate_pulse(waves, params, recorded)
     assert pulse.to_json() == estimate_pulse(waves, params).to_json()
     (told,) = channel_pulses(pulse, recorded, fit)
@@ -149,7 +149,7 @@ def test_echoes_that_share_a_width_are_believed(params, fit, width, widest):
 
 
 def test_a_stored_pulse_of_a_channel_is_checked(params):
-    stored = estimate_pulse(both(of_width(3.5), of_width(6.0, 3000, 2, 4095.0)), params).to_json()
+    stored = estimate_pulse(both(of_width(3.5, 1000), of_width(6.0, 1000, 2, 4095.0)), params).to_json()
     own = next(c for c in stored["channels"] if c["pulse"])
     for wrong in ({"channels": [own]}, {"fwhm": -1.0}, {"values": [2.0] * 9}):
         broken = {**stored, "channels": [{**own, "pulse": {**own["pulse"], **wrong}}]}

@@ -36,7 +36,7 @@ def departure(found: SystemPulse, true: Pulse) -> float:
 
 @pytest.mark.parametrize("pulse", [skewed(), ringing()], ids=["skewed", "ringing"])
 def test_a_pulse_that_is_no_gaussian_is_measured(pulse):
-    waves, _ = survey_mix(8000, seed=1, pulse=pulse, widest=1.0)
+    waves, _ = survey_mix(5000, seed=1, pulse=pulse, widest=1.0)
     found = estimate_pulse(waves, PARAMS)
     assert found.shape == "measured" and found.echoes >= 1000
     # the mean of 1000 echoes at 50 times the noise: 1e-3 of the height, where samples are 3.5 to a FWHM
@@ -86,7 +86,7 @@ SENSORS = [
 
 @pytest.mark.parametrize("kind", SENSORS, ids=lambda k: f"{k[0]}ns-every-{k[1]}ns-{k[2]}bit")
 def test_the_width_is_found_for_any_sensor(kind):
-    waves, pulse = sensor(2500, *kind)
+    waves, pulse = sensor(1500, *kind)
     found = estimate_pulse(waves, PARAMS)
     assert found.shape == "gaussian"
     # one sample to a FWHM leaves one degree of freedom to an echo
@@ -102,18 +102,18 @@ def test_the_width_is_found_for_any_sensor(kind):
 
 @pytest.mark.parametrize("kind", [SENSORS[3], SENSORS[4], SENSORS[7]], ids=["16bit", "8bit", "coarse"])
 def test_the_shape_is_found_for_other_sensors(kind):
-    waves, pulse = sensor(4000, *kind, tail=0.25 * kind[0])
+    waves, pulse = sensor(2500, *kind, tail=0.25 * kind[0])
     found = estimate_pulse(waves, PARAMS)
     assert found.shape == "measured"
     assert departure(found, pulse) < 5e-3
 
 
 def test_neither_order_nor_cutting_matters():
-    waves, _ = survey_mix(4000, seed=3, pulse=ringing())
+    waves, _ = survey_mix(2000, seed=3, pulse=ringing())
     whole = estimate_pulse(waves, PARAMS)
-    backwards = rows_of(waves, np.arange(4000)[::-1])
-    parts = [rows_of(waves, np.arange(a, b)) for a, b in ((2500, 4000), (0, 1), (1, 2500))]
-    joined = join_samples([sample_pulses(part, 2, 4000, PARAMS) for part in parts])
+    backwards = rows_of(waves, np.arange(2000)[::-1])
+    parts = [rows_of(waves, np.arange(a, b)) for a, b in ((1200, 2000), (0, 1), (1, 1200))]
+    joined = join_samples([sample_pulses(part, 2, 2000, PARAMS) for part in parts])
     assert joined.returns.rows == 0
     for other in (estimate_pulse(backwards, PARAMS), estimate_pulse(joined, PARAMS)):
         assert json.dumps(other.to_json()) == json.dumps(whole.to_json())
@@ -134,9 +134,9 @@ def test_the_sample_is_a_share_of_the_strip_and_knows_no_chunks():
 
 
 def test_scaling_and_raising_change_the_channel_not_the_pulse():
-    waves, _ = survey_mix(2500, seed=5, pulse=skewed(), bits=16, amplitude=(50.0, 2000.0), noise=(10.0, 20.0))
+    waves, _ = survey_mix(1500, seed=5, pulse=skewed(), bits=16, amplitude=(50.0, 2000.0), noise=(10.0, 20.0))
     one = estimate_pulse(waves, PARAMS)
-    other = waves_of((waves.samples.reshape(2500, -1) * 7 + 500).astype(np.uint16), saturation=65535.0)
+    other = waves_of((waves.samples.reshape(1500, -1) * 7 + 500).astype(np.uint16), saturation=65535.0)
     two = estimate_pulse(other, PARAMS)
     assert two.fwhm == pytest.approx(one.fwhm, rel=1e-4)
     assert two.channels[0].baseline == pytest.approx(7 * one.channels[0].baseline + 500, rel=1e-6)
@@ -154,13 +154,13 @@ def test_two_channels_are_told_apart():
 
 
 def test_saturated_echoes_do_not_count():
-    waves, _ = survey_mix(4000, seed=8, amplitude=(50.0, 1500.0), widest=1.0)
+    waves, _ = survey_mix(2000, seed=8, amplitude=(50.0, 1500.0), widest=1.0)
     assert estimate_pulse(waves, PARAMS).fwhm == pytest.approx(3.5, rel=0.01)
 
 
 def test_a_digitiser_of_fewer_bits_than_its_samples_is_told():
     """12 bits stored in 16: clipped at 4095, and no flat top enters the pulse's shape."""
-    waves, _ = mix(4000, (1.0,), amplitude=(200.0, 9000.0), noise=(3.0, 3.0), bits=16, saturation=65535.0, seed=8)
+    waves, _ = mix(2000, (1.0,), amplitude=(200.0, 9000.0), noise=(3.0, 3.0), bits=16, saturation=65535.0, seed=8)
     clipped = replace(waves, samples=np.minimum(waves.samples, 4095))
     pulse = estimate_pulse(clipped, PARAMS)
     assert [c.clip for c in pulse.channels] == [4095.0] and pulse.channels[0].saturation == 65535.0
@@ -184,10 +184,10 @@ def test_too_few_echoes_give_a_width_at_most():
 
 
 def test_shape_and_width_can_be_given():
-    waves, _ = survey_mix(4000, seed=11, pulse=ringing())
+    waves, _ = survey_mix(2000, seed=11, pulse=ringing())
     forced = estimate_pulse(waves, params_of(shape="gaussian", width=3.6))
     assert (forced.shape, forced.fwhm) == ("gaussian", 3.6)
-    plain, _ = survey_mix(4000, seed=12)
+    plain, _ = survey_mix(2000, seed=12)
     measured = estimate_pulse(plain, params_of(shape="measured"))
     assert measured.shape == "measured" and departure(measured, Pulse()) < 0.02
 

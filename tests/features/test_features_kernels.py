@@ -147,16 +147,14 @@ normal are taken in 1/128 mm."""
 
 
 def check(table, got, scale, sets, suffix):
-    for i, near in enumerate(sets):
-        expected = reference(table, np.array(near), i, scale)
-        for base in bases(scale.kind if suffix != "_opt" else "o"):
-            value = got[base + suffix][i]
-            if base == "echo_ratio":
-                continue
-            want = expected.get(base, np.nan)
-            # amplitude and width are taken in steps of 1/1024
-            loose = ATTRIBUTE_STEP if base[:5] in ("ampli", "width") else TOLERANCE.get(base, 2e-6)
-            np.testing.assert_allclose(value, want, rtol=FEATURE_RTOL, atol=loose, err_msg=f"{base}{suffix} of {i}")
+    expected = [reference(table, np.array(near), i, scale) for i, near in enumerate(sets)]
+    for base in bases(scale.kind if suffix != "_opt" else "o"):
+        if base == "echo_ratio":
+            continue
+        want = [one.get(base, np.nan) for one in expected]
+        # amplitude and width are taken in steps of 1/1024
+        loose = ATTRIBUTE_STEP if base[:5] in ("ampli", "width") else TOLERANCE.get(base, 2e-6)
+        np.testing.assert_allclose(got[base + suffix], want, rtol=FEATURE_RTOL, atol=loose, err_msg=base + suffix)
 
 
 def random_cloud(rng, n):
@@ -206,13 +204,9 @@ def towers(rng, n):
 
 
 CLOUDS = (random_cloud, sloping_ground, wall, exact_line, places_taken_twice, few_and_alone, towers)
-LATER = (sloping_ground, wall, towers)
-"""Left to `make check`: a second each, and the others meet most of what these do."""
 
 
-@pytest.mark.parametrize(
-    "cloud", [pytest.param(f, marks=pytest.mark.statistics if f in LATER else (), id=f.__name__) for f in CLOUDS]
-)
+@pytest.mark.parametrize("cloud", CLOUDS, ids=lambda f: f.__name__)
 def test_every_measure_agrees_with_numpy_and_scipy(cloud):
     table = cloud_of(cloud(np.random.default_rng(17), 100))
     got = spheres(chunk_of(table), ASKED, PARAMS)

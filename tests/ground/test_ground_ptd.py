@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import functools
 
 import numpy as np
 import pytest
@@ -18,9 +18,6 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.tin.delaunay import empty_mesh, insert_all
 from fwclass.ground.tin.tin import tin_of, tin_raster
 
-ROOT = Path(__file__).resolve().parents[2]
-ISPRS = ROOT / ".." / "shared" / "data" / "isprs"
-URBAN = ROOT / ".." / "shared" / "data" / "ign_hd"
 PARAMS = GroundParams(**BASE["ground"])
 METHODS = ("ptd", "iptd")
 EAST, NORTH = 512_000.0, 5_403_000.0
@@ -228,35 +225,39 @@ def test_an_angle_of_the_slope_lies_between_the_two_angles():
     assert least.sum() < found(angle_of_slope=1.0).sum() <= most.sum()
 
 
-def isprs_errors(method, **update):
-    samples = sorted(ISPRS.glob("samp*.txt"))
+@functools.cache
+def isprs_samples(folder):
+    return [np.loadtxt(path).T for path in sorted((folder / "isprs").glob("samp*.txt"))]
+
+
+def isprs_errors(folder, method, **update):
+    samples = isprs_samples(folder)
     if not samples:
         pytest.skip("ISPRS samples are not here")
     own = PARAMS.of(method).model_copy(update=update)
     params = PARAMS.model_copy(update={"method": method, method: own})
     errors = []
-    for path in samples:
-        x, y, z, label = np.loadtxt(path).T
+    for x, y, z, label in samples:
         ground = ground_points(x, y, z, np.ones(len(x), bool), params).ground
         errors.append(100.0 * (ground != (label == 0)).mean())
     return np.mean(errors)
 
 
 @pytest.mark.parametrize(("method", "most"), [("ptd", 4.3), ("iptd", 3.9)])
-def test_mean_total_error_on_the_isprs_samples(method, most):
+def test_mean_total_error_on_the_isprs_samples(shared_data, method, most):
     """lidR's ptd has 9.95 % at fixed parameters."""
-    assert isprs_errors(method) < most
+    assert isprs_errors(shared_data, method) < most
 
 
 @pytest.mark.parametrize("res", [32.0, 40.0, 46.0])
-def test_the_size_of_the_squares_matters_little(res):
-    assert isprs_errors("ptd", res=res) < 4.6
+def test_the_size_of_the_squares_matters_little(shared_data, res):
+    assert isprs_errors(shared_data, "ptd", res=res) < 4.6
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_dense_town(method):
+def test_a_dense_town(shared_data, method):
     """28 points a square metre; cars, hedges and fences among houses."""
-    tiles = sorted(URBAN.glob("urban_*.laz"))
+    tiles = sorted((shared_data / "ign_hd").glob("urban_*.laz"))
     if not tiles:
         pytest.skip("tiles of IGN LiDAR HD are not here")
     laspy = pytest.importorskip("laspy")
