@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -43,6 +45,12 @@ def flags(params, x, y, z):
     return ground_points(x, y, z, np.ones(len(x), bool), params)
 
 
+@pytest.fixture(scope="module")
+def usual(params):
+    """What a method finds in the `town`, once for all laws."""
+    return functools.cache(lambda method: flags(params(method), *town()[:3]))
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_flat_plain_is_all_ground(params, method):
     rng = np.random.default_rng(2)
@@ -54,17 +62,16 @@ def test_a_flat_plain_is_all_ground(params, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_house_and_tree_are_not_ground_and_the_slope_is(params, method):
-    x, y, z, terrain = town()
-    found = flags(params(method), x, y, z)
+def test_house_and_tree_are_not_ground_and_the_slope_is(usual, method):
+    terrain, found = town()[3], usual(method)
     assert (found.ground[terrain]).mean() > 0.98
     assert (found.ground[~terrain]).mean() < 0.02
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_heights_shifted_by_whole_millimetres_change_nothing(params, method):
+def test_heights_shifted_by_whole_millimetres_change_nothing(params, usual, method):
     x, y, z, _ = town()
-    expected = flags(params(method), x, y, z)
+    expected = usual(method)
     for shift in (1000.0, -412.357):
         found = flags(params(method), x, y, z + shift)
         np.testing.assert_array_equal(found.ground, expected.ground)
@@ -72,36 +79,36 @@ def test_heights_shifted_by_whole_millimetres_change_nothing(params, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_order_of_points_does_not_matter(params, method):
+def test_the_order_of_points_does_not_matter(params, usual, method):
     x, y, z, _ = town()
     order = np.random.default_rng(3).permutation(len(x))
-    expected, found = flags(params(method), x, y, z), flags(params(method), x[order], y[order], z[order])
+    expected, found = usual(method), flags(params(method), x[order], y[order], z[order])
     np.testing.assert_array_equal(found.ground, expected.ground[order])
     np.testing.assert_array_equal(found.noise, expected.noise[order])
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_double_gets_what_the_point_gets_and_changes_no_other(params, method):
+def test_a_double_gets_what_the_point_gets_and_changes_no_other(params, usual, method):
     x, y, z, _ = town()
     rows = np.r_[np.arange(len(x)), np.arange(0, len(x), 7)]
-    expected, found = flags(params(method), x, y, z), flags(params(method), x[rows], y[rows], z[rows])
+    expected, found = usual(method), flags(params(method), x[rows], y[rows], z[rows])
     np.testing.assert_array_equal(found.ground, expected.ground[rows])
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_moved_by_whole_blocks_the_answer_is_the_same(params, method):
+def test_moved_by_whole_blocks_the_answer_is_the_same(params, usual, method):
     x, y, z, _ = town()
-    expected = flags(params(method), x, y, z)
+    expected = usual(method)
     found = flags(params(method), x + 3 * 256.0, y - 5 * 256.0, z)
     np.testing.assert_array_equal(found.ground, expected.ground)
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("turn", ["mirrored", "transposed"])
-def test_mirrored_or_transposed_the_answer_is_the_same(params, method, turn):
+def test_mirrored_or_transposed_the_answer_is_the_same(params, usual, method, turn):
     """But for a few points: holes are filled by a fixed number of sweeps, which go from one side to the other."""
     x, y, z, _ = town()
-    expected = flags(params(method), x, y, z)
+    expected = usual(method)
     u, v = np.rint((x - EAST) * 1000) / 1000, np.rint((y - NORTH) * 1000) / 1000
     u, v = (256.0 - u, v) if turn == "mirrored" else (v, u)
     found = flags(params(method), EAST + u, NORTH + v, z)
@@ -110,9 +117,9 @@ def test_mirrored_or_transposed_the_answer_is_the_same(params, method, turn):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("depth", [5.0, 300.0])
-def test_one_point_far_below_changes_nothing_else(params, method, depth):
+def test_one_point_far_below_changes_nothing_else(params, usual, method, depth):
     x, y, z, _ = town()
-    expected = flags(params(method), x, y, z)
+    expected = usual(method)
     stray = np.r_[x, EAST + 50.123], np.r_[y, NORTH + 15.456], np.r_[z, 301.0 - depth]
     found = flags(params(method), *stray)
     np.testing.assert_array_equal(found.ground[:-1], expected.ground)
@@ -135,7 +142,7 @@ def bad_geometries():
         "doubled places": (np.r_[t, t], np.r_[t[::-1], t[::-1]], np.r_[zero, zero + 8.0]),
         "one point per 100 m2": (10 * t, 10 * t[::-1], zero),
         "a grid": tuple(np.meshgrid(np.arange(20.0), np.arange(20.0))[k % 2].ravel() * (k < 2) for k in range(3)),
-        "far apart": (np.array([0.0, 900.0, 1.0]), np.array([0.0, 700.0, 0.0]), np.array([0.0, 100.0, 0.0])),
+        "far apart": (np.array([0.0, 600.0, 1.0]), np.array([0.0, 400.0, 0.0]), np.array([0.0, 100.0, 0.0])),
     }
 
 

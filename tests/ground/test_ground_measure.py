@@ -175,7 +175,7 @@ def test_a_filter_without_candidates_keeps_its_own_parameters():
 @pytest.mark.parametrize("method", ["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf"])
 def test_on_a_steep_hillside_every_filter_keeps_no_less_than_before(method):
     """70 %, steeper than what most filters take for terrain by themselves; there is nothing but ground."""
-    x, y, z = plane(0.6, size=120.0, slope=0.7)
+    x, y, z = plane(0.6, size=90.0, slope=0.7)
     base = conf.section("ground").model_copy(update={"method": method})
     rules, last = conf.section("ground_auto"), np.ones(len(x), bool)
     params = adapt_filter((x, y, z), last, base, rules, method).params

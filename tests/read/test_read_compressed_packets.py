@@ -101,12 +101,14 @@ def test_any_bytes_are_decoded_inside_of_their_arrays(packet, wide, n):
     assert len(found) == n and found.max(initial=0) < (1 << 16 if wide else 1 << 8)
 
 
+NOISE = packed(np.rint(np.random.default_rng(1).normal(100.0, 4.0, 256)).astype(int), 8)
+
+
 @settings(deadline=None, max_examples=200)
 @given(at=st.integers(1, 200), value=st.integers(1, 255), cut=st.integers(0, 4))
 def test_a_changed_byte_gives_other_samples_or_no_packet(at, value, cut):
     """What reads past its packet, or not to its end, is none; a change that keeps the length cannot be seen."""
-    values = np.rint(np.random.default_rng(1).normal(100.0, 4.0, 256)).astype(int)
-    packet = bytearray(packed(values, 8))
+    packet = bytearray(NOISE)
     packet[at % (len(packet) - 3)] ^= value
     _, sound = unpacked(bytes(packet[: len(packet) - cut]), False, 256)
     assert not (sound and cut and unpacked(bytes(packet), False, 256)[1])
@@ -190,20 +192,27 @@ def test_a_delivered_strip_takes_its_packets_along(tmp_path, base):
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> list[tuple[str, bytes]]:
+    """A strip's files, as (name, bytes): points, then packets."""
+    path = strip(tmp_path_factory.mktemp("sound") / "a.las", pulses=15).path
+    return [(one.name, one.read_bytes()) for one in (path, path.with_suffix(".wdz"))]
+
+
 @relaxed
 @given(changes=st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), min_size=1, max_size=6))
-def test_damaged_points_and_packets(tmp_path, params, changes):
+def test_damaged_points_and_packets(tmp_path, params, sound, changes):
     """Damage anywhere ends in waveforms or in words."""
-    truth = strip(tmp_path / "a.las", pulses=15)
-    for path in (truth.path, truth.path.with_suffix(".wdz")):
-        raw = bytearray(path.read_bytes())
+    for name, data in sound:
+        raw = bytearray(data)
         for at, value in changes:
             raw[at % len(raw)] = value
-        path.write_bytes(raw)
+        (tmp_path / name).write_bytes(raw)
+    path = tmp_path / sound[0][0]
     try:
-        info(truth.path)
-        for span in index_source(open_source(truth.path), params):
-            read_span(open_source(truth.path), span, params)
+        info(path)
+        for span in index_source(open_source(path), params):
+            read_span(open_source(path), span, params)
     except InputError as error:
         assert "where" in str(error)
 
