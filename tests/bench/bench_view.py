@@ -292,7 +292,7 @@ def test_a_frame_beside_three_js(run: Path, tmp_path: Path) -> None:
 def test_a_survey_of_many_tiles(tmp_path: Path) -> None:
     """10 000 tiles, or FWCLASS_TILES squared; to make them takes minutes."""
     edge = int(os.environ.get("FWCLASS_TILES", "100"))
-    small = process(small_survey(tmp_path), tmp_path / "small")
+    small = process(small_survey(tmp_path, tile=25), tmp_path / "small")
     root = many_tiles(small, tmp_path / "many", edge, 1_000_000)
     began = time.process_time()
     params = conf.section("view", ())

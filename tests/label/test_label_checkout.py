@@ -30,7 +30,7 @@ NAMES = {2: "ground", 5: "bush"}
 def made(tmp_path_factory):
     """A run of a small survey, which no test writes to: (survey, root)."""
     place = tmp_path_factory.mktemp("checked")
-    survey = small_survey(place)
+    survey = small_survey(place, tile=25)
     ended = fwclass("run", survey, "--out", place / "run", "--workers", 0)
     assert ended.returncode == 0, ended.stderr
     return survey, place / "run"

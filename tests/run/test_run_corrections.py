@@ -64,7 +64,7 @@ def inside(made, box=SPOT):
 def first(tmp_path_factory):
     """A run without corrections: (survey, root, report, echoes)."""
     place = tmp_path_factory.mktemp("corrected")
-    survey = small_survey(place)
+    survey = small_survey(place, tile=25)
     report = run(survey, place / "run")
     return survey, place / "run", report, echoes(place / "run")
 

@@ -20,7 +20,7 @@ TILE = "20000_216000"
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("stranger")
-    small_survey(place)
+    small_survey(place, tile=25)
     deliver(place)
     return place / "run"
 

@@ -56,7 +56,7 @@ def server(scene: ViewedRun) -> Iterator[Server]:
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with a survey of 6000 discrete returns and its finished run."""
     place = tmp_path_factory.mktemp("small")
-    small_survey(place)
+    small_survey(place, tile=25)
     deliver(place)
     return place
 
