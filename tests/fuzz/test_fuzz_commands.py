@@ -55,6 +55,13 @@ def whole() -> Iterator[Child]:
         yield child
 
 
+@pytest.fixture(scope="module")
+def harm() -> Iterator[Child]:
+    with pytest.MonkeyPatch.context() as patch, Child("harm", script="server.py") as child:
+        patch.setenv("FUZZ_CPU_SECONDS", "1")
+        yield child
+
+
 def corpus() -> list[str]:
     """Lines ``COMMAND CASE RECIPE``."""
     rows = Path(__file__).with_name("commands.txt").read_text().splitlines()
@@ -120,8 +127,6 @@ def test_two_thousand_drawn_inputs_do_no_harm(command: str, whole: Child) -> Non
         ("odd", "exit code 7"),
     ],
 )
-def test_a_command_that_does_harm_is_found_out(does: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FUZZ_CPU_SECONDS", "1")
-    with Child("harm", script="server.py") as child:
-        assert told in child.ask(f"harm plain a.txt:0-4={does.encode().hex()}")["told"]
-        assert child.ask("harm plain ")["told"] == ""
+def test_a_command_that_does_harm_is_found_out(does: str, told: str, harm: Child) -> None:
+    assert told in harm.ask(f"harm plain a.txt:0-4={does.encode().hex()}")["told"]
+    assert harm.ask("harm plain ")["told"] == ""
