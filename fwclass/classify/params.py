@@ -58,6 +58,9 @@ class RefineParams(Params):
         return tuple(f"eigenvalue_{k}_r{round(100 * s)}" for s in self.scales for k in (1, 2, 3))
 
 
+Cells = Annotated[tuple[Annotated[float, Field(strict=True, ge=0.1, le=WIDEST)], ...], Field(max_length=MOST_CELLS)]
+
+
 class ContextParams(Params):
     """A second layer that decides every echo again, by the first one's answers around it; numbers stand in
     `conf/base.yaml`.
@@ -65,18 +68,29 @@ class ContextParams(Params):
     Attributes
     ----------
     cells : edges of the cells that neighbours are counted in, boxes of 5 x 5 and of 5 x 5 x 5 of them [m]; empty: no
-        such layer; None: as the model has that is given or learned further, and none without one.
+        such layer; None: as the model has that is given or learned further, and none without one; auto: likewise, and
+        without one `auto_cells`, where squares that neither layer has learned from say that both are better.
+    auto_cells : edges that `auto` tries [m].
     folds : so many first layers answer for the training areas, each for squares that it has not learned from.
+    trees : of each of these, and of the second layers that are tried, where they are forests; at most as many as a
+        forest of the run has.
     """
 
-    cells: tuple[Annotated[float, Field(strict=True, ge=0.1, le=WIDEST)], ...] | None = Field(max_length=MOST_CELLS)
+    cells: Literal["auto"] | Cells | None
+    auto_cells: Cells = Field(min_length=1)
     folds: int = Field(ge=2, le=50)
+    trees: int = Field(ge=1, le=10_000)
 
-    @field_validator("cells")
+    @property
+    def tried(self) -> tuple[float, ...]:
+        """Edges of the cells of a layer that is learned, or tried [m]; empty where none is asked for."""
+        return self.auto_cells if self.cells == "auto" else self.cells or ()
+
+    @field_validator("cells", "auto_cells")
     @classmethod
-    def _rising(cls, cells: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if cells is None:
-            return None
+    def _rising(cls, cells: Literal["auto"] | tuple[float, ...] | None) -> Literal["auto"] | tuple[float, ...] | None:
+        if cells is None or cells == "auto":
+            return cells
         if any(b <= a for a, b in zip(cells, cells[1:], strict=False)):
             raise ValueError("edges must rise")
         if any(abs(100 * c - round(100 * c)) > 1e-6 for c in cells):

@@ -99,7 +99,7 @@ def _check_layers(config: Config) -> None:
             got=f"thin.rate {config.thin.rate:g}",
             do="--set thin.rate=1, or --set classify.refine.between=[]",
         )
-    if config.classify.context.cells:
+    if config.classify.context.cells not in (None, (), "auto"):
         both = bool(config.classify.refine.between)
         if both or config.thin.rate < 1.0:
             raise ConfigError(

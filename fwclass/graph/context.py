@@ -9,10 +9,17 @@ from fwclass.classify.kept import Kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.classify.unsure import Left
 from fwclass.errors import InputError
-from fwclass.graph.classify import classes_written, codes_of, given_model, names_that_decide, outside_facts, own_model
+from fwclass.graph.classify import (
+    classes_written,
+    classify_tile,
+    codes_of,
+    given_model,
+    names_that_decide,
+    outside_facts,
+    own_model,
+)
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
-from fwclass.graph.learn import TRAIN_COARSE
 from fwclass.graph.loaded_models import used_model
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.model import Contextual, sample_matrix
@@ -24,9 +31,12 @@ _PLACE = ("x", "y", "z")
 
 
 def share_first(here: StageInputs, layer: ContextLayer, model: str | None) -> Result:
-    """The first layer's shares of a tile's echoes."""
-    used = used_model(here, None, TRAIN_COARSE) if model is None else _contextual(here, model).coarse
-    tables = []
+    """The first layer's shares of a tile's echoes; none (0) where the run found that a second one does not pay."""
+    both = used_model(here, model)
+    if not isinstance(both, Contextual):
+        none = np.zeros(_none_where_given(here, model).own_rows().rows, np.uint8)
+        return Table(dict.fromkeys(layer.columns(), none)), {}
+    used, tables = both.coarse, []
     outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
@@ -45,8 +55,11 @@ def classify_tile_in_context(
     kept: Kept | None = None,
     left: Left | None = None,
 ) -> Result:
-    """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none."""
-    used = _contextual(here, model)
+    """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none.
+    Where the run found that a second layer does not pay, those of the first one."""
+    used = used_model(here, model)
+    if not isinstance(used, Contextual):
+        return classify_tile(_none_where_given(here, model), probabilities, model, kept, left)
     rows_of, parts = [], []
     for these, chunk in here.chunks():
         rows_of.append(these)
@@ -63,12 +76,11 @@ def classify_tile_in_context(
     return table, {"codes": codes_of(table), "filled": missing}
 
 
-def _contextual(here: StageInputs, model: str | None) -> Contextual:
-    """The model of both layers that is given, by its digest; None: the run's own."""
-    used = used_model(here, model)
-    if not isinstance(used, Contextual):
+def _none_where_given(here: StageInputs, model: str | None) -> StageInputs:
+    """`here`, of a run that made its own model; one that is given has the second layer that was planned."""
+    if model is not None:
         raise InputError("the model has no context", where=here.part, do="run the same again: it was changed")
-    return used
+    return here
 
 
 SHARE_FIRST = Stage(
@@ -82,8 +94,8 @@ SHARE_FIRST = Stage(
     keyed=names_that_decide,
     own=lambda plan: plan.names,
     writes=lambda plan: layer_of(plan).columns(),
-    after=(TRAIN_COARSE,),
-    needs=lambda plan, part: () if plan.model else ((TRAIN_COARSE, "model"),),
+    after=("train",),
+    needs=own_model,
     source=given_model,
     cells=True,
 )

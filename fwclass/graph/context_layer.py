@@ -40,8 +40,16 @@ def context_layer(plan: Plan) -> ContextLayer | None:
     if plan.model is not None:
         model = model_at(local(plan.model[0]), plan.model[1], True)
         return ContextLayer(tuple(model.codes.tolist()), model.cells) if isinstance(model, Contextual) else None
-    cells = plan.config.classify.context.cells or ()
+    context = plan.config.classify.context
+    cells = () if context.cells == "auto" and not tries(plan) else context.tried
     return ContextLayer(tuple(c.code for c in plan.config.classes), cells) if cells else None
+
+
+def tries(plan: Plan) -> bool:
+    """Whether a run has a second layer only where it pays: `auto`, and nothing that it cannot stand behind."""
+    config = plan.config
+    alone = config.thin.rate == 1.0 and config.train.method == "forest" and not config.classify.refine.between
+    return plan.model is None and config.classify.context.cells == "auto" and alone
 
 
 def layer_of(plan: Plan) -> ContextLayer:

@@ -20,7 +20,8 @@ from fwclass.classify.shares import answer
 from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
-from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
+from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of, tries
+from fwclass.graph.context_trial import Trial, Verdict, verdict
 from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
 from fwclass.graph.loaded_models import MODEL, model_at, used_model
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -41,7 +42,7 @@ from fwclass.model import ClassDef, Contextual, sample_matrix
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.select.folds import Folds, spatial_folds
 from fwclass.store.arrays import write_arrays
-from fwclass.store.models import load_model, save_model
+from fwclass.store.models import load_forest, load_model, save_model
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
 from fwclass.train.params import TrainParams
@@ -51,14 +52,16 @@ from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, merge
 FOLDS, FOLD_SHARES = "fold-models", "fold-shares"
 DRAWN, MERGED, TRIED = "context-sample", "context-training", "context-folds"
 FOLD_SHARE = "fold_share"
+SQUARES = "squares"
 _PLACE = ("x", "y", "z")
 LEAST_SQUARE = 2.0
 """m, squares of the folds are halved down to this where training areas are small."""
 
 
-def squares_of(sample: Sample, block: float, gap: float, folds: int) -> tuple[Folds, float]:
+def squares_of(sample: Sample, block: float, gap: float, folds: int, alone: bool = False) -> tuple[Folds, float]:
     """Folds of a sample's rows by squares of `block` [m], or of a half, a quarter … down to `LEAST_SQUARE` where there
-    are too few, and at last by fewer folds; and the edge [m] that it was. `InputError` for a single square."""
+    are too few, and at last by fewer folds; and the edge [m] that it was. `InputError` for a single square, or
+    where the first layer may stand `alone`, one fold that nothing trains for."""
     x, y = sample.place[:, 0].astype(np.float64) * 0.001, sample.place[:, 1].astype(np.float64) * 0.001
     edges = [block]
     while edges[-1] / 2 >= LEAST_SQUARE:
@@ -66,6 +69,8 @@ def squares_of(sample: Sample, block: float, gap: float, folds: int) -> tuple[Fo
     for edge, count in (*((e, folds) for e in edges), *((edges[-1], n) for n in range(folds - 1, 1, -1))):
         with suppress(InputError):
             return spatial_folds(x, y, sample.y, edge, min(gap, edge / 4), count), edge
+    if alone:
+        return Folds(np.zeros(sample.rows, np.int16), np.ones((1, sample.rows), bool), 1), edges[-1]
     raise InputError(
         "the training areas are too small to learn the context of an echo",
         where="classify.context, areas.train",
@@ -84,10 +89,11 @@ def train_fold(
     block: float,
     gap: float,
     folds: int,
+    alone: bool = False,
 ) -> Result:
     """A first layer that has not learned from the squares of a fold."""
     sample = survey_sample(here.inputs, names)
-    division, _ = squares_of(sample, block, gap, folds)
+    division, _ = squares_of(sample, block, gap, folds, alone)
     rest = _rest(here, sample, division)
     if rest is not None:
         save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap))
@@ -105,12 +111,18 @@ def _rest(here: StageInputs, sample: Sample, division: Folds) -> Sample | None:
 
 
 def share_folds(
-    here: StageInputs, names: tuple[str, ...], layer: ContextLayer, block: float, gap: float, folds: int
+    here: StageInputs,
+    names: tuple[str, ...],
+    layer: ContextLayer,
+    block: float,
+    gap: float,
+    folds: int,
+    alone: bool = False,
 ) -> Result:
     """Shares of a tile's echoes by the first layer that has not learned from their square, or the whole one where
     nothing of it was learned, or a class stands in one fold alone."""
     sample = survey_sample(here.inputs, names)
-    division, edge = squares_of(sample, block, gap, folds)
+    division, edge = squares_of(sample, block, gap, folds, alone)
     mm = whole_millimetres(edge, "select.block")
     squares, at = np.unique(sample.place // mm, axis=0, return_index=True)
     fold_of = division.fold[at]
@@ -179,18 +191,21 @@ def try_context(
     block: float,
     gap: float,
     folds: int,
+    alone: bool = False,
 ) -> Result:
-    """How many rows of a fold's squares the first layer has right, and both, which have not learned from them."""
+    """What the first layer and what both say of the rows of a fold's squares, which they have not learned from."""
     sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
-    division, _ = squares_of(sample, block, gap, folds)
+    division, edge = squares_of(sample, block, gap, folds, alone)
     rest = _rest(here, sample, division)
     if rest is None:
-        return {"rows": 0, "first": 0, "both": 0}
+        return {"rows": 0}
     asked = sample.take(division.judged(int(here.part)))
     first = asked.X[:, len(names) : len(names) + len(classes)].astype(np.float64)
     both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap))[1]
-    right = [int((shares.argmax(axis=1) == asked.y).sum()) for shares in (first, both)]
-    return {"rows": asked.rows, "first": right[0], "both": right[1]}
+    square = asked.place // whole_millimetres(edge, "select.block")
+    trial = Trial.of(square, asked.y, first.argmax(axis=1), both.argmax(axis=1), len(classes))
+    write_arrays(here.directory / SQUARES, vars(trial))
+    return {"rows": asked.rows}
 
 
 def train_context(
@@ -204,33 +219,44 @@ def train_context(
     block: float,
     gap: float,
     folds: int,
+    alone: bool = False,
 ) -> Result:
-    """The second layer, and both as one model, delivered as the run's."""
-    coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
+    """The second layer, and both as one model, delivered as the run's; with `alone` the first one where the second does
+    not pay."""
+    place = here.inputs.path(TRAIN_COARSE, "model", MODEL)
+    coarse = load_model(place)
     sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
+    judged = _judged(here, sample, classes, folds)
+    tried = _in_words(judged, alone)
+    notes = [*coarse.card["notes"], tried]
+    if alone and not judged.pays:
+        one = load_forest(place)
+        one = replace(one, card={k: v for k, v in one.card.items() if k != "digest"} | {"notes": notes})
+        save_model(here.directory / MODEL, one)
+        return {"card": dict(one.card), "trees": one.trees, "nodes": len(one.feature), "tried": tried}
     fine = with_feature_parameters(
         fit_layer(with_base_rows(here, sample), params, compare, classes, block, gap), computed
     )
-    trials = [here.inputs.meta(TRIED, str(k)) for k in range(folds)]
-    judged = {n: sum(int(t[n]) for t in trials) for n in ("rows", "first", "both")}
     card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
-    card["notes"] = [*card["notes"], *_note_of(judged)]
-    both = Contextual(
-        coarse, fine, {**card, "kind": Contextual.kind, "context": {"cells": list(layer.cells), "judged": judged}}
-    )
+    context = {"cells": list(layer.cells), "judged": dict(judged.facts)}
+    both = Contextual(coarse, fine, {**card, "notes": notes, "kind": Contextual.kind, "context": context})
     both.check("a newly trained model")
     save_model(here.directory / MODEL, both)
-    return {"card": dict(both.card), "trees": None}
+    return {"card": dict(both.card), "trees": None, "tried": tried}
 
 
-def _note_of(judged: Mapping[str, int]) -> list[str]:
-    if not judged["rows"]:
-        return ["whether the second layer pays could not be tried: a class stands in one square of the folds alone"]
-    first, both = (100 * judged[n] / judged["rows"] for n in ("first", "both"))
-    pays = "" if both > first else ": it does not pay here (--set classify.context.cells=[])"
-    return [
-        f"of training rows in squares not learned from the first layer has {first:.1f} % right, both {both:.1f} %{pays}"
-    ]
+def _judged(here: StageInputs, sample: Sample, classes: tuple[ClassDef, ...], folds: int) -> Verdict:
+    """Whether the second layer pays, by what the folds tried."""
+    tried = [str(k) for k in range(folds) if here.inputs.meta(TRIED, str(k))["rows"]]
+    trials = (Trial(**here.inputs.arrays(TRIED, part, SQUARES)[0]) for part in tried)
+    return verdict(Trial.joined(trials, len(classes)), sample.eligible, tuple(c.name for c in classes))
+
+
+def _in_words(judged: Verdict, alone: bool) -> str:
+    if judged.pays:
+        return judged.sentence
+    said = "it is not used, as" if alone else "it does not pay here (--set classify.context.cells=[]):"
+    return f"{judged.sentence}: {said} {', '.join(judged.why)}"
 
 
 def _learns(plan: Plan) -> bool:
@@ -253,6 +279,7 @@ def _squares(plan: Plan) -> Mapping[str, Any]:
         "block": plan.config.select.block,
         "gap": plan.config.select.gap,
         "folds": plan.config.classify.context.folds,
+        **({"alone": True} if tries(plan) else {}),
     }
 
 
@@ -261,7 +288,15 @@ def _fitting(plan: Plan) -> Mapping[str, Any]:
     return {**learning_arguments(plan), "compare": plan.config.compare, **_squares(plan)}
 
 
+def _fitting_folds(plan: Plan) -> Mapping[str, Any]:
+    """Likewise, of those that fit a layer by fold."""
+    params = plan.config.train
+    fewer = params.model_copy(update={"trees": min(params.trees, plan.config.classify.context.trees)})
+    return {**_fitting(plan), "params": fewer}
+
+
 _OF_LAYERS = 1000 * BASELINE_VERSION + TRAIN.version
+_OF_JUDGING = 1_000_000 + _OF_LAYERS
 _OF_ROWS = 1000 * CONTEXT.version + TRAIN_SAMPLE.version
 
 TRAIN_FOLDS = Stage(
@@ -272,7 +307,7 @@ TRAIN_FOLDS = Stage(
     train_fold,
     when=_learns,
     parts=_folds,
-    arguments=_fitting,
+    arguments=_fitting_folds,
     silent=frozenset({"importance_repeats", "base_rows"}),
     after=("training", BASE_ROWS),
     needs=lambda plan, part: (("training", "all"), *base_rows_part(plan)),
@@ -321,20 +356,20 @@ MERGE_CONTEXT = Stage(
 )
 TRY_CONTEXT = Stage(
     TRIED,
-    _OF_LAYERS,
+    _OF_JUDGING,
     "survey",
     "tree_row",
     try_context,
     when=_learns,
     parts=_folds,
-    arguments=lambda plan: {**_fitting(plan), "layer": layer_of(plan)},
+    arguments=lambda plan: {**_fitting_folds(plan), "layer": layer_of(plan)},
     silent=frozenset({"importance_repeats", "base_rows"}),
     after=(MERGED, BASE_ROWS),
     needs=lambda plan, part: ((MERGED, "all"), *base_rows_part(plan)),
 )
 TRAIN_CONTEXT = Stage(
     TRAIN.name,
-    _OF_LAYERS,
+    _OF_JUDGING,
     "survey",
     "tree_row",
     train_context,

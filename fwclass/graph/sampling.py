@@ -11,7 +11,7 @@ from fwclass.conf.sections import AreasSection
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test, training_tiles
 from fwclass.graph.base_model import base_has_context, classes_of_base
-from fwclass.graph.context_layer import context_layer
+from fwclass.graph.context_layer import context_layer, tries
 from fwclass.graph.corrections import (
     CORRECTIONS,
     corrected_training_rows,
@@ -60,7 +60,7 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     config = plan.config
     train = config.areas.boxes("train")
     whole = total((receipt.meta for receipt in counted.values()), len(train), len(config.classes))
-    layers = context_layer(plan) is None or base_has_context(plan)
+    layers = context_layer(plan) is None or tries(plan) or base_has_context(plan)
     stands = layers and any(whole["labelled"])  # base rows stand in for a class without labels
     sentences = lacking(whole, config.classes, train, classes_of_base(plan) if stands else frozenset())
     if sentences:

@@ -71,6 +71,7 @@ def training_facts(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | N
         },
         "trees": receipt.meta["trees"],
         "in_context": (card.get("context") or {}).get("cells"),
+        "context_trial": receipt.meta.get("tried"),
         "features": list(names),
         "out_of_bag": card.get("out_of_bag", {}).get("accuracy"),
         "notes": card.get("notes", []),

@@ -63,10 +63,12 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     if report.get("bathymetry"):
         rows.append(f"water       {water_words(report['bathymetry'])} in waveforms")
     rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
-    accuracy, model = report["accuracy"], report.get("model") or {}
+    accuracy, model, trained = report["accuracy"], report.get("model") or {}, report["training"] or {}
     if model.get("path"):
         count = len(model["features"])
         rows.append(f"classifier  {model['path']}, by its own {count} features; survey.features is not looked at")
+    if trained.get("context_trial"):
+        rows.append(f"layers      {trained['context_trial']}")
     if accuracy:
         kappa = accuracy["kappa"]
         rows.append(
@@ -75,7 +77,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             + f" on {accuracy['area']}"
         )
         rows += [f"objects     {text}" for text in object_lines(accuracy.get("objects"))]
-    elif report["training"]:
+    elif trained:
         none = (
             "unknown: no labelled echo lies in a test area (areas.test, areas.gap; with areas.train: all none is left)"
         )

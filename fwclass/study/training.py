@@ -71,7 +71,8 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     elif (
         plain["accuracy"] is None
         and config.train.method == "forest"
-        and not (config.classify.refine.between or config.classify.context.cells)
+        and not config.classify.refine.between
+        and not plain["card"].get("context")
     ):
         try:
             validated = cross_validate(config, runner, plan.layout, before, config.features_asked)
@@ -87,7 +88,8 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
 def kept_rows(config: Config, store: Store, most: int) -> ModelRows:
     """Of every class at most so many of the survey's training rows, those with the smallest hashes."""
     config = with_model(config)
-    stage = MERGED if config.classify.context.cells else "training"
+    receipt = store.receipt("train", "model")
+    stage = MERGED if receipt and receipt.meta["card"].get("context") else "training"
     sample = thin(Sample.from_arrays((), read_arrays(store.arrays_path(stage, "all", SAMPLE))[0]), most)
     codes, features = np.array([c.code for c in config.classes], np.uint8)[sample.y], len(config.features_asked)
     return ModelRows(sample.X[:, :features], codes, context_from(sample.X[:, features:]))

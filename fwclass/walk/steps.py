@@ -78,11 +78,13 @@ def with_model(config: Config) -> Config:
         return replace(config, survey=survey.model_copy(update=update))
     config = replace(config, survey=survey.model_copy(update={**update, "features": model.features}))
     one_layer = config.classify.refine.between or config.thin.rate < 1.0 or config.train.method != "forest"
-    if config.classify.context.cells is not None or not isinstance(model, Contextual) or one_layer:
+    cells = config.classify.context.cells
+    if cells not in (None, "auto") or not isinstance(model, Contextual) or one_layer:
         return config
     if not one_to_one(model.classes, config.classes):
         return config
-    context = config.classify.context.model_copy(update={"cells": model.cells})
+    key = "auto_cells" if cells == "auto" else "cells"
+    context = config.classify.context.model_copy(update={key: model.cells})
     return replace(config, classify=config.classify.model_copy(update={"context": context}))
 
 
@@ -95,7 +97,7 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     model = load_model(path)
     check_model(model, config, path)
     cells = config.classify.context.cells
-    if cells and (not isinstance(model, Contextual) or model.cells != cells):
+    if cells and cells != "auto" and (not isinstance(model, Contextual) or model.cells != cells):
         has = f"cells of {list(model.cells)} m" if isinstance(model, Contextual) else "no layer that decides in context"
         raise ConfigError(
             "the model decides whether it has a layer that decides in context",

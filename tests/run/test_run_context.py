@@ -1,8 +1,10 @@
 """A layer that decides in context in a run: tiles, workers and a restart change nothing; its model travels."""
 
 import contextlib
+import html
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +15,12 @@ import fwclass as fwclass_package
 from fwclass import conf
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph import context_training
 from fwclass.graph.context_training import _folds_at, squares_of
+from fwclass.graph.context_trial import verdict
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent
+from fwclass.report.summary import summary
 from fwclass.run.cluster import Cluster
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import execute
@@ -199,3 +204,49 @@ def test_the_fold_of_an_echo_is_that_of_its_square():
     of = {tuple(s): f for s, f in zip(squares.tolist(), fold.tolist(), strict=True)}
     expected = [of.get((a, b), -1) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     np.testing.assert_array_equal(_folds_at(x, y, squares, fold), expected)
+
+
+AUTO = ("classify.context.cells=auto", "classify.context.auto_cells=[0.5, 1, 2.5]", *LAYER[1:])
+
+
+def answers(root):
+    """What is delivered of the echoes, byte by byte: all but the model, whose card says what was tried."""
+    return {name: digest for name, digest in delivered(root).items() if not name.startswith("model/")}
+
+
+@pytest.fixture(scope="module")
+def one_layer(survey, tmp_path_factory):
+    root = tmp_path_factory.mktemp("one")
+    runner, _ = walk(survey, root, *LAYER, "classify.context.cells=[]")
+    assert not runner.failures
+    return root
+
+
+def said(why):
+    """`verdict`, with other reasons."""
+
+    def judge(*arguments):
+        return replace(verdict(*arguments), why=why)
+
+    return judge
+
+
+def test_where_a_second_layer_does_not_pay_a_run_answers_as_with_one(survey, one_layer, tmp_path, monkeypatch):
+    monkeypatch.setattr(context_training, "verdict", said(("mean IoU does not rise",)))
+    runner, report = walk(survey, tmp_path, *AUTO)
+    assert not runner.failures, runner.failures
+    assert answers(tmp_path) == answers(one_layer)
+    trial = report["training"]["context_trial"]
+    assert trial.endswith("it is not used, as mean IoU does not rise") and "squares of the training areas" in trial
+    assert report["training"]["in_context"] is None and trial in report["training"]["notes"]
+    assert trial in summary(report, tmp_path) and trial in load_model(tmp_path / "model").card["notes"]
+    assert trial in html.unescape((tmp_path / "report.html").read_text())
+
+
+@pytest.mark.slow
+def test_where_a_second_layer_pays_it_is_that_of_the_same_cells(survey, in_context, tmp_path, monkeypatch):
+    monkeypatch.setattr(context_training, "verdict", said(()))
+    runner, report = walk(survey, tmp_path, *AUTO)
+    assert not runner.failures
+    assert answers(tmp_path) == answers(in_context[0])
+    assert report["training"]["in_context"] == [0.5, 1, 2.5]

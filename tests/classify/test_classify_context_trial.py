@@ -1,0 +1,55 @@
+"""Whether a second layer pays: by squares that neither layer has learned from."""
+
+import numpy as np
+import pytest
+
+from fwclass.graph.context_trial import MOST_SQUARES, Trial, verdict
+
+NAMES = ("ground", "roof", "water")
+EVEN = np.array([1000, 1000, 1000])
+
+
+def trial_of(first, both, squares=12, rows=200, seed=1):
+    """Rows of three classes in squares, of which the layers have these shares right, by class."""
+    r = np.random.default_rng(seed)
+    truth = r.integers(0, 3, squares * rows)
+    place = np.stack([np.repeat(np.arange(squares), rows), np.zeros(squares * rows, int)], axis=1)
+    told = [np.where(r.random(len(truth)) < np.array(right)[truth], truth, (truth + 1) % 3) for right in (first, both)]
+    return Trial.of(place, truth, *told, 3)
+
+
+@pytest.mark.parametrize(
+    ("first", "both", "why"),
+    [
+        ((0.8, 0.8, 0.8), (0.9, 0.9, 0.9), ""),
+        ((0.9, 0.9, 0.9), (0.9, 0.9, 0.9), "overall accuracy gains nothing for sure"),
+        ((0.9, 0.9, 0.9), (0.8, 0.8, 0.8), "mean IoU does not rise"),
+        ((0.6, 0.6, 0.95), (0.9, 0.9, 0.5), "water loses -"),
+    ],
+)
+def test_it_pays_where_it_gains_for_sure_and_no_class_loses(first, both, why):
+    judged = verdict(trial_of(first, both), EVEN, NAMES)
+    assert judged.pays == (not why) and why in "; ".join(judged.why)
+    assert "12 squares of the training areas" in judged.sentence and judged.facts["rows"] == 2400
+
+
+def test_classes_weigh_as_in_the_survey():
+    """Roofs gain as much as ground loses: what there is more of decides."""
+    trial = trial_of((0.9, 0.7, 0.9), (0.8, 0.8, 0.9))
+    gains = [verdict(trial, np.array(n), NAMES).facts["gain"]["overall_accuracy"] for n in ((1, 9, 1), (9, 1, 1))]
+    assert gains[0]["difference"] > 0.04 and gains[1]["difference"] < -0.04
+
+
+def test_few_squares_tell_nothing():
+    judged = verdict(trial_of((0.8, 0.8, 0.8), (0.9, 0.9, 0.9), squares=4), EVEN, NAMES)
+    assert not judged.pays and "4 squares" in judged.sentence and "5 squares" in judged.why[0]
+    none = verdict(Trial.joined([], 3), EVEN, NAMES)
+    assert not none.pays and none.facts["rows"] == 0
+
+
+def test_the_order_of_folds_changes_nothing_and_squares_are_no_more_than_can_be_drawn():
+    parts = [trial_of((0.8, 0.8, 0.8), (0.9, 0.9, 0.9), squares=700, rows=3, seed=s) for s in (1, 2)]
+    parts[1] = Trial(parts[1].square + np.array([-900, 5]), parts[1].first, parts[1].both)
+    whole, turned = Trial.joined(parts, 3), Trial.joined(parts[::-1], 3)
+    assert len(whole.square) == 700 <= MOST_SQUARES and whole.first.sum() == 4200
+    assert verdict(whole, EVEN, NAMES) == verdict(turned, EVEN, NAMES)
