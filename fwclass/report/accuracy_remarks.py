@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,16 +30,17 @@ def accuracy_remarks(
     echoes: int,
     others: Mapping[str, int] | None = None,
     nearest: float | None = None,
+    cells: Iterable[float] = (),
 ) -> list[str]:
     """Remarks on the accuracy of a classifier by the features `names` over a survey of so many `echoes`.
 
     `others`: echoes by codes that no class counts. `nearest`: distance of the nearest tested echo from a training area
-    [m], where it was measured; elsewhere it is `areas.gap`. A model that was given learned elsewhere.
+    [m], where it was measured; elsewhere it is `areas.gap`. `cells`: edges of those that a second layer decides by [m].
+    A model that was given learned elsewhere.
     """
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
     apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
-    around = halo_of(config.classify.context.tried)
-    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + around
+    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + halo_of(cells)
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
     learned_here = (config.survey.model or config.survey.base_model) and not config.areas.train
     return [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,17 +34,18 @@ def remarks_on_accuracy(
     config: Config,
     names: tuple[str, ...],
     survey: Survey,
+    cells: Iterable[float],
 ) -> list[str]:
     """Remarks on the accuracy; none where there is none. `counted`: labels, which only a run that trains counts;
-    `echoes` of the whole survey."""
+    `echoes` of the whole survey; `cells`: edges of those that a second layer decides by [m]."""
     if accuracy is None:
         return []
     own = _own_answers(survey)
     if counted is None:
-        return own + accuracy_remarks(accuracy, config, names, echoes, {}, None)
+        return own + accuracy_remarks(accuracy, config, names, echoes, cells=cells)
     nearest = counted["gap"]["found"]
     own += _corrected(accuracy, counted.get("corrections"))
-    return own + accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
+    return own + accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest, cells)
 
 
 def _own_answers(survey: Survey) -> list[str]:

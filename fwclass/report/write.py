@@ -73,8 +73,8 @@ def write_report(
         **_of_the_classes(config, runner, survey, names, tiles, source, card),
     }
     if (accuracy := report["accuracy"]) is not None:
-        echoes = report["counts"]["echoes_in_tiles"]
-        accuracy["remarks"] = remarks_on_accuracy(accuracy, report["sampling"], echoes, config, names, survey)
+        echoes, cells = report["counts"]["echoes_in_tiles"], (report["training"] or {}).get("in_context") or ()
+        accuracy["remarks"] = remarks_on_accuracy(accuracy, report["sampling"], echoes, config, names, survey, cells)
     report["remarks"] = _remarks(report, config, runner, source, card)
     write_json(runner.pending / REPORT, report)
     render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)

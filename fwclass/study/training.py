@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -58,12 +59,12 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     plain: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
     plain |= {"ambiguous": 0, "remarks": [], "cross_validation": None, "unsure": None}
     if assess:
-        names, layout = config.features_asked, tested_layout(plan.layout)
+        layout = tested_layout(plan.layout)
         tasks += tasks_of(plan, CLASSIFYING) + tasks_of(replace(plan, tiled=layout), JUDGING)
         require_all(runner, ancestors(tasks, [("assess", "all")]))
         judged = runner.store.receipt("assess", "all")
         accuracy = judged.meta["accuracy"] if judged else None
-        sentences = accuracy_remarks(accuracy, config, names, plan.layout.echoes) if accuracy else [NOTHING_TESTED]
+        sentences = _remarks_beside(accuracy, plain["card"], plan) if accuracy else [NOTHING_TESTED]
         plain |= {"accuracy": accuracy, "remarks": sentences}
         plain |= {"unsure": share_below(judged.meta["automation"], MEASURED_BELOW) if judged and accuracy else None}
     if plain["accuracy"] is None and plan.base is not None:
@@ -83,6 +84,11 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
     plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
     return plain
+
+
+def _remarks_beside(accuracy: Mapping[str, Any], card: Mapping[str, Any], plan: Plan) -> list[str]:
+    config, cells = plan.config, (card.get("context") or {}).get("cells") or ()
+    return accuracy_remarks(accuracy, config, config.features_asked, plan.layout.echoes, cells=cells)
 
 
 def kept_rows(config: Config, store: Store, most: int) -> ModelRows:

@@ -16,6 +16,7 @@ from fwclass import conf
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph import context_training
+from fwclass.graph.context_layer import context_layer, tries
 from fwclass.graph.context_training import _folds_at, squares_of
 from fwclass.graph.context_trial import verdict
 from fwclass.operate.seams.walk import SeamRequest, seams
@@ -28,6 +29,7 @@ from fwclass.schema import IDENTITY
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
 from fwclass.train.sample import Sample
+from fwclass.walk.steps import plan_with_features
 
 LAYER = (
     "classify.context.cells=[0.5, 1, 2.5]",
@@ -187,12 +189,16 @@ def test_squares_are_halved_where_training_areas_are_small():
     assert edge == 3.125 and len(division.near) == 3, "fewer folds where there are fewer squares"
     with pytest.raises(InputError, match="too small to learn the context"):
         squares_of(rows_at(np.full(9, 100.0), np.full(9, 100.0)), 25.0, 3.0, 4)
+    division, _ = squares_of(rows_at(np.full(9, 100.0), np.full(9, 100.0)), 25.0, 3.0, 4, alone=True)
+    assert len(division.near) == 1 and not division.trains(0).any(), "one layer is all that can be learned"
 
 
 @pytest.mark.slow
-def test_training_areas_of_a_few_metres_still_learn(survey, tmp_path):
+@pytest.mark.parametrize("cells", ["[0.5, 1, 2.5]", "auto"])
+def test_training_areas_of_a_few_metres_still_learn(cells, survey, tmp_path):
     """Classes stand in one fold alone, or there are fewer squares than folds."""
-    runner, _ = walk(survey, tmp_path, *LAYER, "areas.train=[[512000, 5403000, 512012, 5403012]]", "select.block=5")
+    settings = (*LAYER[1:], f"classify.context.cells={cells}")
+    runner, _ = walk(survey, tmp_path, *settings, "areas.train=[[512000, 5403000, 512012, 5403012]]", "select.block=5")
     assert not runner.failures, runner.failures
 
 
@@ -231,16 +237,76 @@ def said(why):
     return judge
 
 
-def test_where_a_second_layer_does_not_pay_a_run_answers_as_with_one(survey, one_layer, tmp_path, monkeypatch):
-    monkeypatch.setattr(context_training, "verdict", said(("mean IoU does not rise",)))
-    runner, report = walk(survey, tmp_path, *AUTO)
+@pytest.fixture(scope="module")
+def given_up(survey, tmp_path_factory):
+    """A run whose second layer does not pay."""
+    root = tmp_path_factory.mktemp("given-up")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(context_training, "verdict", said(("mean IoU does not rise",)))
+        runner, report = walk(survey, root, *AUTO)
     assert not runner.failures, runner.failures
-    assert answers(tmp_path) == answers(one_layer)
+    return root, report
+
+
+def test_where_a_second_layer_does_not_pay_a_run_answers_as_with_one(given_up, one_layer):
+    root, report = given_up
+    assert answers(root) == answers(one_layer)
     trial = report["training"]["context_trial"]
     assert trial.endswith("it is not used, as mean IoU does not rise") and "squares of the training areas" in trial
     assert report["training"]["in_context"] is None and trial in report["training"]["notes"]
-    assert trial in summary(report, tmp_path) and trial in load_model(tmp_path / "model").card["notes"]
-    assert trial in html.unescape((tmp_path / "report.html").read_text())
+    assert trial in summary(report, root) and trial in load_model(root / "model").card["notes"]
+    assert trial in html.unescape((root / "report.html").read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", ["tile.size=37.5", "tile.size=1000"])
+def test_whether_it_pays_does_not_depend_on_tiles(setting, survey, tmp_path):
+    told, before = [], []
+    for name, more in (("one", ()), ("other", (setting,))):
+        runner, report = walk(survey, tmp_path / name, *more, *AUTO)
+        assert not runner.failures
+        told.append(report["training"]["context_trial"])
+        before.append(delivered_echoes(tmp_path / name))
+    assert told[0] == told[1]
+    for column in before[0]:
+        np.testing.assert_array_equal(before[0][column], before[1][column], err_msg=column)
+
+
+@pytest.mark.slow
+def test_workers_try_it_likewise_and_a_restart_computes_nothing(survey, tmp_path):
+    first, _ = walk(survey, tmp_path / "one", *AUTO)
+    runner, _ = walk(survey, tmp_path / "two", *AUTO, executor=Cluster(None, 2, 4.0, 1000))
+    assert not first.failures and not runner.failures
+    assert delivered(tmp_path / "one") == delivered(tmp_path / "two")
+    assert looked(survey, tmp_path / "two", *AUTO).all_done
+
+
+@pytest.mark.slow
+def test_a_run_without_the_layer_that_it_tried_is_seamless_explained_and_its_model_travels(survey, given_up, tmp_path):
+    root = given_up[0]
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", "seams.width=4", "seams.share=1", *AUTO))
+    compared = seams(config, root, SeamRequest((50.0, 50.0), config.seams.share, None, None), Silent())
+    assert {"first-shares", "classify"} <= {s.stage for s in compared.bounded}
+    assert all(s.differ == 0 for s in compared.bounded)
+    run = fwclass_package.open(root)
+    every = run.echoes().to_arrow().to_pydict()
+    why = run.explain({n: every[n][500] for n in IDENTITY})
+    assert max(why.shares.values()) == pytest.approx(every["confidence"][500], abs=1e-3)
+    assert BehindEchoes(run).why(why.tile, 0)["shares"]
+    model = ("survey.reference.kind=none", "classify.context.cells=auto", f"survey.model={root / 'model'}")
+    runner, _ = walk(survey, tmp_path / "run", *model)
+    assert not runner.failures
+    before, after = delivered_echoes(root), delivered_echoes(tmp_path / "run")
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name], err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "other", ["train.method=boosting", "thin.rate=0.5", "classify.refine.between=[building, vegetation]"]
+)
+def test_what_a_second_layer_cannot_stand_behind_is_run_without(other):
+    plan = plan_with_features(conf.load("demo", ("classify.context.cells=auto", other)))
+    assert context_layer(plan) is None and not tries(plan)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.graph.areas import training_tiles
+from fwclass.graph.context_training import TRAIN_FOLDS, TRY_CONTEXT
 from fwclass.graph.corrections import READ_CORRECTIONS
 from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.learn import TREES_PER_PART
@@ -227,6 +228,9 @@ class _Quantities:
         rows = float(config.train.samples_per_class * len(config.survey.classes))
         if stage.unit == "row":
             return Amount(parts, rows, rows, rows)
+        if stage in (TRAIN_FOLDS, TRY_CONTEXT):
+            each = rows * min(config.train.trees, config.classify.context.trees)
+            return Amount(parts, parts * each, each, rows * TREES_PER_PART)
         units = rows * config.train.trees
         each = rows * min(config.train.trees, TREES_PER_PART) if parts > 1 else units
         return Amount(parts, units, each, each if parts > 1 else 0.0)
