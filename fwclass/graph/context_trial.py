@@ -17,6 +17,8 @@ MOST_SQUARES = 1000
 _UNITS = 1000
 """Whole numbers that the weight of a row counts in."""
 
+_FIGURES = {"overall_accuracy": "overall accuracy", "mean_iou": "mean IoU"}
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -78,7 +80,7 @@ class Verdict:
 
 
 def verdict(trial: Trial, eligible: NDArray[np.int64], names: tuple[str, ...]) -> Verdict:
-    """Both layers pay where the 95 % interval of what they gain in overall accuracy lies above 0, mean IoU rises,
+    """Both layers pay where overall accuracy and mean IoU rise, the 95 % interval of one of the two gains lies above 0,
     and no class loses IoU by an interval that lies below 0.
 
     Rows of a class are weighed by the labelled echoes that they were drawn from, `eligible` (classes,): a class of few
@@ -95,20 +97,21 @@ def verdict(trial: Trial, eligible: NDArray[np.int64], names: tuple[str, ...]) -
         known = f"a second layer could be tried on {len(trial.square)} squares of the training areas"
         return Verdict((f"it takes {LEAST} squares to tell",), known, facts)
     of_class = class_gains(first, both)
-    right, iou = gain["overall_accuracy"], gain["mean_iou"]
+    figures = [(words, gain[name]["difference"], gain[name]["interval"]) for name, words in _FIGURES.items()]
+    sure = any(ends is not None and ends[0] > 0 for _, _, ends in figures)
     why = [
-        *(["overall accuracy gains nothing for sure"] if right["interval"][0] <= 0 else []),
-        *(["mean IoU does not rise"] if iou["difference"] <= 0 else []),
+        *(f"{words} does not rise" for words, change, _ in figures if change <= 0),
+        *([] if sure else ["neither gains for sure"]),
         *(
             f"{name} loses {_span(one['value'], (one['low'], one['high']))} points of IoU"
             for name, one in zip(names, of_class, strict=True)
             if one and one["high"] is not None and one["high"] < 0
         ),
     ]
+    changed = " and ".join(f"{words} by {_span(change, ends)}" for words, change, ends in figures)
     sentence = (
-        f"tried on {len(trial.square)} squares of the training areas that neither layer had learned from (95 % "
-        f"intervals), the second one changes overall accuracy by {_span(right['difference'], right['interval'])} and "
-        f"mean IoU by {_span(iou['difference'], iou['interval'])} points"
+        f"tried on {len(trial.square)} squares of the training areas that neither layer had learned from, the second "
+        f"one changes {changed} points (95 % intervals)"
     )
     return Verdict(tuple(why), sentence, {**facts, "gain": gain, "classes": of_class})
 
