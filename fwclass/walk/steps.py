@@ -78,13 +78,12 @@ def with_model(config: Config) -> Config:
         return replace(config, survey=survey.model_copy(update=update))
     config = replace(config, survey=survey.model_copy(update={**update, "features": model.features}))
     one_layer = config.classify.refine.between or config.thin.rate < 1.0 or config.train.method != "forest"
-    cells = config.classify.context.cells
-    if cells not in (None, "auto") or not isinstance(model, Contextual) or one_layer:
+    open_ = config.classify.context.cells in (None, "auto")
+    if not open_ or not isinstance(model, Contextual) or one_layer:
         return config
     if not one_to_one(model.classes, config.classes):
         return config
-    key = "auto_cells" if cells == "auto" else "cells"
-    context = config.classify.context.model_copy(update={key: model.cells})
+    context = config.classify.context.model_copy(update={"cells": model.cells})
     return replace(config, classify=config.classify.model_copy(update={"context": context}))
 
 

@@ -6,7 +6,8 @@ Training and test clouds are loaded, filtered and featurised apart: the model is
 files only, and judged by another over the test files only: no neighbourhood reaches from one into the other.
 P1 trains on the columns 77050 and 77055 of the urban tiles and tests on 77060; P1cv leaves each column out once and
 adds up the confusions; P4 trains on one square kilometre and tests on the next. Classes that are not scored (0, 65, 66)
-stay in the clouds. `p1train` leaves out one training tile of P1 at a time: for choosing features and parameters, which
+stay in the clouds. A second layer decides where it pays (docs/context.md); `--set classify.context.cells=[]`: never.
+`p1train` leaves out one training tile of P1 at a time: for choosing features and parameters, which
 the test tiles must not. Data are not part of this repository (public, IGN); without them it says so.
 """
 

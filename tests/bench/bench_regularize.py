@@ -7,7 +7,7 @@ different classes, times exp(-distance / (2 median distances)), is least: alpha-
 2001) by scipy's maximum flow, one round of all classes. Neighbours are the 20 nearest, a metre of height counts as 4.
 Blocks of the fixed grid are cut with a margin around each, so that no tile could change an answer; `--whole` cuts a
 file at once, to see what the blocks cost. `p1train` leaves out one training tile of P1 at a time: strengths are chosen
-there, and nowhere else.
+there, and nowhere else. One layer alone: `--set classify.context.cells=[]`.
 """
 
 from __future__ import annotations

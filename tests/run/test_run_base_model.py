@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,19 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 import fwclass as package
+from fwclass import conf
+from fwclass.graph import context_training
+from fwclass.graph.context_trial import verdict
 from fwclass.model import Contextual
 from fwclass.run.inputs import PartInputs
+from fwclass.run.local import Loop
+from fwclass.run.progress import Display
+from fwclass.run.runner import Runner
 from fwclass.store.corrections import add_corrections, read_corrections
 from fwclass.store.model_rows import load_rows
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
+from fwclass.study.training import kept_rows, training
 
 ALONE = ("--set", "survey.reference.kind=corrections", "--set", "areas.train=[]", "--set", "train.base_rows=50")
 
@@ -191,6 +199,37 @@ def test_the_context_of_a_base_model_may_be_left_out_or_be_another(contextual, t
     ended = learn(contextual, tmp_path / "other", "classify.context.cells=[2]")
     assert ended.returncode == 2 and "do not suffice" in ended.stderr, "no row of plants has such a context"
     assert "features" not in ended.stderr.split("do not suffice")[0], "before anything dear is computed"
+
+
+def test_where_it_pays_a_base_model_in_context_brings_its_own_and_one_without_keeps_its_classes(
+    contextual, made, tmp_path
+):
+    only(contextual[1], tmp_path / "run", 2)
+    ended = learn(contextual, tmp_path / "run", "classify.context.cells=auto")
+    assert ended.returncode == 0 and "context-training" in ended.stderr, ended.stderr
+    learned = load_model(Store(tmp_path / "run", read_only=True).path("train", "model", "model"))
+    assert isinstance(learned, Contextual) and learned.cells == (1.0, 3.0)
+    only(made[1], tmp_path / "other", 2)
+    ended = learn(made, tmp_path / "other", "classify.context.cells=auto")
+    assert ended.returncode == 0 and "it is not used" in ended.stderr, ended.stderr
+    written = np.unique(
+        package.open(tmp_path / "other").echoes(columns=["classification"]).to_pandas()["classification"]
+    )
+    assert {2, 5} <= set(written.tolist())
+
+
+@pytest.mark.parametrize("why", [(), ("mean IoU does not rise",)])
+def test_rows_are_kept_with_their_context_where_it_pays(why, made, tmp_path, monkeypatch):
+    monkeypatch.setattr(context_training, "verdict", lambda *tried: replace(verdict(*tried), why=why))
+    cells = ("classify.context.cells=auto", "classify.context.auto_cells=[1, 3]", "survey.reference.kind=source")
+    config = conf.load(made[0], (*cells, "train.trees=5"))
+    with Display() as display:
+        runner = Runner(tmp_path / "t", Loop(), display)
+        result = training(config, runner, False)
+    rows = kept_rows(config, runner.store, 20)
+    assert rows.context.shape == (40, 0 if why else 2 + 2 * 2 * 2)
+    asked = any("cross-validated" in remark for remark in result["remarks"])
+    assert asked == bool(why), "one layer alone is cross-validated, where there are blocks enough"
 
 
 RENAMED = "survey.classes=[{name: Boden, code: 20, codes: [2]}, {name: Busch, code: 5, codes: [1, 5]}]"

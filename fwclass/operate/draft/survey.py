@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fwclass import conf
+from fwclass.classify.context import halo_of
 from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, several, visible
 from fwclass.features.params import Asked, is_feature
@@ -202,9 +203,10 @@ def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]
 
 
 def gap_of(features: str) -> float:
-    """m, in whole metres: how far apart tested echoes share no neighbour with a training area's."""
-    asked = Asked.of(n for n in feature_set(features).features if is_feature(n))
-    return float(math.ceil(2.0 * asked.reach(conf.section("features"))))
+    """m, in whole metres: how far apart tested echoes share no neighbour with a training area's, and a second layer
+    looks at none of its echoes."""
+    reach = Asked.of(n for n in feature_set(features).features if is_feature(n)).reach(conf.section("features"))
+    return float(math.ceil(reach + max(reach, halo_of(conf.section("classify").context.auto_cells))))
 
 
 def sources_of(paths: Sequence[Path], beside: Path) -> tuple[str, list[str]]:
@@ -284,10 +286,10 @@ def _area_lines(classes: Sequence[Meaning], split: Split | None) -> list[str]:
         lines += [f"    # {one.name}: {inside:,} points to train on, {tested:,} to test on"]
     return [
         *lines,
-        f"  gap: {split.gap:g}    # m, twice the features' reach: tested echoes share no neighbour with trained ones",
+        f"  gap: {split.gap:g}    # m: neither features nor a second layer know tested echoes by trained ones",
         "",
-        "# classify:",
-        "#   context: {cells: [0.5, 1, 2.5, 5]}    # m: decides by the answers around too: docs/context.md",
+        "classify:",
+        "  context: {cells: auto}    # a second layer by the answers around, where it pays (docs/context.md); []: none",
     ]
 
 
