@@ -34,7 +34,8 @@ def share_first(here: StageInputs, layer: ContextLayer, model: str | None) -> Re
     """The first layer's shares of a tile's echoes; none (0) where the run found that a second one does not pay."""
     both = used_model(here, model)
     if not isinstance(both, Contextual):
-        none = np.zeros(_none_where_given(here, model).own_rows().rows, np.uint8)
+        _check_own(here, model)
+        none = np.zeros(here.inputs.rows(here.part, {"x": "tile"}).rows, np.uint8)
         return Table(dict.fromkeys(layer.columns(), none)), {}
     used, tables = both.coarse, []
     outside = RangeCounter.of(used.card, used.features)
@@ -59,7 +60,8 @@ def classify_tile_in_context(
     Where the run found that a second layer does not pay, those of the first one."""
     used = used_model(here, model)
     if not isinstance(used, Contextual):
-        return classify_tile(_none_where_given(here, model), probabilities, model, kept, left)
+        _check_own(here, model)
+        return classify_tile(here, probabilities, model, kept, left)
     rows_of, parts = [], []
     for these, chunk in here.chunks():
         rows_of.append(these)
@@ -76,11 +78,10 @@ def classify_tile_in_context(
     return table, {"codes": codes_of(table), "filled": missing}
 
 
-def _none_where_given(here: StageInputs, model: str | None) -> StageInputs:
-    """`here`, of a run that made its own model; one that is given has the second layer that was planned."""
+def _check_own(here: StageInputs, model: str | None) -> None:
+    """`InputError` unless the run made its model itself: one that is given has the second layer that was planned."""
     if model is not None:
         raise InputError("the model has no context", where=here.part, do="run the same again: it was changed")
-    return here
 
 
 SHARE_FIRST = Stage(

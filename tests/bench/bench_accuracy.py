@@ -72,7 +72,9 @@ def judged(split: Split, seed: int, root: Path, data: Path, settings: tuple[str,
         runner = Runner(root / "train", Loop(), display)
         learn = (f"survey.sources=[{', '.join(train)}]", f"areas.train={everywhere}")
         training(conf.load(survey, (*common, *learn)), runner, assess=False)
-        model = runner.store.path("train", "model", "model")
+        model, receipt = runner.store.path("train", "model", "model"), runner.store.receipt("train", "model")
+        if receipt and "tried" in receipt.meta:
+            print(f"{split[0]}, {len(train)} training files, seed {seed}: {receipt.meta['tried']}")
         apply = (f"survey.sources=[{', '.join(test)}]", f"survey.model={model}", "areas.train=[]")
         return assessed(conf.load(survey, (*common, *apply)), Runner(root / "test", Loop(), display))
 
