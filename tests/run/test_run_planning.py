@@ -137,6 +137,20 @@ def test_every_stage_of_a_run_is_planned(walked) -> None:
     assert plan.estimate.unknown == ()
 
 
+def test_a_second_layer_that_is_tried_is_planned_as_one_that_is_used_by_its_own_trees(walked) -> None:
+    plan, _, _ = walked
+
+    def planned(cells: str) -> dict:
+        more = ("train.trees=100", "classify.context.trees=8", f"classify.context.cells={cells}")
+        config = conf.load("demo", (*SETTINGS, f"survey.directory={plan.config.survey.directory}", *more))
+        return amounts(begin(config), plan.facts, config.tile.size)
+
+    tried, used = planned("auto"), planned("[0.5, 1.0, 2.5, 5.0]")
+    assert tried == used and {"fold-shares", "context-sample", "first-shares"} <= set(tried)
+    rows = tried["trees"].units / 100
+    assert {tried[n].units for n in ("fold-models", "context-folds")} == {5 * 8 * rows}
+
+
 def test_parts_are_as_many_as_the_run_had(walked) -> None:
     plan, _, report = walked
     parts = {s["name"]: s["parts"] for s in report["stages"]}
