@@ -83,7 +83,7 @@ def test_its_model_classifies_another_run_and_a_file(survey, in_context, tmp_pat
     card = load_model(model).card
     judged = card["context"]["judged"]
     assert judged["rows"] > 500 and 0.5 < judged["first"] / judged["rows"] <= 1
-    assert any("both" in note for note in card["notes"]), "what the layer gains is said"
+    assert any("squares of the training areas" in note for note in card["notes"]), "what the layer gains is said"
     runner, _ = walk(survey, tmp_path / "run", f"survey.model={model}", "survey.reference.kind=none")
     assert not runner.failures
     before, after = delivered_echoes(in_context[0]), delivered_echoes(tmp_path / "run")
