@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.intervals import LEAST, class_gains, difference
+from fwclass.assess.intervals import FIGURES, LEAST, class_gains, difference, scores
 
 MOST_SQUARES = 1000
 """Squares that are drawn from at most; of more, four become one."""
@@ -108,12 +108,16 @@ def verdict(trial: Trial, eligible: NDArray[np.int64], names: tuple[str, ...]) -
             if one and one["high"] is not None and one["high"] < 0
         ),
     ]
-    changed = " and ".join(f"{words} by {_span(change, ends)}" for words, change, ends in figures)
+    reached = dict(zip(FIGURES, scores(both.sum(axis=0)[None])[0].tolist(), strict=True))
+    changed = " and ".join(
+        f"{words} by {_span(change, ends)} to {100 * reached[name]:.1f}"
+        for name, (words, change, ends) in zip(_FIGURES, figures, strict=True)
+    )
     sentence = (
         f"tried on {len(trial.square)} squares of the training areas that neither layer had learned from, the second "
-        f"one changes {changed} points (95 % intervals)"
+        f"one changes {changed} % (95 % intervals)"
     )
-    return Verdict(tuple(why), sentence, {**facts, "gain": gain, "classes": of_class})
+    return Verdict(tuple(why), sentence, {**facts, "gain": gain, "classes": of_class, "reached": reached})
 
 
 def _span(value: float, ends: Sequence[float] | None) -> str:

@@ -32,6 +32,7 @@ def test_it_pays_where_one_figure_gains_for_sure_and_none_falls(first, both, why
     judged = verdict(trial_of(first, both), EVEN, NAMES)
     assert judged.pays == (not why) and why in "; ".join(judged.why)
     assert "12 squares of the training areas" in judged.sentence and judged.facts["rows"] == 2400
+    assert f"to {100 * judged.facts['reached']['overall_accuracy']:.1f} and mean IoU" in judged.sentence
 
 
 def test_classes_weigh_as_in_the_survey():
