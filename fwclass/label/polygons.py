@@ -21,6 +21,10 @@ BAND = 1_000
 WIDEST = 1 << 31
 """Largest extent of a polygon [mm] with which products of two differences fit 64 bits."""
 
+MOST_TESTS, MOST_EDGES = 3 * 10**10, 5 * 10**7
+"""Points that are held to an edge of their band, of all bands together (two minutes of the processor), and edges of a
+polygon, counted in every band that they cross (400 MB). Forests of a hundred thousand corners come to a tenth of it."""
+
 NONE, AMBIGUOUS = -1, -2
 """Groups of a point in no polygon, and of one in polygons of different classes."""
 
@@ -177,7 +181,10 @@ def from_polygons(chunk: Chunk, polygons: Polygons) -> tuple[Table, int]:
 def owners(
     x: NDArray[np.int64], y: NDArray[np.int64], polygons: Polygons
 ) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
-    """Code and group of the polygon that every point [mm] lies in; the group may be `NONE` or `AMBIGUOUS`."""
+    """Code and group of the polygon that every point [mm] lies in; the group may be `NONE` or `AMBIGUOUS`.
+
+    `InputError` where polygons have so many edges beside so many points that it would take hours.
+    """
     code, group = np.zeros(len(x), np.uint8), np.full(len(x), NONE, np.int16)
     if not len(x) or not polygons.parts:
         return code, group
@@ -187,7 +194,7 @@ def owners(
     start = np.searchsorted(band[order], np.arange(int(band.max()) + 2))
     sorted_code, sorted_group = code[order], group[order]
     low_x, low_y, high_x, high_y = polygons.bounds
-    _mark(
+    done = _mark(
         x[order],
         y[order],
         start,
@@ -204,7 +211,18 @@ def owners(
         polygons.group,
         sorted_code,
         sorted_group,
+        MOST_TESTS,
+        MOST_EDGES,
     )
+    if not done:
+        raise InputError(
+            "polygons have too many edges side by side",
+            where=f"around {x.min() / 1000:.0f}, {y.min() / 1000:.0f}",
+            expected=f"at most {MOST_TESTS:.0e} pairs of an edge and a point between its ends from south to north, and "
+            f"{MOST_EDGES:.0e} edges, each counted in every metre that it crosses",
+            got=f"{len(polygons.x):,} corners beside {len(x):,} points",
+            do="simplify the polygons, or cut them into smaller ones",
+        )
     code[order], group[order] = sorted_code, sorted_group
     return code, group
 
@@ -283,31 +301,44 @@ def _mark(  # type: ignore[no-untyped-def]
     group,
     out_code,
     out_group,
+    most_tests,
+    most_edges,
 ):
-    """Every polygon marks its points; points are sorted by band, then x."""
+    """Every polygon marks its points; points are sorted by band, then x. Whether all was done: not beyond bounds."""
     n_bands = len(band_start) - 1
-    edges = np.empty(_most_edges(y, ring_start, part_start, south, n_bands), np.int64)
+    room = _most_edges(y, ring_start, part_start, south, n_bands)
+    if room > most_edges:
+        return False
+    edges = np.empty(room, np.int64)
     start = np.empty(n_bands + 2, np.int64)
-    for p in range(len(code)):
-        base = max((low_y[p] - south) // BAND, 0)
-        bands = min((high_y[p] - south) // BAND, n_bands - 1) - base + 1
-        if bands <= 0:
-            continue
-        rings = (part_start[p], part_start[p + 1])
-        _edges_by_band(y, ring_start, rings, south, base, bands, start, edges)
-        for b in range(bands):
-            i = band_start[base + b]
-            end = band_start[base + b + 1]
-            if i == end or start[b] == start[b + 1]:
+    for fill in range(0 if len(x) * len(px) > most_tests else 1, 2):  # first they are counted
+        for p in range(len(code)):
+            base = max((low_y[p] - south) // BAND, 0)
+            bands = min((high_y[p] - south) // BAND, n_bands - 1) - base + 1
+            if bands <= 0:
                 continue
-            i += np.searchsorted(px[i:end], low_x[p])
-            while i < end and px[i] <= high_x[p]:
-                if _inside(px[i], py[i], x, y, edges, start[b], start[b + 1]):
-                    if out_group[i] == NONE:
-                        out_group[i] = group[p]
-                        out_code[i] = code[p]
-                    elif out_group[i] == group[p]:
-                        out_code[i] = min(out_code[i], code[p])
-                    else:
-                        out_group[i] = AMBIGUOUS
-                i += 1
+            rings = (part_start[p], part_start[p + 1])
+            _edges_by_band(y, ring_start, rings, south, base, bands, start, edges)
+            for b in range(bands):
+                i = band_start[base + b]
+                end = band_start[base + b + 1]
+                if i == end or start[b] == start[b + 1]:
+                    continue
+                end = i + np.searchsorted(px[i:end], high_x[p], side="right")
+                i += np.searchsorted(px[i:end], low_x[p])
+                if fill == 0:
+                    most_tests -= (end - i) * (start[b + 1] - start[b])
+                    if most_tests < 0:
+                        return False
+                    continue
+                while i < end:
+                    if _inside(px[i], py[i], x, y, edges, start[b], start[b + 1]):
+                        if out_group[i] == NONE:
+                            out_group[i] = group[p]
+                            out_code[i] = code[p]
+                        elif out_group[i] == group[p]:
+                            out_code[i] = min(out_code[i], code[p])
+                        else:
+                            out_group[i] = AMBIGUOUS
+                    i += 1
+    return True

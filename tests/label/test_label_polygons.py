@@ -1,5 +1,6 @@
 """Polygon labels: exact on edges, one owner for touching polygons, the same for any cut and order."""
 
+import time
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -203,3 +204,36 @@ def test_a_polygon_that_whole_millimetres_do_not_hold_is_refused(far):
     one = np.zeros(1, np.int16)
     with pytest.raises(InputError, match="nowhere on Earth"):
         Polygons.of(shapes([shapely.to_wkb(square)], "a.gpkg"), one, one, "a.gpkg")
+
+
+def zigzag(teeth, height):
+    """One polygon of edges side by side [mm], as wide as high."""
+    x = np.linspace(0, height, teeth).astype(np.int64)
+    y = np.where(np.arange(teeth) % 2, height, 0).astype(np.int64)
+    x, y = np.concatenate([x, [height, 0, 0]]), np.concatenate([y, [2 * height, 2 * height, 0]])
+    one = np.zeros(1, np.int16)
+    return Polygons(x, y, np.array([0, len(x)]), np.array([0, 1]), np.array([2], np.uint8), one)
+
+
+@pytest.mark.parametrize(("teeth", "height", "points"), [(200_000, 100_000, 200_000), (60_000, 1_000_000, 1000)])
+def test_edges_side_by_side_beside_many_points_are_refused_before_any_is_tried(teeth, height, points):
+    """200,000 edges and as many echoes took some two minutes of the processor, ten times the echoes ten times that."""
+    x, y = np.random.default_rng(1).integers(0, height, (2, points))
+    owners(x[:3], y[:3], zigzag(10, height))  # compiled
+    began = time.process_time()
+    with pytest.raises(InputError, match="too many edges side by side"):
+        owners(x, y, zigzag(teeth, height))
+    assert time.process_time() - began < 5
+
+
+def test_counting_edges_beforehand_changes_no_answer(monkeypatch):
+    x, y = np.random.default_rng(2).integers(0, 100_000, (2, 5000))
+    one = zigzag(100, 100_000)
+    known = owners(x, y, one)
+    for most in (103 * 5000, 103 * 5000 - 1):  # the first passes without counting
+        monkeypatch.setattr("fwclass.label.polygons.MOST_TESTS", most)
+        for answer, other in zip(known, owners(x, y, one), strict=True):
+            np.testing.assert_array_equal(answer, other)
+    monkeypatch.setattr("fwclass.label.polygons.MOST_TESTS", 100_000)
+    with pytest.raises(InputError, match="side by side"):
+        owners(x, y, one)
