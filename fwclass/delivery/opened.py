@@ -10,7 +10,6 @@ from typing import Any
 
 from fwclass.delivery.echoes import Bounds, Echoes
 from fwclass.delivery.explain import Explanation, explain
-from fwclass.delivery.held import REPORT, TILES, held
 from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
@@ -18,6 +17,7 @@ from fwclass.formats.geoparquet import header as geoparquet_header
 from fwclass.schema import IDENTITY
 from fwclass.store.atomic import read_json
 from fwclass.store.bucket import Remote
+from fwclass.store.delivered import REPORT, TILES, held
 from fwclass.store.digests import digest_now
 from fwclass.store.directory import CURRENT, MANIFEST
 from fwclass.store.generations import Generation, Generations, Manifest, manifest_files

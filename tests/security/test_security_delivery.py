@@ -63,6 +63,44 @@ FORGED: dict[str, tuple[str, Callable[[Any], object]]] = {
 }
 
 
+def within(*way: str | int, value: Any) -> Callable[[Any], object]:
+    """The value at a place of a report."""
+
+    def change(told: Any) -> None:
+        for name in way[:-1]:
+            told = told[name]
+        told[way[-1]] = value
+
+    return change
+
+
+FIGURES: dict[str, Callable[[Any], object]] = {
+    "no size of tiles": within("config", value={}),
+    "a size that is none": within("config", "tile", "size", value=[1]),
+    "counts that are none": within("accuracy", "confusion", value=[[1, [0, 1]], [2, 3]]),
+    "a figure that is text": within("accuracy", "kappa", value="x"),
+    "files without path": within("input", "files", value=[{"strip": 1}]),
+    "libraries that are none": within("libraries", "here", value=7),
+    "a model of nothing": within("model", value=[]),
+    "areas of text": within("config", "areas", "test", value="all"),
+    "a reference of nothing": within("config", "survey", "reference", value=None),
+}
+"""Each but the last ended a command with a traceback."""
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+@pytest.mark.parametrize("words", [("diff", "1", "1"), ("suggest", "s.gpkg"), ("view", "--export", "page")])
+def test_a_report_that_somebody_made_is_told_in_words(run: Path, tmp_path: Path, kind: str, words: tuple) -> None:
+    before = {n: (run / "current" / n).read_bytes() for n in (REPORT, "manifest.json", "generation.json")}
+    forged(run, REPORT, FIGURES[kind])
+    try:
+        ended = fwclass(words[0], run, *(tmp_path / w if "g" in w and w[0] != "-" else w for w in words[1:]))
+    finally:
+        for name, data in before.items():
+            rewrite((run / "current").resolve() / name, data)
+    assert ended.returncode in (1, 2) and "tells what no run writes" in ended.stderr, ended.stderr
+
+
 @pytest.mark.parametrize("kind", FORGED)
 def test_a_delivery_that_somebody_made_is_told_in_words(run: Path, tmp_path: Path, kind: str) -> None:
     before = {n: (run / "current" / n).read_bytes() for n in (VPC, REPORT, "manifest.json", "generation.json")}

@@ -16,6 +16,7 @@ from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
 from fwclass.operate.difference.rasters import DIFFERS, raster_changes
 from fwclass.store.atomic import move_into_place, read_json
+from fwclass.store.delivered import REPORT, held
 from fwclass.store.digests import digest_now
 from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
@@ -116,7 +117,7 @@ def _delivery(run: Path, number: int | None) -> Delivery:
                 got="others",
                 do="run the survey again with --verify: what is damaged is made anew",
             )
-    return Delivery(run, chosen, read_json(report))
+    return Delivery(run, chosen, held(read_json(report), REPORT, report))
 
 
 def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], ClassChanges]:

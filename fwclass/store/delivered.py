@@ -7,16 +7,47 @@ from typing import Any
 
 from fwclass.errors import InputError
 from fwclass.grid import FURTHEST
-from fwclass.store.shapes import COUNT, NUMBER, TEXT, TILE, Kind, Maybe, Related, Shape, misfit, pattern
+from fwclass.store.shapes import (
+    ANY,
+    COUNT,
+    NUMBER,
+    POSITIVE,
+    TEXT,
+    TILE,
+    WHOLE,
+    Kind,
+    Maybe,
+    Related,
+    Shape,
+    misfit,
+    pattern,
+    square,
+)
 
 _CODE = Kind("a class code", lambda value: COUNT.fits(value) and value <= 255)
 _PLACE = Kind("a coordinate on Earth [m]", lambda value: NUMBER.fits(value) and abs(value) <= FURTHEST)
 _BOUNDS = Related((_PLACE,) * 6, "bounds, the least first", lambda b: all(b[k] <= b[k + 3] for k in range(3)))
 
+_CLASSES = [{"name": TEXT, "code": _CODE, "codes": [WHOLE]}]
+_BOX = Related((NUMBER,) * 4, "a box, the least first", lambda box: box[0] <= box[2] and box[1] <= box[3])
+_SHARE = Maybe(NUMBER)
+
 REPORT: Shape = {
     "survey": TEXT,
     "classes": [{"name": TEXT, "code": _CODE}],
+    "place": {"crs?": Maybe(TEXT)},
+    "model": {"features?": Maybe([TEXT]), "classes?": _CLASSES},
+    "input": {"files": [{"path": TEXT, "strip": COUNT}]},
+    "libraries": {"here": {TEXT: ANY}},
+    "accuracy?": Maybe({"confusion": square(), "overall_accuracy": _SHARE, "kappa": _SHARE, "mean_iou": _SHARE}),
     "sureness?": Maybe({"tiles": [{"tile": TILE}]}),
+    "config": {
+        "tile": {"size": POSITIVE},
+        "label": {"max_move": NUMBER},
+        "areas": {"gap": NUMBER, "test": [_BOX], "train": [_BOX]},
+        "survey": {"model": Maybe(TEXT), "classes": _CLASSES, "reference": {"kind": TEXT, "corrections?": ANY}},
+        "decompose": {TEXT: ANY},
+    },
 }
 
 TILES: Shape = {
