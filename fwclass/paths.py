@@ -145,6 +145,18 @@ def strange_kind(path: str | Path) -> str:
         return ""
 
 
+def _waits(handle: int) -> bool:
+    """Whether a file that says that it is empty keeps its readers waiting, as the kernel's log below /proc does."""
+    try:
+        if not os.fstat(handle).st_size and os.read(handle, 1):
+            os.lseek(handle, 0, os.SEEK_SET)
+    except BlockingIOError:
+        return True
+    except OSError:  # whoever reads it is told
+        pass
+    return False
+
+
 def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading, without waiting.
 
@@ -157,7 +169,7 @@ def open_regular(path: Path | str) -> BinaryIO:
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     kind = stat.S_IFMT(os.fstat(handle).st_mode)
-    if kind == stat.S_IFREG:
+    if kind == stat.S_IFREG and not _waits(handle):
         return os.fdopen(handle, "rb")
     os.close(handle)
     if kind == stat.S_IFDIR:

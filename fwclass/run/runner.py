@@ -37,9 +37,15 @@ class Done(Mapping[Name, Receipt]):
         self._store, self._names = store, dict.fromkeys(names)
 
     def __getitem__(self, name: Name) -> Receipt:
-        receipt = self._store.receipt(*name) if name in self._names else None
-        if receipt is None:
+        if name not in self._names:
             raise KeyError(name)
+        receipt = self._store.receipt(*name)
+        if receipt is None:
+            raise StoreError(
+                "the receipt of a part that was finished is gone",
+                where=f"{self._store.where}: {'/'.join(name)}",
+                do="run again; the part is made anew",
+            )
         return receipt
 
     def __iter__(self) -> Iterator[Name]:

@@ -238,14 +238,22 @@ class Bucket:
         """As in a directory; the name has digits that no other writer's generation of that number has."""
         name = f"{number:04d}-{uuid.uuid4().hex[:8]}"
         unit = f"{GENERATIONS}/{name}"
-        self._copy(unit, files)
+        sizes = self._copy(unit, files)
         reports = {p.relative_to(pending).as_posix(): p for p in files_below(pending)}
         self.objects.put_files({f"{unit}/{to}": p for to, p in reports.items()})
         digests = {to: of for to, (_, of) in files.items()} | {to: file_digest(p) for to, p in reports.items()}
+        sizes |= {to: p.stat().st_size for to, p in reports.items()}
         present = {h.key[len(unit) + 1 :]: h for h in self.list(unit)}
-        lacking = sorted(digests.keys() - present.keys())
+        lacking = sorted(to for to, size in sizes.items() if to not in present or present[to].size != size)
         if lacking:
-            raise StoreError("what was just delivered is gone", where=self.where / unit / lacking[0], do="run again")
+            found = f"{present[lacking[0]].size} bytes" if lacking[0] in present else "nothing"
+            raise StoreError(
+                "what was just delivered is gone, or of another size",
+                where=self.where / unit / lacking[0],
+                expected=f"{sizes[lacking[0]]} bytes",
+                got=found,
+                do="run again",
+            )
         manifest = {
             to: {"bytes": present[to].size, "digest": of, "e_tag": present[to].mark.e_tag} for to, of in digests.items()
         }
@@ -253,9 +261,9 @@ class Bucket:
             self.put_new(f"{unit}/{to}", text)
         return name
 
-    def _copy(self, unit: str, files: Mapping[str, tuple[Path, str]]) -> None:
+    def _copy(self, unit: str, files: Mapping[str, tuple[Path, str]]) -> dict[str, int]:
         """Copy parts' files, named by their copies on this host with their digests, below a key; the server does it,
-        but for large ones."""
+        but for large ones. Their bytes."""
         sizes = {item.key: item.size for item in self.list("store")}
         pairs = [(files[to][0].relative_to(self.root).as_posix(), f"{unit}/{to}", files[to]) for to in sorted(files)]
         gone = [key for key, _, _ in pairs if key not in sizes]
@@ -270,6 +278,7 @@ class Bucket:
                 below, _, name = key.rpartition("/")
                 self.fetch(below, {name: {"bytes": sizes[key], "digest": digest}})
                 self.objects.put_files({target: path})
+        return {target[len(unit) + 1 :]: sizes[key] for key, target, _ in pairs}
 
     def retire(self, names: Iterable[str]) -> None:
         wanted = set(names)

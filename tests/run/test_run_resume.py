@@ -5,16 +5,17 @@ import os
 import re
 import shutil
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 from runmaker import SETTINGS, delivered, shifted_reference, walk
 
 from fwclass import conf
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, StoreError
 from fwclass.run.local import Loop, WhenNeeded
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
-from fwclass.run.runner import Runner, require_all
+from fwclass.run.runner import Done, Runner, require_all
 
 
 def statuses(runner):
@@ -197,3 +198,12 @@ def test_workers_start_for_the_first_part_and_never_for_none(tmp_path):
             runner = Runner(tmp_path, executor, display)
             assert len(runner.do(tasks[:2])) == 2 and len(runner.do(tasks)) == 3
         assert states == expected
+
+
+def test_a_receipt_that_goes_while_a_run_is_under_way_is_told():
+    """A server of objects may say that it has written, and not have: it ended with a KeyError."""
+    done = Done(SimpleNamespace(receipt=lambda *_: None, where="s3://b/run"), [("tile", "1_2")])
+    with pytest.raises(StoreError, match="receipt of a part that was finished is gone"):
+        done["tile", "1_2"]
+    with pytest.raises(KeyError):
+        done["tile", "3_4"]

@@ -117,6 +117,25 @@ def test_a_directory_and_a_file_are_what_they_are(tmp_path: Path) -> None:
         open_regular(tmp_path / "b")
 
 
+def test_a_file_that_keeps_its_readers_waiting_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the kernel's log, ``/proc/kmsg``, which says that it is an empty file; a link of a model may lead there."""
+    (tmp_path / "a").write_bytes(b"")
+    with open_regular(tmp_path / "a") as file:
+        assert file.read() == b""
+
+    def wait(*_: object) -> bytes:
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "read", wait)
+    with pytest.raises(InputError, match="this is no file"):
+        open_regular(tmp_path / "a")
+
+
+def test_a_file_of_the_system_is_read_from_its_beginning() -> None:
+    with open_regular("/proc/self/status") as file:
+        assert file.read().startswith(b"Name:")
+
+
 def test_a_pipe_among_the_sources_is_refused(tmp_path: Path) -> None:
     """It was left out without a word."""
     (tmp_path / "a.laz").write_bytes(b"")

@@ -241,6 +241,16 @@ def test_generations_appear_at_one_stroke_and_the_last_stay(s3, remote):
     assert [g.number for g in store.generations.all()] == [2, 4]
 
 
+def test_a_copy_that_the_server_cuts_short_is_not_delivered(s3, remote, monkeypatch):
+    """It says that it copied, and lists other bytes: a run ended with 0."""
+    store, receipt = Store(remote), commit(remote, "whole", "k", name="laz/a.laz", place="deliver")
+    files = {n: (store.base(receipt) / n, str(f["digest"])) for n, f in receipt.outputs.items()}
+    monkeypatch.setattr(Objects, "copy", lambda self, source, target: self.put(target, b"wh"))
+    with pytest.raises(StoreError, match="of another size"):
+        store.generations.publish(files, True, 2)
+    assert "current.json" not in s3.keys(remote.url)
+
+
 def test_copies_are_bounded_and_the_longest_unread_go_first(remote, monkeypatch, tmp_path):
     for part in "abcd":
         commit(remote, "k", part * 1000, part)
