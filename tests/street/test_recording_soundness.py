@@ -16,6 +16,8 @@ from fwclass.errors import InputError
 from fwclass.single_file.street.info import info
 
 BEAMS = 1081
+ALONE = ("--workers", 0)
+"""Two workers take four seconds of the processor to start: one command of these tests has them."""
 
 
 def columns() -> dict:
@@ -141,7 +143,7 @@ def test_a_trajectory_of_another_day(tmp_path: Path) -> None:
 def test_commands_end_with_4_after_their_work(tmp_path: Path) -> None:
     sets = [word for s in SHORT for word in ("--set", s)]
     wrong = write(tmp_path / "a.parquet", {"time": 1000 * columns()["time"]})
-    for command in (("classify", wrong, tmp_path / "o"), ("run", wrong, "--out", tmp_path / "o")):
+    for command in (("classify", wrong, tmp_path / "o", *ALONE), ("run", wrong, "--out", tmp_path / "o")):
         line = ("street", *command, "--model", directory() / "model", "--overwrite", *sets)
         ended = fwclass(*line)
         assert ended.returncode == 4 and "the recording is not what it says" in ended.stderr, ended.stderr
@@ -153,7 +155,7 @@ def test_commands_end_with_4_after_their_work(tmp_path: Path) -> None:
 def test_the_model_knows_its_mounting(tmp_path: Path) -> None:
     path = directory() / "drive.parquet"
     line = ("street", "classify", path, tmp_path / "o", "--model", directory() / "model", "--overwrite")
-    ended = fwclass(*line, "--set", "street.mounting.side=left", "--set", "street.radii=[0.5]")
+    ended = fwclass(*line, *ALONE, "--set", "street.mounting.side=left", "--set", "street.radii=[0.5]")
     assert "another mounting (side right there, left here)" in ended.stderr, ended.stderr
     assert "street.radii is the model's, [0.3], not [0.5]" in ended.stderr
     ended = fwclass(*line)
@@ -164,7 +166,7 @@ def test_the_model_knows_its_mounting(tmp_path: Path) -> None:
 def test_what_the_model_has_not_seen_is_told_alike_online_and_whole(tmp_path: Path) -> None:
     near = write(tmp_path / "a.parquet", {"ranges": 0.4 * columns()["ranges"]})
     drifts = []
-    for command in (("classify", near, tmp_path / "o"), ("run", near, "--out", tmp_path / "o")):
+    for command in (("classify", near, tmp_path / "o", *ALONE), ("run", near, "--out", tmp_path / "o")):
         line = ("street", *command, "--model", directory() / "model", "--overwrite", "--set", "street.chunk=37")
         ended = fwclass(*line, "--accept-implausible", "--set", "classify.max_outside=0.1")
         assert ended.returncode == 4 and "the model has not seen such data" in ended.stderr, ended.stderr
