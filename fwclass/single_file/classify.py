@@ -46,6 +46,7 @@ from fwclass.single_file.features.echoes import (
 )
 from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.tiles import HELD, FileConfig, FileTiles, Tell, quiet
+from fwclass.single_file.unchanged import of_unchanged
 from fwclass.store.installed_models import model_place
 from fwclass.survey.systems import given_crs
 
@@ -89,6 +90,7 @@ class ClassifyJob:
     legacy: Mapping[int, int] | None = None
 
 
+@of_unchanged
 def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     """Classify the points of a file; what was done, as plain data.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import time
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from fwclass import compiling
+from fwclass.errors import InputError
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import GroundJob, ground_file
 from fwclass.single_file.ground.steps import Steps
@@ -64,6 +66,31 @@ def test_a_file_tells_its_steps(tmp_path):
     made = ground_file(GroundJob(path, tmp_path / "o.txt", rasters={"dtm": tmp_path / "d.tif"}), heard.append)
     assert heard == ["reading", "filter smrf: block 1 of 1", "terrain", "writing"]
     assert made["seconds"]["filter"] + made["seconds"]["compiling"] <= made["seconds"]["all"]
+
+
+@pytest.mark.parametrize("kind", ["replaced", "written over", "gone"])
+def test_a_file_that_changes_between_reading_and_writing_is_told(tmp_path, kind):
+    """Points of another file got the classes of the first one's, exit code 0."""
+    path, other = tmp_path / "a.txt", tmp_path / "b.txt"
+    for k, name in enumerate((path, other)):
+        np.savetxt(name, np.random.default_rng(k).uniform(0, 50, (500, 3)) * [1, 1, 0.01], fmt="%05.2f")
+    facts = path.stat()
+
+    def change(step):
+        if step != "writing":
+            return
+        if kind == "replaced":
+            other.replace(path)
+        elif kind == "written over":
+            path.write_bytes(other.read_bytes())
+        else:
+            path.unlink()
+        if path.exists():
+            assert path.stat().st_size == facts.st_size
+            os.utime(path, ns=(facts.st_atime_ns, facts.st_mtime_ns))
+
+    with pytest.raises(InputError):
+        ground_file(GroundJob(path, tmp_path / "o.txt"), change)
 
 
 @pytest.mark.parametrize("east, stray", [(0.0, 0), (200.0, 0), (3000.0, 1), (-3000.0, 1), (9e7, 1)])

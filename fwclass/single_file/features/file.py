@@ -34,6 +34,7 @@ from fwclass.single_file.features.echoes import (
 from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
+from fwclass.single_file.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 from fwclass.temporary import temporary_directory
 from fwclass.tile.stage import morton
@@ -82,6 +83,7 @@ class FeaturesJob:
     overwrite: bool = False
 
 
+@of_unchanged
 def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     """Write the features of every echo of a file; what was done, as plain data.
 

@@ -29,6 +29,7 @@ from fwclass.single_file.ground.params import ground_params, used_params, with_a
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.stray import describe_stray, stray_points
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
+from fwclass.single_file.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 
 MANY = 100
@@ -69,6 +70,7 @@ class GroundJob:
     adapt: Adapt | None = None
 
 
+@of_unchanged
 def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     """Find the ground of a file and write its points with new classes; what was done, as plain data.
 

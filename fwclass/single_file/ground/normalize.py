@@ -24,6 +24,7 @@ from fwclass.single_file.ground.output import check_copy, check_output, write_po
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.rasters import check_extent, ground_table
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, quiet
+from fwclass.single_file.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 
 
@@ -56,6 +57,7 @@ class NormalizeJob:
         return self.method is not None or self.preset is not None or bool(self.assignments)
 
 
+@of_unchanged
 def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     """Write the points of a file with their height above ground as z; what was done, as plain data.
 
