@@ -70,12 +70,11 @@ def feature_parameters(params: StreetParams) -> dict[str, Any]:
 
 def params_of(model: Model, params: StreetParams, where: object) -> StreetParams:
     """`params` with what the features of `model` were computed by; `ConfigError` for a model of other features."""
-    card = model.card.get("computed", {})
-    settings = card.get("street") if isinstance(card, Mapping) else None
+    settings = _learned_settings(model)
     try:
         changed = (
             StreetParams.model_validate({**params.model_dump(), "intensity": None, **settings})
-            if isinstance(settings, Mapping)
+            if settings is not None
             else None
         )
     except ValueError:
@@ -91,6 +90,12 @@ def params_of(model: Model, params: StreetParams, where: object) -> StreetParams
     return changed
 
 
+def _learned_settings(model: Model) -> Mapping[str, Any] | None:
+    """What the features of `model` were computed by; None where its card does not say."""
+    settings = model.card.get("computed", {}).get("street")
+    return settings if isinstance(settings, Mapping) else None
+
+
 def learned_mounting(model: Model) -> dict[str, Any] | None:
     """How the scanner sat where `model` learned; None where its card does not say."""
     mounting = model.card.get("computed", {}).get("mounting")
@@ -100,7 +105,7 @@ def learned_mounting(model: Model) -> dict[str, Any] | None:
 def model_remarks(model: Model, params: StreetParams) -> list[str]:
     """Settings of `params` that the model's own stand for, and another mounting than it learned with."""
     asked = {**feature_parameters(params)["street"], "intensity": params.intensity}
-    learned = {**asked, "intensity": None, **model.card["computed"]["street"]}
+    learned = {**asked, "intensity": None, **(_learned_settings(model) or {})}
     said = [
         f"street.{name} is the model's, {learned[name]}, not {value}"
         for name, value in asked.items()

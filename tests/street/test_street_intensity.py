@@ -75,6 +75,15 @@ def test_a_card_that_tells_half_of_a_mounting_is_told_as_another(lit):
     assert "height 9.0 there" in said and "side None there" in said
 
 
+@pytest.mark.parametrize("settings", [None, [0.5], True, 0.5])
+def test_a_card_without_settings_is_refused_and_remarked_on(lit, settings):
+    model = load_model(lit[0] / "model")
+    damaged = replace(model, card={**model.card, "computed": {"street": settings}})
+    model_remarks(damaged, config().street)
+    with pytest.raises(ConfigError, match="does not decide by features of frames"):
+        params_of(damaged, config().street, "here")
+
+
 def test_a_recording_without_them_is_refused_by_a_model_that_learned_by_them(tmp_path, lit):
     write_recording(tmp_path / "dark.parquet", drive()[:20])
     asked = online.Run(str(tmp_path / "dark.parquet"), lit[0] / "model", tmp_path / "out", False, False)
