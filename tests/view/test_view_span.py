@@ -70,7 +70,7 @@ def section(page: Driven) -> str:
 
 @pytest.mark.slow
 def test_the_page_tells_heights_apart_beside_a_stray_echo(small_run: Path, tmp_path: Path) -> None:
-    small_survey(tmp_path, stray=(-20.0, 3000.0))
+    small_survey(tmp_path, stray=(-20.0, 3000.0), tile=25)
     deliver(tmp_path)
     looks, sections = [], []
     with driven() as page:
