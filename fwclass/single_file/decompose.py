@@ -34,6 +34,7 @@ from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import FileConfig, FileTiles
+from fwclass.single_file.unchanged import unchanged
 from fwclass.stage import Chunk
 from fwclass.survey.systems import given_crs
 from fwclass.waveforms import IMPLAUSIBLE
@@ -91,7 +92,7 @@ def decompose_file(
     refuse_other_system(opened, system)
     check_source(opened, params["read"])
     fit: DecomposeParams = params["decompose"]
-    with strip_of(opened, settings) as strip:
+    with unchanged(source), strip_of(opened, settings) as strip:
         tables = list(strip.echoes())
         pulse, pulses, noise = strip.pulse(), strip.pulses, strip.noise()
         faults, counts, places = strip.faults(), strip.counts(), strip.places()

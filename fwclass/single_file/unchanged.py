@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -22,20 +23,26 @@ Work = Callable[..., dict[str, Any]]
 
 
 def of_unchanged(work: Callable[[J, Tell], dict[str, Any]]) -> Work:
-    """`work` on ``job.source``, which it reads several times; `InputError` where the file is another one at its end, as
-    its size and times tell: points of one would have been paired with answers for the other."""
+    """`work` on ``job.source``, which it reads several times, while that is `unchanged`."""
 
     @wraps(work)
     def watched(job: J, tell: Tell = quiet) -> dict[str, Any]:
-        before = looks(job.source) if job.source.is_file() else None
-        done = work(job, tell)
-        if not job.source.is_file() or looks(job.source) != before:
-            raise InputError(
-                "the file was changed while it was read",
-                where=job.source,
-                expected="one file from beginning to end",
-                do="remove what was written, and run the same again when the file is whole",
-            )
-        return done
+        with unchanged(job.source):
+            return work(job, tell)
 
     return watched
+
+
+@contextmanager
+def unchanged(path: Path) -> Iterator[None]:
+    """`InputError` at the end where `path` is another file by then, as its size and times tell: points of one would
+    have been paired with answers for the other."""
+    before = looks(path) if path.is_file() else None
+    yield
+    if not path.is_file() or looks(path) != before:
+        raise InputError(
+            "the file was changed while it was read",
+            where=path,
+            expected="one file from beginning to end",
+            do="remove what was written, and run the same again when the file is whole",
+        )

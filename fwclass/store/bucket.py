@@ -246,12 +246,12 @@ class Bucket:
         present = {h.key[len(unit) + 1 :]: h for h in self.list(unit)}
         lacking = sorted(to for to, size in sizes.items() if to not in present or present[to].size != size)
         if lacking:
-            found = f"{present[lacking[0]].size} bytes" if lacking[0] in present else "nothing"
+            there = present.get(lacking[0])
             raise StoreError(
                 "what was just delivered is gone, or of another size",
                 where=self.where / unit / lacking[0],
                 expected=f"{sizes[lacking[0]]} bytes",
-                got=found,
+                got=f"{there.size} bytes" if there else "nothing",
                 do="run again",
             )
         manifest = {

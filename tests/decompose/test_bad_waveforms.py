@@ -25,6 +25,7 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import FwclassError
 from fwclass.schema import Table
 from fwclass.single_file.decompose import decompose_file
+from fwclass.single_file.strip import FileStrip
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 PULSE = SystemPulse.gaussian(3.5)
@@ -403,3 +404,16 @@ def test_noise_and_broad_echoes_do_not_point_down(samples, phi):
     one, _ = wm.simulate(np.full((500, 1), 80.0), time, np.full((500, 1), 4.0 / wm.FWHM), samples=samples)
     turned = replace(one, samples=255 - one.samples)
     assert _odd_waveforms(turned)["downward"] >= (480 if samples >= 40 else 0)
+
+
+def test_a_file_that_changes_while_it_is_decomposed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, noise = survey(tmp_path / "a.las", [good(seed=k) for k in range(5)], [1] * 5, {1: Odd()}), FileStrip.noise
+
+    def change(strip: FileStrip) -> Any:
+        source.write_bytes(source.read_bytes())
+        return noise(strip)
+
+    monkeypatch.setattr(FileStrip, "noise", change)
+    with pytest.raises(FwclassError, match="changed while it was read"):
+        decompose_file(source, tmp_path / "out.laz", (), False)
+    assert not (tmp_path / "out.laz").exists()
