@@ -94,8 +94,8 @@ def verdict(trial: Trial, eligible: NDArray[np.int64], names: tuple[str, ...]) -
     first, both = trial.first * weight, trial.both * weight
     gain = difference(first, both)
     if gain is None:
-        known = f"a second layer could be tried on {len(trial.square)} squares of the training areas"
-        return Verdict((f"it takes {LEAST} squares to tell",), known, facts)
+        few = f"a second layer could be tried on {len(trial.square)} squares of the training areas"
+        return Verdict((f"it takes {LEAST} squares to tell",), few, facts)
     of_class = class_gains(first, both)
     figures = [(words, gain[name]["difference"], gain[name]["interval"]) for name, words in _FIGURES.items()]
     sure = any(ends is not None and ends[0] > 0 for _, _, ends in figures)
@@ -117,7 +117,8 @@ def verdict(trial: Trial, eligible: NDArray[np.int64], names: tuple[str, ...]) -
         f"tried on {len(trial.square)} squares of the training areas that neither layer had learned from, the second "
         f"one changes {changed} % (95 % intervals)"
     )
-    return Verdict(tuple(why), sentence, {**facts, "gain": gain, "classes": of_class, "reached": reached})
+    known = {name: None if np.isnan(value) else value for name, value in reached.items()}  # no kappa of one class
+    return Verdict(tuple(why), sentence, {**facts, "gain": gain, "classes": of_class, "reached": known})
 
 
 def _span(value: float, ends: Sequence[float] | None) -> str:

@@ -1,5 +1,7 @@
 """Whether a second layer pays: by squares that neither layer has learned from."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,14 @@ def test_it_pays_where_one_figure_gains_for_sure_and_none_falls(first, both, why
     assert judged.pays == (not why) and why in "; ".join(judged.why)
     assert "12 squares of the training areas" in judged.sentence and judged.facts["rows"] == 2400
     assert f"to {100 * judged.facts['reached']['overall_accuracy']:.1f} and mean IoU" in judged.sentence
+
+
+def test_rows_of_one_class_have_no_kappa():
+    place = np.stack([np.repeat(np.arange(12), 50), np.zeros(600, int)], axis=1)
+    none = np.zeros(600, int)
+    judged = verdict(Trial.of(place, none, none, none, 3), EVEN, NAMES)
+    assert not judged.pays and judged.facts["reached"]["kappa"] is None
+    assert json.loads(json.dumps(judged.facts, allow_nan=False))["reached"]["overall_accuracy"] == 1.0
 
 
 def test_classes_weigh_as_in_the_survey():
