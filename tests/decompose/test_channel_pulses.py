@@ -138,6 +138,7 @@ def test_where_echoes_share_no_width_the_recorded_pulse_is_taken(params, fit, n)
     assert estimate_pulse(waves, given, recorded).outgoing == 0, "the user's width holds"
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("width", "widest"), [(4.1, 1.6), (5.2, 1.6), (3.0, 1.6), (8.2, 1.0)])
 def test_echoes_that_share_a_width_are_believed(params, fit, width, widest):
     """A receiver other than the one that recorded the outgoing pulse: told, not overruled."""

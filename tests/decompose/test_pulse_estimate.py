@@ -34,6 +34,7 @@ def departure(found: SystemPulse, true: Pulse) -> float:
     return float(np.abs(found.values - true.height(time[None], np.array([true.core / FWHM]))[0]).max())
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("pulse", [skewed(), ringing()], ids=["skewed", "ringing"])
 def test_a_pulse_that_is_no_gaussian_is_measured(pulse):
     waves, _ = survey_mix(5000, seed=1, pulse=pulse, widest=1.0)
@@ -46,6 +47,7 @@ def test_a_pulse_that_is_no_gaussian_is_measured(pulse):
     assert SystemPulse.from_json(json.loads(json.dumps(found.to_json()))).fwhm == found.fwhm
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("widest", [1.0, 1.6])
 def test_a_gaussian_stays_one(widest):
     """With widest = 1.6 no target is flat: only the edge of the widths tells the pulse's."""
@@ -84,6 +86,7 @@ SENSORS = [
 ]
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("kind", SENSORS, ids=lambda k: f"{k[0]}ns-every-{k[1]}ns-{k[2]}bit")
 def test_the_width_is_found_for_any_sensor(kind):
     waves, pulse = sensor(1500, *kind)
@@ -100,6 +103,7 @@ def test_the_width_is_found_for_any_sensor(kind):
     assert (channel.sample_spacing, channel.saturation) == (kind[1], 2 ** kind[2] - 1)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("kind", [SENSORS[3], SENSORS[4], SENSORS[7]], ids=["16bit", "8bit", "coarse"])
 def test_the_shape_is_found_for_other_sensors(kind):
     waves, pulse = sensor(2500, *kind, tail=0.25 * kind[0])
