@@ -64,9 +64,12 @@ def echo_counts(runner: Runner) -> dict[str, int]:
 
 
 def bathymetry_facts(runner: Runner) -> dict[str, Any] | None:
-    """`water_facts` of the run; None of a survey that is not asked for water."""
-    parts = [r.meta["water"] for r in receipts_of_run(runner, "decompose") if "water" in r.meta]
-    return water_facts({name: sum(part[name] for part in parts) for name in parts[0]}) if parts else None
+    """`water_facts` of the run; None of a survey not asked for water, or where a part of earlier does not tell."""
+    metas = [r.meta for r in receipts_of_run(runner, "decompose")]
+    if not metas or not all("water" in meta for meta in metas):
+        return None
+    counts = [meta["water"] for meta in metas]
+    return water_facts({name: sum(one[name] for one in counts) for name in counts[0]})
 
 
 def withheld_returns(runner: Runner) -> int:
