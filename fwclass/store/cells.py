@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,14 @@ CELLS = "cells"
 By place: ``{"size": m, "first": [column, row], "rows": n, "digests": text}`` with 16 characters for every square of a
 rectangle, column by column, dots where nothing lies. By name: ``{"names": {name: 16 hex digits}}``.
 """
+
+REMEMBERED = 8192
+"""Digests of windows, some 2 MiB: every stage that reads a tile with its halo asks for the same ones."""
+
+_windows: dict[tuple[str, int, int, int, int], str | None] = {}
+"""By the receipt's digest, which counts its squares, first and last column and row. Not by the text of the squares, of
+which each would be held, at 120 kB for a strip."""
+_guard = threading.Lock()
 
 _WIDTH = 16
 _NOTHING = "." * _WIDTH
@@ -106,17 +114,22 @@ def digest_within(receipt: Receipt, within: Within) -> str | None:
     whole = Window.covering(within, float(cells["size"]))
     across = max(whole.col, column), min(whole.col + whole.ncols, column + columns)
     up = max(whole.row, row), min(whole.row + whole.nrows, row + rows)
-    return _digest_of_squares(text, rows, column, row, across, up)
+    window = (receipt.digest, *across, *up)
+    with _guard:
+        if window not in _windows:
+            while len(_windows) >= REMEMBERED:
+                del _windows[next(iter(_windows))]
+            _windows[window] = _digest_of_squares(text, rows, column, row, across, up)
+        return _windows[window]
 
 
-@lru_cache(maxsize=8192)
 def _digest_of_squares(
     text: str, rows: int, column: int, row: int, across: tuple[int, int], up: tuple[int, int]
 ) -> str | None:
     """Digest of column, row and digest of every square in a window that something lies in; None where nothing does.
 
     `text`, `rows`: as in `CELLS`, from (`column`, `row`) on; `across`, `up`: first column and row, and those behind
-    the last ones. Every stage that reads a tile with its halo asks for the same windows.
+    the last ones.
     """
     squares = []
     for c in range(*across):

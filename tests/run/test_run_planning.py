@@ -48,7 +48,23 @@ def pieces(seed: int) -> list[tuple[Box, float]]:
 def test_no_echo_is_lost_or_made_whatever_the_tiles(size: float) -> None:
     spread = Spread.of(pieces(1), size)
     assert spread.counts.sum() == pytest.approx(sum(n for _, n in pieces(1)))
-    assert spread.number == (spread.counts >= 0.5).sum() > 0
+    assert 0 < spread.number <= (spread.counts > 0).sum()
+
+
+@pytest.mark.parametrize("number", [1, 2, 300, 3000])
+def test_echoes_fewer_than_tiles_lie_in_as_many_as_chance_gives_them(number: int, tmp_path: Path) -> None:
+    spread = Spread.of([(Box(0, 0, 1000, 1000), float(number))], 50.0)
+    rng = np.random.default_rng(number)
+    occupied = [len({tuple(t) for t in rng.integers(0, 20, (number, 2)).tolist()}) for _ in range(200)]
+    assert spread.number == pytest.approx(np.mean(occupied), rel=0.02, abs=0.5)
+    xyz = np.column_stack([rng.uniform(0, 1000, (max(number, 2), 2)), np.zeros(max(number, 2))])
+    cloud(tmp_path / "few.las", xyz)
+    survey = tmp_path / "few.yaml"
+    survey.write_text("survey: {name: few, sources: [few.las], crs: 'EPSG:2154'}")
+    begun = workflow_of("ground").begin(conf.load(survey, classifies=False))
+    plan = make_plan(begun, survey_facts(begun.config, tmp_path), 1, room_at(tmp_path))
+    assert min(choice.tiles for choice in plan.choices) > 0
+    assert all(path.exists() for path in deliver(plan, tmp_path / "plan"))
 
 
 def test_echoes_lie_in_the_tiles_where_uniform_points_would() -> None:

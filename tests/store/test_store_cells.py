@@ -4,6 +4,8 @@ import numpy as np
 
 from fwclass.grid import Box
 from fwclass.schema import Table
+from fwclass.store import cells as cells_module
+from fwclass.store.atomic import digest_of
 from fwclass.store.cells import CELL, CELLS, MOST_SQUARES, by_place, digest_within
 from fwclass.store.receipts import Receipt
 
@@ -11,7 +13,7 @@ from fwclass.store.receipts import Receipt
 def receipt(x, y, values):
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     cells = by_place(Table({"label_code": np.asarray(values, np.uint8)}), x, y)
-    return Receipt("corrections", "all", "k", {}, {}, "d", "store", {CELLS: cells})
+    return Receipt("corrections", "all", "k", {}, {}, digest_of(cells), "store", {CELLS: cells})
 
 
 def test_one_row_that_lies_far_off_takes_no_square_for_every_place_between() -> None:
@@ -30,3 +32,14 @@ def test_rows_that_lie_together_keep_squares_of_eight_metres() -> None:
     assert (cells["size"], cells["first"], cells["rows"]) == (CELL, [0, -1], 2)
     squares = [cells["digests"][k : k + 16] for k in range(0, len(cells["digests"]), 16)]
     assert [set(s) != {"."} for s in squares] == [True, False, False, True, False, False, False, True]
+
+
+def test_what_is_remembered_of_windows_is_bounded_and_holds_no_text_of_a_receipt(monkeypatch) -> None:
+    monkeypatch.setattr(cells_module, "REMEMBERED", 3)
+    monkeypatch.setattr(cells_module, "_windows", {})
+    seen = receipt([1.0, 90.0], [1.0, 90.0], [1, 2])
+    boxes = [Box(0.0, 0.0, edge, edge) for edge in (8.0, 16.0, 24.0, 32.0, 96.0)]
+    first = [digest_within(seen, box) for box in boxes]
+    assert len(cells_module._windows) == 3
+    assert [digest_within(seen, box) for box in boxes] == first
+    assert not any(len(part) > 64 for window in cells_module._windows for part in window if isinstance(part, str))

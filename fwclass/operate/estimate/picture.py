@@ -58,8 +58,7 @@ def _coarser(tiles: Spread, shape: tuple[int, int], step: int) -> NDArray[np.flo
 
 def _edges(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rounded bounds between the colours; fewer colours where tiles are much the same."""
-    occupied = counts[counts >= 0.5]
-    bounds = np.quantile(occupied, np.linspace(0, 1, len(STEPS) + 1)[1:-1])
+    bounds = np.quantile(counts[counts > 0], np.linspace(0, 1, len(STEPS) + 1)[1:-1])
     digits = 10.0 ** np.floor(np.log10(np.maximum(bounds, 1.0)) - 1)
     return np.unique(np.rint(bounds / digits) * digits)
 

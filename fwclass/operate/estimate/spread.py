@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +62,15 @@ class Spread:
         """Echoes of every square and `halo` [m] around it, evenly spread within each square."""
         return _sum_windows(_sum_windows(self.counts, halo / self.size).T, halo / self.size).T
 
-    @property
+    @cached_property
     def occupied(self) -> NDArray[np.bool_]:
-        """Squares where half an echo is to be expected, at least."""
-        return self.counts >= 0.5
+        """The fullest squares, as many as hold an echo if those of each lie at random; one at least."""
+        counts = self.counts.ravel()
+        some = np.flatnonzero(counts)
+        number = max(1, round(-np.expm1(-counts[some]).sum()))
+        there = np.zeros(self.counts.shape, bool)
+        there.flat[some[np.argsort(-counts[some], kind="stable")[:number]]] = True
+        return there
 
     @property
     def number(self) -> int:
@@ -79,7 +84,7 @@ class Spread:
     def heaviest(self, count: int) -> tuple[Tile, ...]:
         """The `count` squares with most echoes, the fullest first."""
         flat = self.counts.ravel()
-        there = np.flatnonzero(flat >= 0.5)
+        there = np.flatnonzero(self.occupied)
         order = there[np.argsort(-flat[there], kind="stable")[:count]]
         return tuple(self.tile(*map(int, np.unravel_index(k, self.counts.shape))) for k in order)
 
