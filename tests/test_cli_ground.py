@@ -146,7 +146,8 @@ def test_feet_give_the_same_ground_as_metres(tmp_path, fwclass):
     ):
         write_las(tmp_path / f"{name}.las", xyz / factors, point_format=6, scale=0.0001, keys=None, wkt=wkt)
         rasters = ("--dtm", tmp_path / f"{name}.tif") if name != "mixed" else ()
-        code, _out, err = fwclass("ground", tmp_path / f"{name}.las", tmp_path / f"{name}.laz", "--json", *rasters)
+        line = ("ground", tmp_path / f"{name}.las", tmp_path / f"{name}.laz", "--json", *rasters)
+        code, _out, err = fwclass(*line, *(["--accept-implausible"] if name == "feet" else []))  # far from New York
         assert code == 0
         assert ("works in metres" in err) == (name != "metres")
         found[name] = np.asarray(laspy.read(tmp_path / f"{name}.laz").classification)
@@ -173,7 +174,15 @@ def test_degrees_are_refused(tmp_path, fwclass):
         tmp_path / "d.txt", np.column_stack([r.uniform(9.1, 9.2, 200), r.uniform(48.1, 48.2, 200), np.ones(200)])
     )
     code, _, err = fwclass("ground", tmp_path / "d.txt", tmp_path / "d.csv")
-    assert code == 0 and "look like degrees" in err
+    assert code == 4 and "look like degrees" in err and (tmp_path / "d.csv").is_file()
+
+
+def test_a_file_without_ground_ends_with_4_when_it_is_written(tmp_path, fwclass):
+    rough = np.random.default_rng(1).uniform(0.0, 30.0, (800, 3)) * [1.0, 1.0, 0.02]
+    line = ("ground", text(tmp_path / "a.txt", rough), "--param", "threshold=0", "--param", "scalar=0")
+    code, _, err = fwclass(*line, tmp_path / "b.txt")
+    assert code == 4 and "no echo is ground" in err and "got: 0 of " in err and (tmp_path / "b.txt").is_file(), err
+    assert fwclass(*line, tmp_path / "c.txt", "--accept-implausible")[0] == 0
 
 
 def test_longitudes_without_a_system_are_refused_at_once_and_told_by_info(tmp_path, fwclass):

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, Finite, cli, little_garbage
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, Finite, cli, little_garbage
 from fwclass.cli.ground import CRS, METHOD, PARAM, PRESET
 
 SETS = click.option(
@@ -39,10 +39,17 @@ SETS = click.option(
 )
 @click.option("--skip-missing", is_flag=True, help="Leave out features that the file cannot give, instead of an error.")
 @CRS
+@ACCEPT_IMPLAUSIBLE
 @OVERWRITE
 @JSON
 def features(
-    source: Path | None, output: Path | None, words: tuple[str, ...], show: bool, as_json: bool, **options: Any
+    source: Path | None,
+    output: Path | None,
+    words: tuple[str, ...],
+    show: bool,
+    accept_implausible: bool,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Features of every echo of one file as GeoParquet; or, with --list, which features and sets there are.
 
@@ -63,15 +70,19 @@ def features(
         raise click.UsageError("IN and OUT.parquet are wanted, or --list")
     if options["own_ground"] and any(options[n] for n in ("method", "preset", "assignments", "auto")):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
+    from fwclass import conf
+    from fwclass.report.judge import judge_echoes
     from fwclass.single_file.features.file import FeaturesJob, features_file
     from fwclass.single_file.features.listing import describe
     from fwclass.single_file.ground.steps import Steps
 
+    settings += ("plausibility.accept=true",) if accept_implausible else ()
     with Steps() as steps:
         summary = features_file(FeaturesJob(source, output, named, settings=settings, **options), steps.tell)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
+    judge_echoes(summary["judged"], conf.section("plausibility", settings), source)
 
 
 def _list(name: str | None, where: str, as_json: bool) -> None:

@@ -115,19 +115,14 @@ def decompose(
 ) -> None:
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     from fwclass import conf
-    from fwclass.report.facts import judge_place
-    from fwclass.report.plausibility import judge_plausibility
-    from fwclass.report.radiometry import judge_radiometry
+    from fwclass.report.judge import judge_echoes
     from fwclass.single_file.decompose import decompose_file
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
     sentences, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
     click.echo(sentences, err=True)
-    bounds = conf.section("plausibility", settings)
-    judge_plausibility(judged, bounds)
-    judge_place(judged[0]["place"], bounds.accept, source)
-    judge_radiometry(judged[0]["radiometry"], bounds.accept, source)
+    judge_echoes(judged, conf.section("plausibility", settings), source)
 
 
 @cli.command()

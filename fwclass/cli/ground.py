@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SET, cli
 from fwclass.ground.methods import Method
 
 KINDS = "Kind of land: wilderness, nature, town, city, metro, dense-forest or steep."
@@ -44,6 +44,7 @@ FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and sy
 @click.option("--compare", metavar="NAME,NAME,…|all", help="Several filters side by side on one page; no OUT.")
 @click.option("--reference", type=PATH, help="With --optimize or --compare: the classes of the same points.")
 @click.option("--out", type=PATH, help="With --optimize or --compare: directory of what they write.")
+@ACCEPT_IMPLAUSIBLE
 @OVERWRITE
 @JSON
 def ground(
@@ -67,11 +68,13 @@ def ground(
 
 
 def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]) -> None:
+    from fwclass.report.facts import judge_place
+    from fwclass.report.ground import judge_ground
     from fwclass.single_file.ground.file import GroundJob, ground_file
     from fwclass.single_file.ground.steps import Steps
     from fwclass.single_file.ground.text import describe
 
-    auto = options.pop("auto")
+    auto, accepted = options.pop("auto"), options.pop("accept_implausible")
     wanted = {name: options.pop(name) for name in RASTERS}
     rasters = {name: path for name, path in wanted.items() if path is not None}
     if (cell := options.pop("cell")) is not None:
@@ -85,6 +88,8 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
+    judge_place(summary["place"], accepted, source)
+    judge_ground({"echoes": summary["shown"], "ground": summary["ground"]}, accepted, source)
 
 
 def _adapting(options: dict[str, Any], tell: Any) -> Any:
@@ -97,7 +102,11 @@ def _adapting(options: dict[str, Any], tell: Any) -> Any:
 
 def _study(source: Path, output: Path | None, methods: str | None, as_json: bool, options: dict[str, Any]) -> None:
     """Filters are looked at, no points are written."""
-    unused = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS, "cell") if options.pop(n)]
+    unused = [
+        f"--{n.replace('_', '-')}"
+        for n in ("keep_classes", "use_flagged", *RASTERS, "cell", "accept_implausible")
+        if options.pop(n)
+    ]
     if output is not None or unused:
         raise click.UsageError(f"{unused[0] if unused else 'OUT'} has no place here: nothing is classified; see --out")
     from fwclass.single_file.ground.steps import Steps
@@ -134,13 +143,15 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
 @SET
 @FLAGGED
 @CRS
+@ACCEPT_IMPLAUSIBLE
 @OVERWRITE
 @JSON
-def normalize(source: Path, output: Path, as_json: bool, **options: Any) -> None:
+def normalize(source: Path, output: Path, as_json: bool, accept_implausible: bool, **options: Any) -> None:
     """Heights above ground of one file in place of z.
 
     The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
     """
+    from fwclass.report.facts import judge_place
     from fwclass.single_file.ground.normalize import NormalizeJob, normalize_file
     from fwclass.single_file.ground.steps import Steps
     from fwclass.single_file.ground.text import describe_heights
@@ -150,3 +161,4 @@ def normalize(source: Path, output: Path, as_json: bool, **options: Any) -> None
     click.echo(describe_heights(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
+    judge_place(summary["place"], accept_implausible, source)

@@ -9,7 +9,19 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_DRIFT, JSON, OVERWRITE, PATH, RUN, SCHEDULER, SET, WORKERS, Finite, cli
+from fwclass.cli.base import (
+    ACCEPT_DRIFT,
+    ACCEPT_IMPLAUSIBLE,
+    JSON,
+    OVERWRITE,
+    PATH,
+    RUN,
+    SCHEDULER,
+    SET,
+    WORKERS,
+    Finite,
+    cli,
+)
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, nearest
 
@@ -170,6 +182,7 @@ def _code_list(context: click.Context, parameter: click.Parameter, text: str | N
 @click.option("--undulation", type=Finite(), default=0.0, help="Metres to take from the trajectory's heights.")
 @click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
 @ACCEPT_DRIFT
+@ACCEPT_IMPLAUSIBLE
 @SET
 @OVERWRITE
 @JSON
@@ -180,6 +193,7 @@ def classify(
     trajectory: Path | None,
     undulation: float,
     accept_drift: bool,
+    accept_implausible: bool,
     only: str | None,
     keep: str | None,
     settings: tuple[str, ...],
@@ -193,6 +207,7 @@ def classify(
     from fwclass import conf
     from fwclass.classify.unsure import judge_unsure
     from fwclass.report.drift import judge_drift
+    from fwclass.report.judge import judge_echoes
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
     from fwclass.single_file.features.echoes import Flight
     from fwclass.single_file.ground.steps import Steps
@@ -201,12 +216,14 @@ def classify(
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
     settings += (f"classify.only={only}",) if only else ()
     settings += (f"classify.keep={keep}",) if keep else ()
+    settings += ("plausibility.accept=true",) if accept_implausible else ()
     job = ClassifyJob(source, output, settings=settings, flight=Flight(trajectory, undulation), **options)
     with Steps() as steps:
         summary = classify_file(job, steps.tell)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
+    judge_echoes(summary["judged"], conf.section("plausibility", settings), source)
     if not accept_drift:
         params = conf.section("classify", job.settings)
         judge_drift(summary["drift"], params, job.model)

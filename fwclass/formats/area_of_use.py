@@ -47,9 +47,15 @@ def place_faults(crs: Any, low: Sequence[float], high: Sequence[float], header: 
     return [fault for fault in faults if fault]
 
 
-def elsewhere(crs: Any, low: Sequence[float], high: Sequence[float]) -> bool:
-    """No place within `low` and `high` [m] can be where `crs` and z say: what `place_faults` tells holds for all."""
-    return bool(outside_of_area(crs, low, high)) or high[2] < LAND[0] or low[2] > LAND[1]
+def elsewhere(crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None) -> bool:
+    """No place within `low` and `high` can be where `crs` and z say: what `place_faults` tells holds for all."""
+    unit = _metres_of_height(crs, header)
+    return bool(outside_of_area(crs, low, high)) or high[2] * unit < LAND[0] or low[2] * unit > LAND[1]
+
+
+def place_facts(crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None) -> dict[str, Any]:
+    """``remarks`` (`place_faults`) and ``elsewhere``, as `report.facts.judge_place` takes them."""
+    return {"remarks": place_faults(crs, low, high, header), "elsewhere": elsewhere(crs, low, high, header)}
 
 
 def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> str:

@@ -12,7 +12,7 @@ from pyproj import CRS
 from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
 from fwclass.errors import refuse_unsound
-from fwclass.formats.area_of_use import elsewhere, place_faults, time_faults
+from fwclass.formats.area_of_use import place_facts, time_faults
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.publish.tile_facts import WORTH, least_sure_first
 from fwclass.quality.covered import CoveredArea
@@ -52,6 +52,7 @@ def place_of(
     low, high = bounds[:, :3].min(axis=0).tolist(), bounds[:, 3:].max(axis=0).tolist()
     area = covered.of(points, spacings)
     untimely = time_faults(min(times), max(times)) if times else []
+    place = place_facts(system, low, high)
     authority = system.to_authority() if system is not None else None
     return {
         "crs": system.name if system is not None else None,
@@ -60,8 +61,8 @@ def place_of(
         "flown": [_date(min(times)), _date(max(times))] if times and standard_time and not untimely else None,
         "area": area,
         "density": points / area if area else None,
-        "remarks": [*place_faults(system, low, high), *untimely],
-        "elsewhere": elsewhere(system, low, high),
+        "remarks": [*place["remarks"], *untimely],
+        "elsewhere": place["elsewhere"],
     }
 
 

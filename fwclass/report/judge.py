@@ -8,6 +8,7 @@ from typing import Any
 from fwclass.assess.stage import judge
 from fwclass.classify.unsure import judge_unsure
 from fwclass.conf import Config
+from fwclass.decompose.params import PlausibilityParams
 from fwclass.quality.judge import judge_quality
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
@@ -16,6 +17,15 @@ from fwclass.report.ground import judge_ground
 from fwclass.report.plausibility import judge_plausibility
 from fwclass.report.radiometry import judge_radiometry
 from fwclass.report.repeated import judge_repeated
+
+
+def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
+    """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
+    ``plausibility``, ``place`` and ``radiometry``, each where it is known."""
+    if judged.get("plausibility"):
+        judge_plausibility([judged["plausibility"]], bounds)
+    judge_place(judged.get("place"), bounds.accept, where)
+    judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
 
 
 def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> None:

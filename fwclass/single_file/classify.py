@@ -165,6 +165,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "kept": {str(code): n for code, n in stay.items()},
         "confidence": float(sure.mean()) if len(sure) else None,
         "without_value": {n: int(k) for n, k in zip(first.features, without, strict=True) if k},
+        "judged": echoes.judged,
         "drift": drifted,
         "unsure": unsure,
         "filled": medians,
@@ -248,7 +249,6 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     needed = (*model.features, *fine, *asked.reads, *wide.reads)
     notes: tuple[str, ...] = ()
     echoes = read_echoes(job.source, needed, job.settings, given_crs(job.crs, "--crs"), tell)
-    links = echoes.links
     if "height_above_ground" in needed:
         method = job.method
         if method is None and job.preset is None and not job.own_ground:
@@ -260,7 +260,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     if any(n in RADIOMETRY.writes for n in needed):
         echoes = with_radiometry(echoes, job.flight, job.settings)
     check_names(model, echoes.table, job.source)
-    return FileEchoes(echoes.table, echoes.crs, (*echoes.notes, *notes), links)
+    return replace(echoes, notes=(*echoes.notes, *notes))
 
 
 def _classify(

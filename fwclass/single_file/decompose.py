@@ -17,7 +17,7 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import water_counts, water_facts, water_words
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL
-from fwclass.formats.area_of_use import elsewhere, place_faults
+from fwclass.formats.area_of_use import place_facts
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.radiometry import flight_of
@@ -71,8 +71,8 @@ def decompose_file(
     trajectory: Path | None = None,
     undulation: float = 0.0,
     crs: str | None = None,
-) -> tuple[str, list[dict[str, Any]]]:
-    """Waveforms of one file to echoes in one LAZ file; returns the summary, and what `report.plausibility` judges.
+) -> tuple[str, dict[str, Any]]:
+    """Waveforms of one file to echoes in one LAZ file; returns the summary, and what `judge_echoes` judges.
 
     `settings` are ``section.key=value`` of `SECTIONS`. The echoes of the whole file are held in memory. Where
     something tells how far the sensor was (`trajectory`, ``radiometry.platform_altitude``, the format itself), the
@@ -100,25 +100,24 @@ def decompose_file(
         raise InputError(
             "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
         )
-    table, place, beyond = Table.concat(tables), list[str](), False
+    table, place = Table.concat(tables), None
     if table.rows:
         ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
         refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
-        place, beyond = place_faults(system, ends[0], ends[1]), elsewhere(system, ends[0], ends[1])
+        place = place_facts(system, ends[0], ends[1])
     flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
     whole, notes, odd_radiometry = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     shown = without(delivered, () if params["radiometry"].calibrates else ("reflectance",))
     write_tile_laz(shown, output, system, params["publish"], standard_time=opened.standard_gps_time)
-    near, judged = (
+    near, plausibility = (
         fit.vendor_tolerance,
         strip_plausibility(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
     )
     if trajectory is None and (sensor := sensor_height(opened)) is not None:
         odd_radiometry += altitude_faults({source.name: sensor}, params["radiometry"])
-    judged |= {"radiometry": odd_radiometry, "place": {"remarks": place, "elsewhere": beyond}}
-    lone = judged["returns_without_echo"]
+    lone = plausibility["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     water = water_facts(water_counts(table)) if "water" in table else None
     rows = [
@@ -126,14 +125,14 @@ def decompose_file(
         *([_pulse_words(pulse)] if opened.has_waves else []),
         *([f"water: {water_words(water)}", *water["remarks"]] if water else []),
         *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
-        *(f"plausibility: {text}" for text in plausibility_remarks([judged], fit)),
+        *(f"plausibility: {text}" for text in plausibility_remarks([plausibility], fit)),
         *notes,
         *(f"fault: {text}" for text in odd_radiometry),
-        *place,
+        *(place["remarks"] if place else ()),
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {visible(output)}",
     ]
-    return "\n".join(rows), [judged]
+    return "\n".join(rows), {"plausibility": plausibility, "place": place, "radiometry": odd_radiometry}
 
 
 def _params(settings: tuple[str, ...]) -> dict[str, Any]:

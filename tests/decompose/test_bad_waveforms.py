@@ -323,6 +323,10 @@ def test_a_file_with_everything_wrong_is_decomposed(tmp_path: Path) -> None:
     assert result.returncode == 4 and "implausible" in result.stderr, result.stderr
     assert "Traceback" not in result.stderr and not result.stdout
     assert "invalid sample spacing: 1" in result.stderr, "what could not be used is said and counted"
+    line = ("features", source, tmp_path / "o.parquet", "--features", "amplitude")
+    result = fwclass(*line)
+    assert result.returncode == 4 and "implausible" in result.stderr, result.stderr
+    assert fwclass(*line, "--overwrite", "--accept-implausible").returncode == 0
     count = np.bincount(pulses_of(tmp_path / "o.laz"), minlength=len(names))
     assert [name for name, c in zip(names, count, strict=True) if c == 0] == [], "no return is lost"
     assert (count[[k for k, name in enumerate(names) if name == "good"]] == 2).all()

@@ -58,10 +58,10 @@ def _samples(n):
 def echoes(path, *settings):
     """z of the echoes, sorted by time, and the words."""
     out = path.with_suffix(".out.laz")
-    words, strips = decompose_file(path, out, settings, True)
+    words, judged = decompose_file(path, out, settings, True)
     las = laspy.read(out)
     order = np.argsort(np.asarray(las.gps_time), kind="stable")
-    return np.asarray(las.z)[order] - 200.0, np.asarray(las.gps_time)[order], words, strips[0]["places"]
+    return np.asarray(las.z)[order] - 200.0, np.asarray(las.gps_time)[order], words, judged["plausibility"]["places"]
 
 
 def test_a_vendors_constant_and_range_walk_are_taken_off(tmp_path):
@@ -219,11 +219,11 @@ def test_a_raw_tables_begin_is_when_the_light_passed(tmp_path, begin):
     if begin is not None:
         columns["outgoing_begin_ns"] = np.full(400, begin)
     path = write_parquet(tmp_path / "a.parquet", columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
-    words, (judged,) = decompose_file(path, tmp_path / "a.laz", (), True)
+    words, judged = decompose_file(path, tmp_path / "a.laz", (), True)
     las = laspy.read(tmp_path / "a.laz")
     order = np.argsort(np.asarray(las.gps_time), kind="stable")
     assert np.abs(np.median(np.asarray(las.z)[order] - truth.place[:, 2])) < 0.01
-    told = judged["places"]["outgoing_time"]
+    told = judged["plausibility"]["places"]["outgoing_time"]
     if begin is None:
         assert told is None and "outgoing" not in words
     else:

@@ -101,3 +101,29 @@ def test_info_and_a_run_tell_it(tmp_path: Path) -> None:
     assert place["elsewhere"] and len(place["remarks"]) == 2
     assert "are x and y swapped" in (tmp_path / "r" / "report.html").read_text()
     assert fwclass(*line, "--accept-implausible").returncode == 0
+
+
+def test_commands_of_one_file_end_with_it_when_they_have_written(tmp_path: Path) -> None:
+    small_survey(tmp_path)
+    las = laspy.read(tmp_path / "a.las")
+    sound = np.array(las.x), np.array(las.y), np.array(las.z)
+    commands = {"ground": ("ground", "o.las"), "normalize": ("normalize", "o.las", "--method", "smrf")}
+    commands["features"] = ("features", "o.parquet", "--features", "amplitude,height_above_ground")
+    las.change_scaling(scales=(0.01, 0.01, 0.01), offsets=(0.0, 0.0, 0.0))
+    for places, said in (
+        (sound, ""),
+        ((sound[1], sound[0], sound[2]), "are x and y swapped"),
+        ((sound[0], sound[1], sound[2] - 5000.0), "reach where no land is"),
+    ):
+        las.x, las.y, las.z = places
+        las.write(tmp_path / "a.las")
+        for command, output, *more in commands.values():
+            line = (command, tmp_path / "a.las", tmp_path / output, *more, "--overwrite")
+            ended = fwclass(*line)
+            assert ended.returncode == (4 if said else 0), ended.stderr
+            assert (tmp_path / output).is_file() and said in ended.stderr
+            assert ("do not lie where their coordinate system is" in ended.stderr) == bool(said)
+            (tmp_path / output).unlink()
+            if said:
+                ended = fwclass(*line, "--accept-implausible")
+                assert ended.returncode == 0 and said in ended.stderr, ended.stderr

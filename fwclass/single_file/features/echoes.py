@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from fwclass import conf
 from fwclass.classes import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.decompose.params import DecomposeParams
 from fwclass.errors import InputError
-from fwclass.formats.area_of_use import place_faults
+from fwclass.formats.area_of_use import place_facts
 from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT
@@ -52,7 +52,9 @@ FOR_RADIOMETRY = (
 )
 
 
-OF_ECHOES = ("read", "pulse", "decompose", "ground", "ground_auto", "terrain", "features", "radiometry")
+OF_ECHOES = (
+    *("read", "pulse", "decompose", "ground", "ground_auto", "terrain", "features", "radiometry", "plausibility"),
+)
 """Sections of the configuration that echoes of a file and their heights obey."""
 
 
@@ -65,12 +67,14 @@ class FileEchoes:
     table : in canonical order; columns that the file cannot give are left out.
     crs : `pyproj.CRS` or None.
     notes : what is to be said of them.
+    judged : what `report.judge.judge_echoes` judges of them: ``place``, ``plausibility`` and ``radiometry``.
     links : pulse and echo number of the echo of every point, in the file's order; None for a text.
     """
 
     table: Table
     crs: Any
     notes: tuple[str, ...]
+    judged: Mapping[str, Any]
     links: Table | None = None
 
 
@@ -104,21 +108,21 @@ def _of_text(path: Path, crs: Any) -> FileEchoes:
     columns |= {axis: getattr(cloud, axis)[rows] for axis in "xyz"}
     if cloud.classes is not None:
         columns["source_class"] = cloud.classes[rows]
-    lost = cloud.points - len(rows)
+    lost, place = cloud.points - len(rows), _place_of(Table(columns), cloud.crs)
     notes = (
         f"{len(rows):,} points",
         *([f"{lost:,} lines without usable coordinates are left out"] if lost else []),
         *([TAKEN_FOR_METRES] if cloud.crs is None else []),
-        *_odd_places(Table(columns), cloud.crs),
+        *(place["remarks"] if place else ()),
     )
-    return FileEchoes(Table(columns), cloud.crs, notes)
+    return FileEchoes(Table(columns), cloud.crs, notes, {"place": place})
 
 
-def _odd_places(table: Table, crs: Any) -> list[str]:
+def _place_of(table: Table, crs: Any) -> dict[str, Any] | None:
     if not table.rows:
-        return []
+        return None
     low, high = ([float(f(table[a])) for a in "xyz"] for f in (np.min, np.max))
-    return place_faults(crs, low, high)
+    return place_facts(crs, low, high)
 
 
 def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
@@ -132,19 +136,27 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     with strip_of(source, settings, tell) as strip:
         tables = list(strip.echoes(columns))
         links = strip.links() if tables else None
-        counts, noise, faults = strip.counts(), strip.noise(), strip.faults()
+        counts, noise, faults, places = strip.counts(), strip.noise(), strip.faults(), strip.places()
     if not tables or not sum(t.rows for t in tables):
         raise InputError("the file has no points and no pulses", where=source.path, do="check the delivery")
     table = Table.concat(tables)
     notes = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
     notes += [TAKEN_FOR_METRES] if crs is None else []
-    notes += _odd_places(table, crs)
-    notes += plausibility_remarks([strip_plausibility(source.path.stem, source.n_points, counts, noise)], fit)
+    place = _place_of(table, crs)
+    notes += place["remarks"] if place else []
+    judged = strip_plausibility(source.path.stem, source.n_points, counts, noise, places, faults, source.n_records)
+    notes += plausibility_remarks([judged], fit)
     notes += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
         notes.append("every intensity is 0: features of amplitude and intensity say nothing")
     empty = [n for n in table if n not in PLACE and table[n].dtype.kind == "f" and np.isnan(table[n]).all()]
-    return FileEchoes(table.select(n for n in table if n not in empty), crs, tuple(notes), links)
+    return FileEchoes(
+        table.select(n for n in table if n not in empty),
+        crs,
+        tuple(notes),
+        {"place": place, "plausibility": judged},
+        links,
+    )
 
 
 def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
@@ -217,7 +229,7 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
     ground = points["ground"] if by.own else tiles.columns(GATHER_GROUND, ("ground",))["ground"]
     without = int(np.isnan(heights["height_above_ground"]).sum())
     note = f"{note}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
-    return FileEchoes(table.with_columns(heights), echoes.crs, (*echoes.notes, note))
+    return replace(echoes, table=table.with_columns(heights), notes=(*echoes.notes, note))
 
 
 def _adapted(sound: Table, params: GroundParams, rules: GroundAutoParams, assignments: tuple[str, ...]) -> GroundParams:
@@ -257,6 +269,9 @@ def with_radiometry(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...
     params = {name: conf.section(name, settings) for name in ("features", "radiometry")}
     columns, notes, odd = add_radiometry(whole, flown, params, flight.trajectory)
     own = [n for n in RADIOMETRY.writes if n in columns]
-    return FileEchoes(
-        table.with_columns(columns.select(own)), echoes.crs, (*echoes.notes, *((*notes, *odd) if own else ()))
+    return replace(
+        echoes,
+        table=table.with_columns(columns.select(own)),
+        notes=(*echoes.notes, *((*notes, *odd) if own else ())),
+        judged={**echoes.judged, "radiometry": odd if own else []},
     )

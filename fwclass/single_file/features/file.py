@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +129,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         "reach": features.around.reach(params),
         "without_value": {name: n for name, n in empty.items() if n},
         "crs": echoes.crs.name if echoes.crs is not None else None,
+        "judged": echoes.judged,
         "notes": [*echoes.notes, *([crowd.text(params)] if crowd else [])],
         "bytes": written["bytes"],
         "seconds": {"compiling": round(compiling.spent() - before, 3), "all": round(time.perf_counter() - started, 3)},
@@ -172,7 +173,7 @@ def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
     if set(wanted.names) & set(RADIOMETRY.writes):
         echoes = with_radiometry(echoes, flight, job.settings)
     keep = [n for n in echoes.table if n in columns or n in PLACE]
-    return FileEchoes(echoes.table.select(keep), echoes.crs, echoes.notes)
+    return replace(echoes, table=echoes.table.select(keep))
 
 
 def _sort(table: Table) -> Table:

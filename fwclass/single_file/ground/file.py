@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass import compiling, conf
 from fwclass.classes import GROUND, HIGH_NOISE, LOW_NOISE, UNCLASSIFIED
 from fwclass.errors import InputError
-from fwclass.formats.area_of_use import place_faults
+from fwclass.formats.area_of_use import place_facts
 from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND
 from fwclass.ground.auto import adapt_filter
@@ -112,7 +112,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     written = write_points(cloud, job.output, classes, publish)
     rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
-    stray = stray_points(cloud, shown)
+    stray, place = stray_points(cloud, shown), place_of_cloud(cloud)
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -133,7 +133,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
-        "notes": _notes(cloud, shown, flags, stray, written),
+        "place": place,
+        "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *cloud.cut_packets, *place["remarks"]]),
         "seconds": {
             "filter": round(filtering, 3),
             "compiling": round(compiling.spent() - compiled, 3),
@@ -196,16 +197,18 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
     return flags
 
 
-def some_shown(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """`shown`, or `InputError` where no point is."""
+def some_shown(
+    cloud: PointCloud, shown: NDArray[np.bool_], unless_noise: str = "leave out --keep-classes"
+) -> NDArray[np.bool_]:
+    """`shown`, or `InputError` where no point is; `unless_noise` says what to do where all came as noise."""
     if not shown.any():
         flagged = int((cloud.usable & cloud.flagged).sum())
         noise = cloud.points - flagged - int((~cloud.usable).sum())
-        ways = [w for w, n in (("add --use-flagged", flagged), ("leave out --keep-classes", noise)) if n]
+        ways = [w for w, n in (("add --use-flagged", flagged), (unless_noise, noise)) if n]
         raise InputError(
             "no point is left for the filter",
             where=cloud.path,
-            expected="points that are neither withheld nor synthetic, nor noise with --keep-classes",
+            expected="points that are neither withheld nor synthetic, nor noise whose class is kept",
             got=f"0 of {cloud.points:,}: {flagged:,} withheld or synthetic, {noise:,} noise",
             do=" and ".join(ways) or "check the file",
         )
@@ -236,16 +239,20 @@ def unusable(cloud: PointCloud) -> dict[str, int]:
     return {name: n for name, n in counts.items() if n}
 
 
-def _notes(
-    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], written: dict[str, Any]
-) -> list[str]:
-    notes = [*written.get("notes", []), *cloud.cut_packets]
+def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
+    """What is odd about where the points lie, as `report.facts.judge_place` takes it."""
     if looks_like_degrees(cloud):
-        notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
-    elif cloud.crs is None and isinstance(cloud.source, LasSource):
+        remark = "the coordinates look like degrees, and were taken for metres: reproject the file first"
+        return {"remarks": [remark], "elsewhere": True}
+    low, high = ([float(f(a[cloud.usable])) for a in (cloud.x, cloud.y, cloud.z)] for f in (np.min, np.max))
+    return place_facts(cloud.crs, low, high, getattr(cloud.source, "header", None))
+
+
+def _notes(
+    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], notes: list[str]
+) -> list[str]:
+    if cloud.crs is None and isinstance(cloud.source, LasSource) and not looks_like_degrees(cloud):
         notes.append(TAKEN_FOR_METRES)
-    low, high = ([float(f(a)) for a in (cloud.x, cloud.y, cloud.z)] for f in (np.nanmin, np.nanmax))
-    notes += place_faults(cloud.crs, low, high, getattr(cloud.source, "header", None))
     if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
     if len(stray):

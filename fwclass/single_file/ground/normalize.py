@@ -19,7 +19,14 @@ from fwclass.ground.stage import TERRAIN
 from fwclass.publish.heights import NO_HEIGHT
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
-from fwclass.single_file.ground.file import came_as_noise, classes_of, filter_cloud, shown_points
+from fwclass.single_file.ground.file import (
+    came_as_noise,
+    classes_of,
+    filter_cloud,
+    place_of_cloud,
+    shown_points,
+    some_shown,
+)
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.rasters import check_extent, ground_table
@@ -95,7 +102,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     height[rows] = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)["height_above_ground"]
     tell("writing")
     written = _write(cloud, flags, height, job)
-    known = height[np.isfinite(height)]
+    known, place = height[np.isfinite(height)], place_of_cloud(cloud)
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -107,10 +114,11 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
         "keep_z": job.keep_z,
         "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
+        "place": place,
         "max_gap": params.max_gap,
         "heights_m": _spread(known),
         "waveforms": written.get("wdp"),
-        "notes": [*written.get("notes", []), *cloud.cut_packets],
+        "notes": [*written.get("notes", []), *cloud.cut_packets, *place["remarks"]],
         "seconds": {"all": round(time.perf_counter() - started, 3)},
     }
 
@@ -127,6 +135,7 @@ def _ground(cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob, tell
     """Ground and noise by a filter, or by the classes of the file; the filter's name."""
     if job.filters:
         params = ground_params(job.method, job.preset, job.assignments, job.settings)
+        some_shown(cloud, shown, "give points another class than 7 and 18, which are noise")
         flags, method = filter_cloud(cloud, shown, params, tell), params.method
     elif cloud.classes is not None and (cloud.classes == GROUND).any():
         flags, method = Flags((cloud.classes == GROUND) & shown, came_as_noise(cloud)), None
