@@ -70,6 +70,16 @@ def test_no_ground_is_made_of_withheld_points(place: Path, flag: str) -> None:
     assert "withheld" not in said and off < -0.1, "they are ground like all others"
 
 
+def test_a_survey_that_is_all_withheld_is_delivered_whole_and_ends_with_4(place: Path) -> None:
+    las = laspy.read(place / "a.las")
+    las.withheld[:] = 1
+    las.write(place / "a.las")
+    ended = fwclass("run", place / "g.yaml", "--out", place / "r", *WORDS)
+    assert ended.returncode == 4 and "no echo is ground" in ended.stderr and "got: 0 of 6,000" in ended.stderr
+    quality = json.loads((place / "r" / "quality.json").read_text())
+    assert quality["density"]["echoes"] is None and "NaN" not in (place / "r" / "quality.html").read_text()
+
+
 def test_they_neither_train_nor_are_tested(place: Path) -> None:
     low = with_low_points(place, withheld=1)
     words = ("--out", place / "c", "--workers", 0, "--set", "areas.gap=0")

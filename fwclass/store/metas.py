@@ -152,7 +152,7 @@ _QUALITY = {
     "density": {
         **dict.fromkeys(("cell", "area"), NUMBER),
         **dict.fromkeys(("echoes", "pulses", "spacing"), _FIGURE),
-        "percentiles": dict.fromkeys(("p5", "p50", "p95"), NUMBER),
+        "percentiles": Maybe(dict.fromkeys(("p5", "p50", "p95"), NUMBER)),
     },
     "voids": {"area": NUMBER, "count": COUNT, "least": NUMBER, "share": _FIGURE, "largest": _VOIDS},
     "strips": {
