@@ -10,6 +10,7 @@ from pathlib import Path
 from fwclass.errors import InputError
 from fwclass.grid import Box
 from fwclass.paths import path_matches, strange_kind
+from fwclass.store.history import NAME as HISTORY
 from fwclass.store.params import StoreParams
 from fwclass.store.remote_file import Location, find_remote
 from fwclass.store.url import Url
@@ -68,7 +69,8 @@ def _files(paths: Iterable[Path]) -> list[Location]:
 
 
 def _below(directory: Path) -> Iterator[Path]:
-    """Every file below `directory`, also through links, but no directory twice: links may lead back."""
+    """Every file below `directory`, also through links, but no directory twice: links may lead back. Not those below
+    run directories, whose deliveries are no sources."""
     waiting, visited = [directory], set()
     while waiting:
         path = waiting.pop()
@@ -81,7 +83,7 @@ def _below(directory: Path) -> Iterator[Path]:
         except OSError:  # as `glob` does: what cannot be read holds nothing
             continue
         yield from (p for p in entries if not p.is_dir())
-        waiting += [p for p in entries if p.is_dir()]
+        waiting += [p for p in entries if p.is_dir() and not (p / "store" / HISTORY).is_file()]
 
 
 def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:

@@ -137,3 +137,14 @@ def test_one_system_under_two_names_is_one(tmp_path):
     other.write(tmp_path / "b.las")
     ended = fwclass("run", survey, "--workflow", "ground", "--out", tmp_path / "s", "--workers", 0)
     assert ended.returncode == 1 and "survey.crs" in ended.stderr, ended.stderr
+
+
+def test_sources_in_all_directories_are_not_those_of_runs_below(tmp_path: Path) -> None:
+    """The deliveries of the first run were taken for two files of one name by the second one."""
+    conf = small_survey(tmp_path)
+    line = ("run", conf, "--out", tmp_path / "runs" / "r", "--workers", 0, "--workflow", "ground")
+    line += ("--set", "survey.sources=['**/*.la?']")
+    assert fwclass(*line).returncode == 0
+    assert list((tmp_path / "runs").glob("r/laz/strips/a.laz"))
+    ended = fwclass(*line)
+    assert ended.returncode == 0 and "computed" not in ended.stderr, ended.stderr
