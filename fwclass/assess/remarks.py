@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.assess.intervals import FEW, LEAST
 from fwclass.assess.params import AssessParams
+from fwclass.errors import refuse_unsound
 
 ONE_CLASS = 0.99
 """A block is of one class from this share of its echoes on: a few strays make no border."""
@@ -54,6 +55,11 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     """
     sentences, blocks, pure = [], int(accuracy["blocks"]), accuracy["pure_share"]
     edge = f"{params.block:g} m"
+    if by_chance(accuracy):
+        sentences.append(
+            f"Kappa is {_kappa_words(accuracy)}: chance may agree with the reference as well. Are the labels those of "
+            "these echoes (files, codes, places)? Do the features tell the classes apart?"
+        )
     if blocks < FEW:
         without = f", and no interval is told below {LEAST}" if blocks < LEAST else ""
         sentences.append(
@@ -91,6 +97,35 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
             "they are classified, and not scored: add the codes to survey.classes, or know that they are missing here."
         )
     return sentences
+
+
+def by_chance(accuracy: Mapping[str, Any]) -> bool:
+    """Whether kappa, by its interval where there is one, is no better than that of classes drawn at random; never where
+    the reference has one class alone."""
+    reference = np.asarray(accuracy["confusion"]).sum(axis=1)
+    interval = (accuracy["intervals"] or {}).get("kappa")
+    least = interval[0] if interval else accuracy["kappa"]
+    return bool(np.count_nonzero(reference) > 1 and least is not None and least <= 0.0)
+
+
+def judge_chance(accuracy: Mapping[str, Any], accepted: bool, where: object) -> None:
+    """`QualityError` where the classes may be chance (`by_chance`), by kappa itself or by an interval that has blocks
+    enough to lean on; nothing where the user accepts it."""
+    sure = int(accuracy["blocks"]) >= FEW or (accuracy["kappa"] or 0.0) <= 0.0
+    refuse_unsound(
+        [f"kappa {_kappa_words(accuracy)}"] if sure and by_chance(accuracy) else [],
+        accepted,
+        "the classes agree with the reference no better than chance does",
+        where,
+        expected="kappa above 0, with its interval",
+        do="look whether the labels are those of these echoes, and at the confusion matrix; --accept-implausible "
+        "(plausibility.accept=true) takes it as it is",
+    )
+
+
+def _kappa_words(accuracy: Mapping[str, Any]) -> str:
+    interval = (accuracy["intervals"] or {}).get("kappa")
+    return f"{accuracy['kappa']:.3f}" + (f" ({interval[0]:.3f} to {interval[1]:.3f})" if interval else "")
 
 
 def _percent(share: float) -> str:

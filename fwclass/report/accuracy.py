@@ -112,5 +112,5 @@ def ground_facts(runner: Runner, config: Config, withheld: int) -> dict[str, Any
         "block": config.ground.block,
         "accuracy": judged,
         "seams": dict(seams) if seams else None,
-        "remarks": ground_remarks(blocks, withheld, config.ground, by_source),
+        "remarks": ground_remarks(blocks, withheld, config.ground, by_source, judged),
     }

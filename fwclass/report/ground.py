@@ -29,11 +29,16 @@ LEAST_GROUND = 0.9
 """Share of the echoes that the sources call ground which it should: 0.997 to 1.000 on these five."""
 
 
+SLIGHT = 0.2
+"""Kappa of the filter's ground against the reference's up to which they agree slightly at best (Landis, Koch 1977)."""
+
+
 def ground_remarks(
     blocks: Sequence[Mapping[str, Any]],
     withheld: int,
     params: GroundParams,
     by_source: Iterable[Mapping[str, Sequence[int]]] = (),
+    accuracy: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """What is to be said of the ground.
 
@@ -42,6 +47,7 @@ def ground_remarks(
     blocks : receipts' facts of the blocks of the filter: ``seen`` echoes, ``last`` ones of their pulses among them.
     withheld : returns that their source flags as withheld or synthetic.
     by_source : of every tile [echoes, ground] by the class that their source has.
+    accuracy : of the filter against the reference's class ground, where there is one.
     """
     remarks = []
     if withheld:
@@ -58,7 +64,22 @@ def ground_remarks(
             "stretched over it: return numbers are wrong, or files without last returns were given; --set "
             "ground.last_returns=false lets all returns be ground"
         )
+    kappa = _kappa(accuracy)
+    if kappa is not None and kappa <= SLIGHT:
+        remarks.append(
+            f"the filter and the reference hardly agree on what is ground (kappa {kappa:.2f}): does the reference's "
+            "class ground have the codes of another class, or the labels other heights? A classifier learns wrong "
+            "labels as well as right ones, and is then tested on wrong ones"
+        )
     return [*remarks, *_against_sources(by_source, params)]
+
+
+def _kappa(accuracy: Mapping[str, Any] | None) -> float | None:
+    """Of the filter against the reference, None where echoes of ground or of all else are too few to tell."""
+    if accuracy is None or min(map(sum, accuracy["confusion"])) < WORTH:
+        return None
+    kappa: float | None = accuracy["kappa"]
+    return kappa
 
 
 def _against_sources(by_source: Iterable[Mapping[str, Sequence[int]]], params: GroundParams) -> list[str]:
@@ -85,7 +106,18 @@ def _against_sources(by_source: Iterable[Mapping[str, Sequence[int]]], params: G
 
 
 def judge_ground(facts: Mapping[str, Any], accepted: bool, where: object) -> None:
-    """`QualityError` where a filter looked at echoes and found no ground; nothing where the user accepts it."""
+    """`QualityError` where a filter looked at echoes and found no ground, or finds it where the reference has none;
+    nothing where the user accepts it."""
+    kappa = _kappa(facts.get("accuracy"))
+    refuse_unsound(
+        [f"kappa {kappa:.2f}"] if kappa is not None and kappa <= 0.0 else [],
+        accepted,
+        "the filter's ground is not what the reference calls ground",
+        where,
+        expected="agreement that chance does not give: kappa above 0",
+        do="look at survey.classes (code, codes) and at the labels' heights; --accept-implausible "
+        "(plausibility.accept=true) takes it as it is",
+    )
     refuse_unsound(
         [f"0 of {facts['echoes']:,}"] if facts["echoes"] and not facts["ground"] else [],
         accepted,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from fwclass.assess.remarks import judge_chance
 from fwclass.assess.stage import judge
 from fwclass.classify.unsure import judge_unsure
 from fwclass.conf import Config
@@ -48,4 +49,5 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     if report.get("quality"):
         judge_quality(report["quality"], config.quality)
     if report["accuracy"]:
+        judge_chance(report["accuracy"], accepted, where)
         judge(report["accuracy"], config.assess)

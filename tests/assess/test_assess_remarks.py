@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import laspy
 import numpy as np
 import pytest
+from commandline import fwclass
+from smallsurvey import small_survey
 
 from fwclass import conf
-from fwclass.assess.remarks import Extent, pure_share, remarks
+from fwclass.assess.remarks import Extent, judge_chance, pure_share, remarks
+from fwclass.errors import QualityError
 
 SOUND = Extent(echoes=10_000, scored=4_000, others={"66": 20}, apart=15.0, reach=12.0)
-FIGURES = {"blocks": 40, "pure_share": 0.4}
+FIGURES = {
+    "blocks": 40,
+    "pure_share": 0.4,
+    "confusion": [[90, 10], [10, 90]],
+    "kappa": 0.8,
+    "intervals": {"kappa": [0.7, 0.9]},
+}
+CHANCE = {"confusion": [[473, 285], [470, 250]], "kappa": -0.03, "intervals": {"kappa": [-0.06, 0.01]}}
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +41,7 @@ def test_nothing_is_said_beside_a_large_mixed_and_distant_test(params):
     [
         ({"blocks": 19}, SOUND, ("19 squares of 25 m", "test on 20 squares or more")),
         ({"blocks": 4}, SOUND, ("4 squares", "no interval is told below 5")),
+        (CHANCE, SOUND, ("Kappa is -0.030 (-0.060 to 0.010)", "labels those of these echoes")),
         ({"pure_share": 0.95}, SOUND, ("95 % of the tested echoes", "label whole places")),
         ({}, replace(SOUND, apart=2.0), ("Tested 2 m", "reaches 12 m", "--set areas.gap=12")),
         ({}, replace(SOUND, scored=360), ("3.6 % of the echoes were tested", "label places of every kind")),
@@ -39,6 +51,42 @@ def test_nothing_is_said_beside_a_large_mixed_and_distant_test(params):
 def test_every_weakness_has_a_remark_of_its_own(figures, tested, words, params):
     told = remarks({**FIGURES, **figures}, tested, params)
     assert len(told) == 1 and all(word in told[0] for word in words), told
+
+
+def test_classes_by_chance_end_with_4_and_one_class_or_few_blocks_do_not(params):
+    for figures in (CHANCE, {**CHANCE, "intervals": None}, {"intervals": {"kappa": [0.0, 0.9]}}):
+        with pytest.raises(QualityError, match="no better than chance"):
+            judge_chance({**FIGURES, **figures}, False, "s.yaml")
+        judge_chance({**FIGURES, **figures}, True, "s.yaml")
+    judge_chance(FIGURES, False, "s.yaml")
+    judge_chance({**FIGURES, "blocks": 19, "intervals": {"kappa": [0.0, 0.9]}}, False, "s.yaml")
+    judge_chance({**FIGURES, "confusion": [[100, 0], [0, 0]], "kappa": 0.0, "intervals": None}, False, "s.yaml")
+    judge_chance({**FIGURES, "confusion": [[0, 0], [0, 0]], "kappa": None, "intervals": None}, False, "s.yaml")
+
+
+def test_labels_of_other_echoes_are_told_by_a_run(tmp_path):
+    """Their figure, 49 %, stood there alone, with exit code 0."""
+    survey = small_survey(tmp_path)
+    las = laspy.read(tmp_path / "a.las")
+    las.classification = np.random.default_rng(1).permutation(np.asarray(las.classification))
+    las.write(tmp_path / "a.las")
+    line = ("run", survey, "--out", tmp_path / "r", "--workers", 0)
+    ended = fwclass(*line)
+    assert ended.returncode == 4 and "chance may agree with the reference as well" in ended.stderr, ended.stderr
+    assert "chance may agree with the reference as well" in (tmp_path / "r" / "report.html").read_text()
+    assert fwclass(*line, "--accept-implausible").returncode == 0
+
+
+def test_exchanged_codes_are_told_though_the_classifier_learns_them(tmp_path):
+    """100.0 % overall, exit code 0: what is tested was exchanged as well."""
+    survey = small_survey(tmp_path)
+    las = laspy.read(tmp_path / "a.las")
+    codes = np.asarray(las.classification)
+    las.classification = np.where(codes == 2, 5, 2)
+    las.write(tmp_path / "a.las")
+    ended = fwclass("run", survey, "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode == 4 and "not what the reference calls ground" in ended.stderr, ended.stderr
+    assert "hardly agree on what is ground (kappa -" in ended.stderr
 
 
 def test_blocks_of_one_class_are_pure_but_for_strays():
