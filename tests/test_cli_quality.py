@@ -220,3 +220,19 @@ def test_an_area_elsewhere_is_refused(survey: Path, tmp_path: Path) -> None:
     write_area(survey / "area.geojson", (600_000.0, 5_400_100.0, 600_060.0, 5_400_120.0))
     ended = fwclass("run", survey / "s.yaml", "--out", tmp_path / "run", *WORDS, *AREA)
     assert ended.returncode == 1 and "no area that was to be flown lies in the survey" in ended.stderr, ended.stderr
+
+
+def test_files_that_meet_at_a_step_are_told_and_end_with_4(tmp_path: Path) -> None:
+    """Heights of one of two tiles are those above the ellipsoid: nothing overlapped, and nothing was said."""
+    whole = line(1, (0.0, 0.0, 0.0))
+    middle = np.median(whole["y"])
+    for name, part, lift in (("a", whole["y"] < middle, 0.0), ("b", whole["y"] >= middle, 46.3)):
+        write_lines(tmp_path / f"{name}.las", [{**whole, "z": whole["z"] + lift}], part)
+    (tmp_path / "s.yaml").write_text("survey: {name: tiles, sources: ['?.las']}\n")
+    facts = run(tmp_path, tmp_path / "run", expect=4)
+    (step,) = facts["strips"]["borders"]["stepped"]
+    assert (step["first"], step["second"]) == ("a", "b") and step["step"] == pytest.approx(-46.3, abs=0.1)
+    for size in ("40", "1000"):
+        other = run(tmp_path, tmp_path / size, "--set", f"tile.size={size}", expect=4)
+        assert other["strips"] == facts["strips"]
+    run(tmp_path, tmp_path / "run", "--accept-implausible")

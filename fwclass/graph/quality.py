@@ -27,12 +27,19 @@ from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
-from fwclass.quality.block import READS, block_quality, pairs_from, pieces_from
+from fwclass.quality.block import BORDERS, READS, block_quality, pairs_from, pieces_from
 from fwclass.quality.check_points import CHECKED, check_remarks, compared_points
 from fwclass.quality.density import Density, density_remarks
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
-from fwclass.quality.strips import Comparison, largest_differences, numbers_of, strip_remarks, strips_by
+from fwclass.quality.strips import (
+    Comparison,
+    largest_differences,
+    numbers_of,
+    stepped_borders,
+    strip_remarks,
+    strips_by,
+)
 from fwclass.quality.voids import LISTED, EmptyCells, Void, void_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
@@ -170,12 +177,15 @@ def _strips(
     by = strips_by(params.strips, *(sum(int(m[n]) for m in metas) for n in ("between_files", "between_lines")))
     numbers = numbers_of(pieces, by)
     strips = strips_of(pieces, [(b.box.xmin, b.box.ymin) for b in blocks], numbers, params.line_gap)
-    compared = Comparison(params.planes, sum(int(m["pairs"]) for m in metas))
+    compared, borders = Comparison(params.planes, sum(int(m["pairs"]) for m in metas)), []
     for b, number in zip(blocks, numbers, strict=True):
         window = Window.covering(b.box, params.planes.cell)
-        pairs = pairs_from(inputs.arrays(stage, b.key, COMPARED)[0])
-        compared.add(pairs, number, (window.col, window.row))
-    facts = compared.facts(strips, files, by)
+        arrays = inputs.arrays(stage, b.key, COMPARED)[0]
+        compared.add(pairs_from(arrays), number, (window.col, window.row))
+        borders.append([arrays[name] for name in BORDERS])
+    first, second, step = (np.concatenate(some) for some in zip(*borders, strict=True))
+    stepped = stepped_borders(first, second, step, files, params.planes.max_step)
+    facts = compared.facts(strips, files, by) | {"borders": stepped}
     return facts, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
 
 
@@ -236,7 +246,7 @@ def _style(path: Path, spread: Spread, unit: str) -> None:
 
 MEASURE_QUALITY = Stage(
     "quality-block",
-    1,
+    2,
     "block",
     "echo",
     measure_quality,
@@ -248,7 +258,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    5,
+    6,
     "survey",
     "cell",
     deliver_quality,

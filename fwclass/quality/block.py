@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 from fwclass.grid import Box, Window, millimetres, whole_millimetres
 from fwclass.quality.params import QualityParams
 from fwclass.quality.pieces import Pieces, pieces_of
-from fwclass.quality.planes import PlanePairs, plane_pairs
+from fwclass.quality.planes import PlanePairs, border_steps, plane_pairs, planes_of
 from fwclass.schema import Table
 
 READS = ("x", "y", "z", "strip", "gps_time", "echo_number", "number_of_echoes", "noise")
 """Columns of echoes that quality is measured by."""
+
+
+BORDERS = ("border_first", "border_second", "border_step")
+"""Arrays of `border_steps`."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,7 @@ class BlockQuality:
         its first echo lies.
     noise : echoes that are noise.
     pieces, pairs : of its strips.
+    borders : files beside each other, and the steps between them (`planes.border_steps`).
     """
 
     echoes: NDArray[np.uint32]
@@ -35,10 +40,15 @@ class BlockQuality:
     noise: int
     pieces: Pieces
     pairs: PlanePairs
+    borders: tuple[NDArray, NDArray, NDArray]
 
     def arrays(self) -> dict[str, NDArray]:
-        """Pieces, (pieces,) each, and pairs, (pairs,) each, by name as a store keeps them."""
-        return {**vars(self.pieces), **{f"pair_{name}": values for name, values in vars(self.pairs).items()}}
+        """Pieces, (pieces,) each, pairs, (pairs,) each, and steps, (steps,) each, by name as a store keeps them."""
+        return {
+            **vars(self.pieces),
+            **{f"pair_{name}": values for name, values in vars(self.pairs).items()},
+            **dict(zip(BORDERS, self.borders, strict=True)),
+        }
 
     def between(self) -> tuple[int, int]:
         """Pairs of different files, and pairs of one file flown apart: at least one span of time lies between."""
@@ -72,6 +82,7 @@ def block_quality(table: Table, box: Box, params: QualityParams) -> BlockQuality
     )
     pieces, number = pieces_of(x, y, sound["gps_time"], sound["strip"], (box.xmin, box.ymin), params.line_gap)
     alone = np.flatnonzero(sound["number_of_echoes"] == 1)
-    planes = Window.covering(box, params.planes.cell)
-    pairs = plane_pairs(x[alone], y[alone], sound["z"][alone], number[alone], planes, params.planes)
-    return BlockQuality(echoes, pulses, table.rows - sound.rows, pieces, pairs)
+    cells = Window.covering(box, params.planes.cell)
+    planes = planes_of(x[alone], y[alone], sound["z"][alone], number[alone], cells, params.planes)
+    steps = border_steps(planes, pieces.file)
+    return BlockQuality(echoes, pulses, table.rows - sound.rows, pieces, plane_pairs(planes), steps)

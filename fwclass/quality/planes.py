@@ -17,6 +17,38 @@ slope."""
 
 
 @dataclass(frozen=True)
+class Planes:
+    """Flat planes in the cells of a window, (planes,) each, in the order of cell and piece.
+
+    Attributes
+    ----------
+    row, col : of the cell, int64.
+    piece : number of the piece that sees it, int64.
+    u, v : mean place of its echoes from the middle of the cell [mm], w : their mean height [mm], from one level for
+        all; float64.
+    a, b : slope to the east and north.
+    edge : of a cell [mm].
+    """
+
+    row: NDArray[np.int64]
+    col: NDArray[np.int64]
+    piece: NDArray[np.int64]
+    u: NDArray[np.float64]
+    v: NDArray[np.float64]
+    w: NDArray[np.float64]
+    a: NDArray[np.float64]
+    b: NDArray[np.float64]
+    edge: int
+
+    def steps(self, p: NDArray[np.int64], q: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Height of the planes `p` less that of the planes `q`, midway between the centres of their echoes [m]."""
+        du = self.u[q] - self.u[p] + self.edge * (self.col[q] - self.col[p])
+        dv = self.v[q] - self.v[p] + self.edge * (self.row[q] - self.row[p])
+        down = self.w[p] - self.w[q] + (self.a[p] + self.a[q]) * du / 2 + (self.b[p] + self.b[q]) * dv / 2
+        return np.asarray(down / 1000)
+
+
+@dataclass(frozen=True)
 class PlanePairs:
     """Cells in which two pieces of strips both see a flat plane.
 
@@ -36,22 +68,22 @@ class PlanePairs:
     weight: NDArray[np.float64]
 
 
-def plane_pairs(
+def planes_of(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     z: NDArray[np.float64],
     piece: NDArray[np.int64],
     window: Window,
     params: PlaneParams,
-) -> PlanePairs:
-    """Pairs of planes in the cells of `window`, of echoes (x, y, z) [m] of the pieces with these numbers (from 0).
+) -> Planes:
+    """Flat planes in the cells of `window`, of echoes (x, y, z) [m] of the pieces with these numbers (from 0).
 
     Sums are those of whole millimetres, and exact: the order of the echoes does not count. A plane counts with
     `least` echoes, spread over the cell, a residual of at most `max_residual` and a slope of at most `max_slope`.
     """
     if not len(x):
-        none, nothing = np.empty(0, np.int32), np.empty(0)
-        return PlanePairs(none, none, none, none, nothing, nothing)
+        none, nothing = np.empty(0, np.int64), np.empty(0)
+        return Planes(none, none, none, *(5 * (nothing,)), edge=0)
     mm = whole_millimetres(window.cell, "quality.planes.cell")
     mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
     col, row = mx // mm - window.col, my // mm - window.row
@@ -77,6 +109,14 @@ def plane_pairs(
     good &= np.hypot(a, b) <= math.tan(math.radians(params.max_slope))
     chosen = np.flatnonzero(good)
     cells, number = np.divmod(key[chosen], pieces)
+    r, c = np.divmod(cells, window.ncols)
+    across, up, level = (mean[n][chosen] for n in "uvw")
+    return Planes(r, c, number, across, up, level, a[chosen], b[chosen], mm)
+
+
+def plane_pairs(planes: Planes) -> PlanePairs:
+    """Pairs of planes in one cell, which two pieces see."""
+    cells = (planes.row << 32) + planes.col
     shared = np.bincount(np.unique(cells, return_inverse=True)[1])
     of = np.repeat(shared, shared)  # the keys are sorted by cell
     first, second = [], []
@@ -87,9 +127,30 @@ def plane_pairs(
     i, j = (np.concatenate([np.empty(0, np.int64), *some]) for some in (first, second))
     order = np.lexsort((j, i))
     i, j = i[order], j[order]
-    p, q = chosen[i], chosen[j]
-    du, dv = (mean[n][q] - mean[n][p] for n in "uv")
-    dz = mean["w"][p] - mean["w"][q] + (a[p] + a[q]) * du / 2 + (b[p] + b[q]) * dv / 2
-    r, c = np.divmod(cells[i], window.ncols)
-    row, col, one, other = (n.astype(np.int32) for n in (r, c, number[i], number[j]))
-    return PlanePairs(row, col, one, other, dz / 1000, 2.0 / of[i])
+    of_both = (planes.row[i], planes.col[i], planes.piece[i], planes.piece[j])
+    row, col, one, other = (n.astype(np.int32) for n in of_both)
+    return PlanePairs(row, col, one, other, planes.steps(i, j), 2.0 / of[i])
+
+
+def border_steps(
+    planes: Planes, file: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Steps between neighbouring cells (to the east, to the north), each of which one source file alone sees.
+
+    `file`: of every piece, int64 (pieces,). Returns the lower and the higher number of the two files, int64 (steps,),
+    and how much higher the plane of the first lies [m], float64 (steps,).
+    """
+    cells, of = (planes.row << 32) + planes.col, file[planes.piece]
+    first = np.flatnonzero(np.diff(cells, prepend=-1))
+    alone = np.flatnonzero(np.minimum.reduceat(of, first) == np.maximum.reduceat(of, first)) if len(first) else first
+    first, known = first[alone], cells[first[alone]]
+    steps = []
+    for beside in (1, 1 << 32):
+        at = np.searchsorted(known, known + beside)
+        there = np.flatnonzero((at < len(known)) & (known[np.minimum(at, len(known) - 1)] == known + beside))
+        p, q = first[there], first[at[there]]
+        steps.append((of[p], of[q], planes.steps(p, q)))
+    one, other, dz = (np.concatenate([s[k] for s in steps]) for k in range(3))
+    differs, swap = one != other, one > other
+    low, high = np.minimum(one, other)[differs], np.maximum(one, other)[differs]
+    return low, high, np.where(swap, -dz, dz)[differs]

@@ -11,6 +11,7 @@ from fwclass.classify.unsure import judge_unsure
 from fwclass.conf import Config
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.quality.judge import judge_quality
+from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
 from fwclass.report.facts import judge_place
@@ -47,6 +48,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     judge_drift(report.get("drift"), config.classify, model)
     judge_unsure(report.get("unsure"), config.classify, model)
     if report.get("quality"):
+        judge_strips(report["quality"]["strips"], accepted, where)
         judge_quality(report["quality"], config.quality)
     if report["accuracy"]:
         judge_chance(report["accuracy"], accepted, where)

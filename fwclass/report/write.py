@@ -15,6 +15,7 @@ from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
 from fwclass.quality.covered import CoveredArea
+from fwclass.quality.strips import unsound_strips
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
 from fwclass.report.counts import (
     bathymetry_facts,
@@ -181,6 +182,7 @@ def _remarks(
     return [
         *of("accuracy", "earlier", "place"),
         *(report["radiometry"] or {}).get("implausible", ()),
+        *(unsound_strips(report["quality"]["strips"]) if report["quality"] else ()),
         *of("repeated", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),

@@ -163,6 +163,10 @@ _QUALITY = {
         **dict.fromkeys(("rms", "left", "sigma"), _FIGURE),
         "strips": [_STRIP],
         "between": [{"first": COUNT, "second": COUNT, "pairs": COUNT, "mean": NUMBER, "rms": NUMBER}],
+        "borders?": {
+            **dict.fromkeys(("places", "borders"), COUNT),
+            "stepped": [{"first": TEXT, "second": TEXT, "places": COUNT, "step": NUMBER}],
+        },
     },
     "coverage": Maybe({"area": NUMBER, "share": _FIGURE, "gaps": COUNT, "largest": _VOIDS}),
     "check_points": Maybe(_CHECKED),

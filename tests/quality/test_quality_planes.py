@@ -9,7 +9,8 @@ import pytest
 
 from fwclass.grid import Box, Window
 from fwclass.quality.params import PlaneParams
-from fwclass.quality.planes import PlanePairs, plane_pairs
+from fwclass.quality.planes import PlanePairs, border_steps, plane_pairs, planes_of
+from fwclass.quality.strips import stepped_borders
 
 EAST, NORTH = 512_000.0, 5_403_008.0
 
@@ -29,7 +30,7 @@ def pairs(parts: list[Any], params: PlaneParams, size: float = 64.0) -> PlanePai
     x, y, z = (np.concatenate(c) for c in zip(*parts, strict=True))
     piece = np.repeat(np.arange(len(parts)), [len(p[0]) for p in parts])
     window = Window.covering(Box(EAST, NORTH, EAST + size, NORTH + size), params.cell)
-    return plane_pairs(x, y, z, piece, window, params)
+    return plane_pairs(planes_of(x, y, z, piece, window, params))
 
 
 def test_a_known_lift_comes_out_of_every_cell(params: PlaneParams) -> None:
@@ -82,9 +83,9 @@ def test_the_order_of_echoes_changes_no_bit(params: PlaneParams) -> None:
     x, y, z = (np.concatenate(c) for c in zip(echoes(rng, 9000), echoes(rng, 9000), strict=True))
     piece = np.repeat([0, 1], 9000)
     window = Window.covering(Box(EAST, NORTH, EAST + 64, NORTH + 64), params.cell)
-    first = plane_pairs(x, y, z, piece, window, params)
+    first = plane_pairs(planes_of(x, y, z, piece, window, params))
     order = rng.permutation(18_000)
-    second = plane_pairs(x[order], y[order], z[order], piece[order], window, params)
+    second = plane_pairs(planes_of(x[order], y[order], z[order], piece[order], window, params))
     for name in vars(first):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 
@@ -92,4 +93,32 @@ def test_the_order_of_echoes_changes_no_bit(params: PlaneParams) -> None:
 def test_no_echo_gives_no_pair(params: PlaneParams) -> None:
     nothing = np.empty(0)
     window = Window.covering(Box(EAST, NORTH, EAST + 64, NORTH + 64), params.cell)
-    assert not len(plane_pairs(nothing, nothing, nothing, np.empty(0, np.int64), window, params).dz)
+    assert not len(plane_pairs(planes_of(nothing, nothing, nothing, np.empty(0, np.int64), window, params)).dz)
+
+
+def test_files_beside_each_other_are_compared_across_their_border_alone(params: PlaneParams) -> None:
+    """Three files of 21 m by 64 m, the last one 12 m higher; two pieces of the first see its cells."""
+    rng = np.random.default_rng(5)
+    x, y, z = echoes(rng, 30_000)
+    file = np.minimum((x - EAST) // 20, 2).astype(np.int64)
+    piece = np.where(file == 0, rng.integers(0, 2, len(x)), file + 1)
+    z = z + np.where(file == 2, 12.0, 0.0)
+    window = Window.covering(Box(EAST, NORTH, EAST + 64, NORTH + 64), params.cell)
+    first, second, step = border_steps(planes_of(x, y, z, piece, window, params), np.array([7, 7, 3, 5]))
+    assert (first < second).all() and len(step) == 32
+    high = (first == 3) & (second == 5)
+    assert high.sum() == 16 and step[high] == pytest.approx(-12.0, abs=0.1), "5 lies 12 m above 3"
+    assert step[(first == 3) & (second == 7)] == pytest.approx(0.0, abs=0.1)
+    facts = stepped_borders(first, second, step, {3: "c", 5: "e", 7: "g"}, 1.0)
+    (one,) = facts["stepped"]
+    assert (one["first"], one["second"], one["places"]) == ("c", "e", 16) and one["step"] == pytest.approx(-12, abs=0.1)
+    assert facts["places"] == 32 and facts["borders"] == 2
+
+
+def test_a_border_that_is_a_wall_in_part_is_no_step() -> None:
+    first, second, walls = np.zeros(8, np.int64), np.ones(8, np.int64), np.array([3.0] * 5 + [0.1] * 3)
+    assert not stepped_borders(first, second, walls, {}, 1.0)["stepped"]
+    assert not stepped_borders(first[:4], second[:4], walls[:4], {}, 1.0)["stepped"], "too few places"
+    assert not stepped_borders(first, second, np.array([3.0, -3.0] * 4), {}, 1.0)["stepped"]
+    none = np.zeros(0, np.int64)
+    assert stepped_borders(none, none, np.zeros(0), {}, 1.0) == {"places": 0, "borders": 0, "stepped": []}
