@@ -185,6 +185,27 @@ def test_a_file_without_ground_ends_with_4_when_it_is_written(tmp_path, fwclass)
     assert fwclass(*line, tmp_path / "c.txt", "--accept-implausible")[0] == 0
 
 
+def test_a_given_ground_that_others_lie_below_is_told(tmp_path, fwclass):
+    """Codes of ground and plants were exchanged: heights of -2.84 m in the median, exit code 0."""
+    rng = np.random.default_rng(2)
+    plant = rng.random(4000) < 0.4
+    xyz = np.column_stack([rng.uniform(0.0, 80.0, (4000, 2)), np.where(plant, rng.uniform(0.5, 8.0, 4000), 0.0)])
+    xyz += [500_000.0, 5_400_000.0, 200.0]
+    commands = {
+        "normalize": (tmp_path / "n.las",),
+        "features": (tmp_path / "f.parquet", "--features", "height_above_ground", "--own-ground"),
+    }
+    for exchanged in (False, True):
+        codes = np.where(plant != exchanged, 5, 2)
+        source = write_las(tmp_path / "a.las", xyz, point_format=6, keys=None, classification=codes)
+        for command, (output, *more) in commands.items():
+            code, _, err = fwclass(command, source, output, *more, "--overwrite")
+            assert code == (4 if exchanged else 0) and output.is_file(), err
+            assert ("lie more than 1 m below what the file calls ground" in err) == exchanged
+            if exchanged:
+                assert fwclass(command, source, output, *more, "--overwrite", "--accept-implausible")[0] == 0
+
+
 def test_longitudes_without_a_system_are_refused_at_once_and_told_by_info(tmp_path, fwclass):
     """They were taken for metres, all of them in one cell: the filter looked at every pair."""
     r = np.random.default_rng(0)

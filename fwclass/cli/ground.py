@@ -152,6 +152,7 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
     The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
     """
     from fwclass.report.facts import judge_place
+    from fwclass.report.ground import judge_sunken
     from fwclass.single_file.ground.normalize import NormalizeJob, normalize_file
     from fwclass.single_file.ground.steps import Steps
     from fwclass.single_file.ground.text import describe_heights
@@ -161,4 +162,5 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
     click.echo(describe_heights(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
-    judge_place(summary["place"], accept_implausible, source)
+    judge_place(summary["judged"]["place"], accept_implausible, source)
+    judge_sunken(summary["judged"]["ground"], accept_implausible, source)

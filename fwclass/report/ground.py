@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fwclass.classes import BUILDING, GROUND
+from fwclass.classes import BUILDING, GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from fwclass.errors import refuse_unsound
 from fwclass.ground.params import GroundParams
 
@@ -31,6 +32,39 @@ LEAST_GROUND = 0.9
 
 SLIGHT = 0.2
 """Kappa of the filter's ground against the reference's up to which they agree slightly at best (Landis, Koch 1977)."""
+
+
+SUNKEN = (1.0, 0.05)
+"""Echoes further below a given ground than this [m], and the share of them, noise and water left out, from which it is
+none: five public tiles have 4e-5 of theirs so deep at most."""
+
+
+def sunken_remarks(height: NDArray[np.floating], codes: NDArray[np.uint8]) -> list[str]:
+    """What says that a ground which was given, class 2 of a file, is none: echoes that lie below it.
+
+    `height` above it [m], NaN for none, and class of every echo, (n,) each.
+    """
+    told = np.isfinite(height) & ~np.isin(codes, (LOW_NOISE, HIGH_NOISE, WATER))
+    below = int((height[told] < -SUNKEN[0]).sum())
+    if below <= SUNKEN[1] * int(told.sum()):
+        return []
+    return [
+        f"{below:,} of {int(told.sum()):,} points lie more than {SUNKEN[0]:g} m below what the file calls ground "
+        "(class 2): that class is something else there, or stands alone high up"
+    ]
+
+
+def judge_sunken(remarks: Sequence[str], accepted: bool, where: object) -> None:
+    """`QualityError` with what `sunken_remarks` says; nothing where the user accepts it."""
+    refuse_unsound(
+        remarks,
+        accepted,
+        "what the file calls ground is not its lowest surface",
+        where,
+        expected=f"at most {100 * SUNKEN[1]:g} % of the points further below it",
+        do="look at the file's classes (`fwclass info`), or let the ground be looked for (--method smrf); "
+        "--accept-implausible (plausibility.accept=true) takes it as it is",
+    )
 
 
 def ground_remarks(

@@ -15,7 +15,7 @@ from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
 from fwclass.report.facts import judge_place
-from fwclass.report.ground import judge_ground
+from fwclass.report.ground import judge_ground, judge_sunken
 from fwclass.report.plausibility import judge_plausibility
 from fwclass.report.radiometry import judge_radiometry
 from fwclass.report.repeated import judge_repeated
@@ -23,10 +23,11 @@ from fwclass.report.repeated import judge_repeated
 
 def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
-    ``plausibility``, ``place`` and ``radiometry``, each where it is known."""
+    ``plausibility``, ``place``, ``ground`` (`sunken_remarks`) and ``radiometry``, each where it is known."""
     if judged.get("plausibility"):
         judge_plausibility([judged["plausibility"]], bounds)
     judge_place(judged.get("place"), bounds.accept, where)
+    judge_sunken(judged.get("ground", ()), bounds.accept, where)
     judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
 
 

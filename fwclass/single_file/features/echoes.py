@@ -27,6 +27,7 @@ from fwclass.read.cloud import read_point_cloud
 from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
+from fwclass.report.ground import sunken_remarks
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
@@ -67,7 +68,7 @@ class FileEchoes:
     table : in canonical order; columns that the file cannot give are left out.
     crs : `pyproj.CRS` or None.
     notes : what is to be said of them.
-    judged : what `report.judge.judge_echoes` judges of them: ``place``, ``plausibility`` and ``radiometry``.
+    judged : what `report.judge.judge_echoes` judges of them.
     links : pulse and echo number of the echo of every point, in the file's order; None for a text.
     """
 
@@ -229,7 +230,13 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
     ground = points["ground"] if by.own else tiles.columns(GATHER_GROUND, ("ground",))["ground"]
     without = int(np.isnan(heights["height_above_ground"]).sum())
     note = f"{note}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
-    return replace(echoes, table=table.with_columns(heights), notes=(*echoes.notes, note))
+    sunken = sunken_remarks(heights["height_above_ground"], codes) if by.own else []
+    return replace(
+        echoes,
+        table=table.with_columns(heights),
+        notes=(*echoes.notes, note, *sunken),
+        judged={**echoes.judged, "ground": sunken},
+    )
 
 
 def _adapted(sound: Table, params: GroundParams, rules: GroundAutoParams, assignments: tuple[str, ...]) -> GroundParams:

@@ -19,6 +19,7 @@ from fwclass.ground.stage import TERRAIN
 from fwclass.publish.heights import NO_HEIGHT
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
+from fwclass.report.ground import sunken_remarks
 from fwclass.single_file.ground.file import (
     came_as_noise,
     classes_of,
@@ -103,6 +104,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     tell("writing")
     written = _write(cloud, flags, height, job)
     known, place = height[np.isfinite(height)], place_of_cloud(cloud)
+    sunken = sunken_remarks(height, cloud.classes) if method is None and cloud.classes is not None else []
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -114,11 +116,11 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
         "keep_z": job.keep_z,
         "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
-        "place": place,
+        "judged": {"place": place, "ground": sunken},
         "max_gap": params.max_gap,
         "heights_m": _spread(known),
         "waveforms": written.get("wdp"),
-        "notes": [*written.get("notes", []), *cloud.cut_packets, *place["remarks"]],
+        "notes": [*written.get("notes", []), *cloud.cut_packets, *place["remarks"], *sunken],
         "seconds": {"all": round(time.perf_counter() - started, 3)},
     }
 
