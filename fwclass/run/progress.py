@@ -28,6 +28,7 @@ class _Stage:
     left: int = 0
     counts: dict[str, int] = field(default_factory=dict)
     began: float | None = None
+    worked: float = 0.0
     row: TaskID | None = None
 
     @property
@@ -38,10 +39,15 @@ class _Stage:
     def failed(self) -> int:
         return self.counts.get("failed", 0)
 
-    def pace(self, now: float) -> str:
-        """Parts a second, what is left at that rate, and what failed."""
+    def pace(self, now: float, workers: int) -> str:
+        """Parts a second, what is left at that rate, and what failed.
+
+        Where the workers were at other stages for more than half of the time, the rate is what all of them would do.
+        """
         ended = self.counts.get("computed", 0) + self.failed
         took = now - self.began if self.began is not None else 0.0
+        alone = self.worked / max(1, workers)
+        took = alone if 0.0 < alone < took / 2 else took
         words = []
         if ended > 1 and took > 0:
             rate = ended / took
@@ -117,6 +123,7 @@ class Display:
         stage, now = self._stages[outcome.stage], self._clock()
         stage.counts[outcome.status] = stage.counts.get(outcome.status, 0) + 1
         stage.left -= 1
+        stage.worked += outcome.seconds
         if stage.began is None and outcome.status in ("computed", "failed"):
             stage.began = now - outcome.seconds
         if self._live:
@@ -149,7 +156,7 @@ class Display:
             stage.row,
             completed=stage.ended,
             total=stage.ended + stage.left,
-            pace=stage.pace(now),
+            pace=stage.pace(now, self.workers),
             visible=stage.left > 0,
         )
         if self._all is not None:
@@ -163,7 +170,7 @@ class Display:
         rows = []
         for name, s in self._stages.items():
             if s.left and s.ended:
-                pace = s.pace(now)
+                pace = s.pace(now, self.workers)
                 rows.append(f"{name:<16} {s.ended} of {s.ended + s.left}" + (f", {pace}" if pace else ""))
         return rows
 

@@ -60,6 +60,18 @@ def test_what_was_done_before_does_not_count_as_pace():
     assert last.startswith("tile             ") and "6.0/min" in last and " min left" in last
 
 
+def test_workers_at_another_stage_do_not_make_this_one_slow():
+    """Four of 7 851 parts had been made in half a minute beside another stage: 17 h were told for 3 minutes."""
+    display, clock = shown(live=False)
+    display.workers = 2
+    display.expect({"contours": 7851})
+    for n in range(4):
+        clock.now += PERIOD / 3
+        display.ended(Outcome("contours", f"{n}", "computed", seconds=0.05))
+    (line,) = [r for r in display.console.file.getvalue().splitlines() if r.startswith("contours")]
+    assert line.endswith("of 7851, 40.0/s, 3 min left"), line
+
+
 def test_a_person_sees_bars_of_what_is_under_way():
     display, _ = shown(live=True)
     display.workers = 4
