@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 from fwclass.assess.intervals import FEW, LEAST
 from fwclass.assess.params import AssessParams
 from fwclass.errors import refuse_unsound
+
+SLIGHT = 0.2
+"""Kappa up to which two classifications agree slightly at best (Landis and Koch 1977)."""
 
 ONE_CLASS = 0.99
 """A block is of one class from this share of its echoes on: a few strays make no border."""
@@ -55,11 +59,7 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     """
     sentences, blocks, pure = [], int(accuracy["blocks"]), accuracy["pure_share"]
     edge = f"{params.block:g} m"
-    if by_chance(accuracy):
-        sentences.append(
-            f"Kappa is {_kappa_words(accuracy)}: chance may agree with the reference as well. Are the labels those of "
-            "these echoes (files, codes, places)? Do the features tell the classes apart?"
-        )
+    sentences += chance_remarks(accuracy)
     if blocks < FEW:
         without = f", and no interval is told below {LEAST}" if blocks < LEAST else ""
         sentences.append(
@@ -99,21 +99,24 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     return sentences
 
 
-def by_chance(accuracy: Mapping[str, Any]) -> bool:
-    """Whether kappa, by its interval where there is one, is no better than that of classes drawn at random; never where
-    the reference has one class alone."""
-    reference = np.asarray(accuracy["confusion"]).sum(axis=1)
-    interval = (accuracy["intervals"] or {}).get("kappa")
-    least = interval[0] if interval else accuracy["kappa"]
-    return bool(np.count_nonzero(reference) > 1 and least is not None and least <= 0.0)
+def chance_remarks(accuracy: Mapping[str, Any]) -> list[str]:
+    """That kappa is no better than that of classes drawn at random, as far as its interval tells; nothing where the
+    reference has one class alone."""
+    interval = _interval_of_kappa(accuracy)
+    if interval is None or interval[0] > 0.0:
+        return []
+    return [
+        f"Kappa is {_kappa_words(accuracy, interval)}: chance may agree with the reference as well. Are the labels "
+        "those of these echoes (files, codes, places)? Do the features tell the classes apart?"
+    ]
 
 
 def judge_chance(accuracy: Mapping[str, Any], accepted: bool, where: object) -> None:
-    """`QualityError` where the classes may be chance (`by_chance`), by kappa itself or by an interval that has blocks
-    enough to lean on; nothing where the user accepts it."""
-    sure = int(accuracy["blocks"]) >= FEW or (accuracy["kappa"] or 0.0) <= 0.0
+    """`QualityError` where there are `chance_remarks` and kappa is at most `SLIGHT`; nothing where the user accepts."""
+    interval = _interval_of_kappa(accuracy)
+    chance = interval is not None and interval[0] <= 0.0 and accuracy["kappa"] <= SLIGHT
     refuse_unsound(
-        [f"kappa {_kappa_words(accuracy)}"] if sure and by_chance(accuracy) else [],
+        [f"kappa {_kappa_words(accuracy, interval)}"] if chance and interval else [],
         accepted,
         "the classes agree with the reference no better than chance does",
         where,
@@ -123,9 +126,24 @@ def judge_chance(accuracy: Mapping[str, Any], accepted: bool, where: object) -> 
     )
 
 
-def _kappa_words(accuracy: Mapping[str, Any]) -> str:
-    interval = (accuracy["intervals"] or {}).get("kappa")
-    return f"{accuracy['kappa']:.3f}" + (f" ({interval[0]:.3f} to {interval[1]:.3f})" if interval else "")
+def _interval_of_kappa(accuracy: Mapping[str, Any]) -> tuple[float, float] | None:
+    """95 % interval of kappa by blocks, where these are too few as of echoes that are right or wrong each for itself
+    (Congalton and Green 1999), which is too narrow; None where the reference has not two classes."""
+    counts, kappa = np.asarray(accuracy["confusion"], float), accuracy["kappa"]
+    reference = counts.sum(axis=1)
+    if np.count_nonzero(reference) < 2 or kappa is None:
+        return None
+    if accuracy["intervals"]:
+        low, high = accuracy["intervals"]["kappa"]
+        return float(low), float(high)
+    rows = reference.sum()
+    right, chance = np.trace(counts) / rows, reference @ counts.sum(axis=0)[: len(reference)] / rows**2
+    half = 1.96 * math.sqrt(right * (1.0 - right) / rows) / (1.0 - chance)
+    return kappa - half, kappa + half
+
+
+def _kappa_words(accuracy: Mapping[str, Any], interval: tuple[float, float]) -> str:
+    return f"{accuracy['kappa']:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
 
 
 def _percent(share: float) -> str:

@@ -44,10 +44,14 @@ def _config(conf: Path | None, settings: tuple[str, ...], model: Path | None = N
 
 
 def _judge(summary: dict[str, Any], config: Any, options: dict[str, Any], source: object, model: Path) -> None:
+    from fwclass.assess.remarks import judge_chance
     from fwclass.report.drift import judge_drift
     from fwclass.street.soundness import judge_recording
 
-    judge_recording(summary["implausible"], options["accept_implausible"] or config.plausibility.accept, source)
+    taken = options["accept_implausible"] or config.plausibility.accept
+    judge_recording(summary["implausible"], taken, source)
+    if summary.get("accuracy"):
+        judge_chance(summary["accuracy"], taken, source)
     accepted = options["accept_drift"] or config.classify.accept_drift
     judge_drift(summary["drift"], config.classify.model_copy(update={"accept_drift": accepted}), model)
 
@@ -111,6 +115,7 @@ def train(
     conf: Path, target: Path, method: str | None, settings: tuple[str, ...], as_json: bool, **options: Any
 ) -> None:
     """Train a model on labelled recordings, at random or by stretches of road (street.split), and judge it."""
+    from fwclass.assess.remarks import judge_chance
     from fwclass.cli.model import _known
     from fwclass.single_file.street.train import describe
     from fwclass.single_file.street.train import train as training
@@ -125,6 +130,8 @@ def train(
     if as_json:
         click.echo(json.dumps(summary, indent=1))
     judge_recording(summary["implausible"], accepted, conf)
+    if summary["accuracy"]:
+        judge_chance(summary["accuracy"], accepted, conf)
 
 
 @street.command()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.assess.remarks import SLIGHT
 from fwclass.classes import BUILDING, GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from fwclass.errors import refuse_unsound
 from fwclass.ground.params import GroundParams
@@ -28,10 +29,6 @@ surveys of 15 to 84 echoes/m2, 0.12 on one of 0.3."""
 
 LEAST_GROUND = 0.9
 """Share of the echoes that the sources call ground which it should: 0.997 to 1.000 on these five."""
-
-
-SLIGHT = 0.2
-"""Kappa of the filter's ground against the reference's up to which they agree slightly at best (Landis, Koch 1977)."""
 
 
 SUNKEN = (1.0, 0.05)

@@ -11,8 +11,12 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 from fwclass import conf
+from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.remarks import Extent, judge_chance, pure_share, remarks
+from fwclass.classes import ClassDef
 from fwclass.errors import QualityError
+from fwclass.graph.street import crown_accuracy
+from fwclass.single_file.street.train import crown_lines
 
 SOUND = Extent(echoes=10_000, scored=4_000, others={"66": 20}, apart=15.0, reach=12.0)
 FIGURES = {
@@ -54,14 +58,27 @@ def test_every_weakness_has_a_remark_of_its_own(figures, tested, words, params):
 
 
 def test_classes_by_chance_end_with_4_and_one_class_or_few_blocks_do_not(params):
-    for figures in (CHANCE, {**CHANCE, "intervals": None}, {"intervals": {"kappa": [0.0, 0.9]}}):
+    for figures in (CHANCE, {**CHANCE, "intervals": None}, {**CHANCE, "kappa": 0.01, "intervals": None}):
         with pytest.raises(QualityError, match="no better than chance"):
             judge_chance({**FIGURES, **figures}, False, "s.yaml")
         judge_chance({**FIGURES, **figures}, True, "s.yaml")
     judge_chance(FIGURES, False, "s.yaml")
-    judge_chance({**FIGURES, "blocks": 19, "intervals": {"kappa": [0.0, 0.9]}}, False, "s.yaml")
+    judge_chance({**FIGURES, "intervals": {"kappa": [0.0, 0.9]}}, False, "s.yaml")
+    judge_chance({**FIGURES, "confusion": [[60, 40], [40, 60]], "kappa": 0.2, "intervals": None}, False, "s.yaml")
     judge_chance({**FIGURES, "confusion": [[100, 0], [0, 0]], "kappa": 0.0, "intervals": None}, False, "s.yaml")
     judge_chance({**FIGURES, "confusion": [[0, 0], [0, 0]], "kappa": None, "intervals": None}, False, "s.yaml")
+
+
+def test_crowns_by_chance_are_told_beside_their_figures():
+    """`street train` told an error of 51 % and a kappa of 0.0004, and ended with 0."""
+    counts = np.zeros((1, 2, 3), np.int64)
+    counts[0, :, :2] = [[15_000, 14_000], [113_000, 105_500]]
+    classes = [ClassDef("crown", 5, (5,)), ClassDef("other", 1, (1,))]
+    accuracy = crown_accuracy(BlockCounts(np.zeros((1, 2), np.int64), counts), classes)
+    assert accuracy["intervals"] is None and abs(accuracy["kappa"]) < 0.01
+    assert "chance may agree with the reference as well" in crown_lines(accuracy)[-1]
+    with pytest.raises(QualityError, match="no better than chance"):
+        judge_chance(accuracy, False, "street.yaml")
 
 
 def test_labels_of_other_echoes_are_told_by_a_run(tmp_path):

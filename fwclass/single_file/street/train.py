@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from fwclass.assess.remarks import chance_remarks
 from fwclass.conf import Config
 from fwclass.errors import InputError
 from fwclass.graph.street import Split, by_model, fit_model, judge_answers, recordings_of, rows_of, sample_of
@@ -75,4 +76,8 @@ def crown_lines(accuracy: dict[str, Any]) -> list[str]:
         value, ends = accuracy[key], accuracy[f"{key}_interval"]
         span = f"  [{100 * ends[0]:.2f}, {100 * ends[1]:.2f}]" if ends else ""
         lines.append(f"{word:<12} {'-' if value is None else f'{100 * value:.2f} %'}{span}")
-    return [*lines, f"kappa        {accuracy['kappa']:.4f}" if accuracy["kappa"] is not None else "kappa        -"]
+    return [
+        *lines,
+        f"kappa        {accuracy['kappa']:.4f}" if accuracy["kappa"] is not None else "kappa        -",
+        *(f"remark       {text}" for text in chance_remarks(accuracy)),
+    ]
