@@ -98,6 +98,32 @@ class ContextParams(Params):
         return cells
 
 
+class RegularizeParams(Params):
+    """Neighbours that agree, by a mean field over the shares of all classes; numbers stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    strength : what a neighbour's share of a class counts, as a logarithm of the own one; 0: no mean field.
+    neighbours : nearest echoes that an echo agrees with, at most.
+    reach : neighbours are at most as far as this [m].
+    height : what a metre of height counts as [m].
+    rounds : so many times all echoes agree with their neighbours.
+    least : own share of a class at least.
+    """
+
+    strength: float = Field(ge=0.0, le=10.0)
+    neighbours: int = Field(ge=1, le=100)
+    reach: float = Field(ge=0.1, le=20.0)
+    height: float = Field(ge=1.0, le=100.0)
+    rounds: int = Field(ge=1, le=10)
+    least: float = Field(gt=0.0, le=0.1)
+
+    @property
+    def halo(self) -> float:
+        """Distance around an echo within which all lies that its answer depends on [m]."""
+        return self.rounds * self.reach
+
+
 Code = Annotated[int, Field(strict=True, ge=0, le=255)]
 
 
@@ -124,6 +150,7 @@ class ClassifyParams(Params):
     accept_drift: bool
     refine: RefineParams
     context: ContextParams
+    regularize: RegularizeParams
 
     @model_validator(mode="after")
     def _kept_or_classified(self) -> Self:

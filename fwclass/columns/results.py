@@ -99,6 +99,7 @@ RESULTS = (
     Column("coarse_class", "u1", "", "class code given by the first of two layers"),
     Column("coarse_confidence", "f4", "", "share of the class in the first of two layers", low=0, high=1),
     Column("coarse_entropy", "f4", "", "entropy of the shares in the first of two layers", low=0, high=1),
+    Column("model_share", "u1", "", "share of a class before neighbours agree, in 255ths", scales=PER_CODE),
     Column("coarse_share", "u1", "", "share of a class by the first of two layers, in 255ths", scales=PER_CODE),
     Column(
         "fold_share",

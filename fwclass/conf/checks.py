@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 from fwclass.conf.model import Config
 from fwclass.errors import ConfigError, nearest
@@ -110,6 +110,21 @@ def _check_layers(config: Config) -> None:
                 else f"thin.rate {config.thin.rate:g}",
                 do="--set classify.context.cells=[], or without the other",
             )
+
+    if config.classify.regularize.strength > 0:
+        both = bool(config.classify.refine.between)
+        if both or config.thin.rate < 1.0:
+            refuse_regularized(f"{where}: classify.regularize, " + ("classify.refine" if both else "thin.rate"))
+
+
+def refuse_regularized(where: object) -> NoReturn:
+    """Refuses a mean field behind a second layer of a pair, or over sampled echoes alone."""
+    raise ConfigError(
+        "neighbours agree by one model's shares of all echoes and all classes",
+        where=where,
+        got="a mean field (classify.regularize.strength above 0), and a thinned run or a second layer of two classes",
+        do="--set classify.regularize.strength=0, or without the other",
+    )
 
 
 def _check_boxes(config: Config) -> None:

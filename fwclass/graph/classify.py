@@ -33,7 +33,7 @@ OUTSIDE = "outside"
 
 def classify_tile(
     here: StageInputs, probabilities: bool, model: str | None, kept: Kept | None = None, left: Left | None = None
-) -> Result:
+) -> tuple[Table, dict[str, Any]]:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
 
     `model`: digest of a given one, None for the run's own; `kept`: which echoes
@@ -113,6 +113,11 @@ def given_model(plan: Plan, part: Any) -> tuple[Location, FileDigests] | None:
     return (plan.model[0], (ExternalFile("model", plan.model[1]),)) if plan.model else None
 
 
+def regularizes(plan: Plan) -> bool:
+    """Whether a mean field makes neighbours agree."""
+    return plan.config.classify.regularize.strength > 0
+
+
 def classes_written(plan: Plan) -> tuple[str, ...]:
     """The columns that classifying writes, with the share of every class where the run asks for them."""
     shares = probability_columns(c.code for c in plan.config.classes) if plan.config.classify.probabilities else ()
@@ -125,7 +130,9 @@ CLASSIFY_ECHOES = Stage(
     "tile",
     "echo",
     classify_tile,
-    when=lambda plan: not thins(plan.config) and fine_layer(plan) is None and context_layer(plan) is None,
+    when=lambda plan: (
+        not thins(plan.config) and fine_layer(plan) is None and context_layer(plan) is None and not regularizes(plan)
+    ),
     arguments=_arguments,
     keyed=names_that_decide,
     own=lambda plan: (*plan.names, *deciding_column(plan)),

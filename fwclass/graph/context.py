@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from fwclass.classify.context import CONTEXT, context_of, whole_shares, with_context
@@ -17,6 +19,7 @@ from fwclass.graph.classify import (
     names_that_decide,
     outside_facts,
     own_model,
+    regularizes,
 )
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
@@ -55,7 +58,7 @@ def classify_tile_in_context(
     model: str | None,
     kept: Kept | None = None,
     left: Left | None = None,
-) -> Result:
+) -> tuple[Table, dict[str, Any]]:
     """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none.
     Where the run found that a second layer does not pay, those of the first one."""
     used = used_model(here, model)
@@ -106,7 +109,7 @@ CLASSIFY_IN_CONTEXT = Stage(
     "tile",
     "echo",
     classify_tile_in_context,
-    when=lambda plan: context_layer(plan) is not None,
+    when=lambda plan: context_layer(plan) is not None and not regularizes(plan),
     arguments=lambda plan: {
         "layer": layer_of(plan),
         "probabilities": plan.config.classify.probabilities,

@@ -83,7 +83,7 @@ def drift_of_run(runner: Runner) -> dict[str, Any] | None:
     """How much lies outside of what the model has seen; None where nothing was classified, or it does not say."""
     counts = [
         r.meta[OUTSIDE]
-        for stage in ("coarse", "first-shares", "classify")
+        for stage in ("coarse", "first-shares", "model-shares", "classify")
         for r in receipts_of_run(runner, stage)
         if OUTSIDE in r.meta
     ]

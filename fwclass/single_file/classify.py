@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.unsure import by_percent, unsure_facts
+from fwclass.conf.checks import refuse_regularized
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd
 from fwclass.features.params import Asked, is_feature
@@ -25,6 +26,7 @@ from fwclass.graph.loaded_models import load_given
 from fwclass.graph.model_fit import check_computed, check_names, ground_notes
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.refine import ANSWER_COARSE, CLASSIFY_REFINED, WIDEN_BOUNDARY
+from fwclass.graph.regularize import CLASSIFY_REGULARIZED, SHARE_ECHOES, SHARE_IN_CONTEXT
 from fwclass.graph.stage import Stage
 from fwclass.model import Contextual, Layered, Model, TwoLayer, sample_matrix
 from fwclass.publish.strips import LEGACY_MAX, check_records, write_strip_laz
@@ -116,6 +118,8 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     model, digest = load_given(job.model)
     params = conf.section("classify", job.settings)
     check_left(params.leave, model.classes, "classify.leave")
+    if params.regularize.strength > 0 and isinstance(model, TwoLayer):
+        refuse_regularized(job.model)
     check_output(job.source, job.output, job.overwrite)
     check_computed(model, conf.section("features", job.settings), job.model)
     notes = check_learned(model.card, {source.path.name: quantities_of(source)}, job.model)
@@ -273,12 +277,17 @@ def _classify(
         first, walk = model.coarse, (ANSWER_COARSE, WIDEN_BOUNDARY, CLASSIFY_REFINED)
     elif isinstance(model, Contextual):
         first, walk = model.coarse, (SHARE_FIRST, CLASSIFY_IN_CONTEXT)
+    words = ["classes: tile", *["second layer: tile"] * (len(walk) - 1)]
+    config = FileConfig(settings, classes=model.classes)
+    if config.classify.regularize.strength > 0:
+        own = SHARE_IN_CONTEXT if isinstance(model, Contextual) else SHARE_ECHOES
+        walk, words = (*walk[:-1], own, CLASSIFY_REGULARIZED), [*words, "neighbours: tile"]
     tiles = FileTiles(
         echoes,
-        FileConfig(settings, classes=model.classes),
+        config,
         (COMPUTE_FEATURES, *walk),
         tell,
-        {walk[0].name: "classes: tile", **{stage.name: "second layer: tile" for stage in walk[1:]}},
+        {stage.name: word for stage, word in zip(walk, words, strict=True)},
         held=HELD if len(walk) > 1 else 0,
         names=first.features,
         computed=first.features,

@@ -8,6 +8,7 @@ from typing import Any
 
 from fwclass.classes import counterparts, one_to_one
 from fwclass.conf import Config
+from fwclass.conf.checks import refuse_regularized
 from fwclass.conf.sections import ClassSection
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
@@ -108,6 +109,8 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     if isinstance(model, Layered):
         if isinstance(model, TwoLayer):
             check_computed(model.fine, config.features, path)
+            if config.classify.regularize.strength > 0:
+                refuse_regularized(path)
         if config.thin.rate < 1.0:
             raise ConfigError(
                 "a thinned run has no second layer, and the model has one",

@@ -1,0 +1,230 @@
+"""Neighbours that agree: a mean field over the shares that a model gives echoes, by a Potts model of neighbouring
+classes.
+
+Source: mean field of a conditional random field (Krähenbühl and Koltun 2011, NIPS 24), a fixed number of rounds and all
+echoes at once in each; nearest neighbours, whole-number shares and weights, and ties that no tile changes are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.classify.params import RegularizeParams
+from fwclass.classify.shares import entropy
+from fwclass.classify.stage import probability_columns
+from fwclass.grid import millimetres
+from fwclass.kernel import kernel
+from fwclass.model.contextual import WHOLE
+from fwclass.neighbours import CELLS_PER_POINT, FEW_CELLS, sort_by_cell
+from fwclass.schema import Table
+from fwclass.stage import Computation
+
+REGULARIZE = Computation(name="regularize", version=1, writes=())
+
+UNIT = 256
+"""Weights are whole numbers of this part, so that sums are exact, whatever their order."""
+
+WANTED, CROWDED = 4, 16
+"""Echoes of a cell of the search on average, and of the cell that an echo is in above which cells are halved."""
+
+
+def model_share_columns(codes: Iterable[int], base: str = "model_share") -> tuple[str, ...]:
+    """Names of the columns with the model's own share of every class."""
+    return tuple(f"{base}_{int(code)}" for code in codes)
+
+
+def whole_columns(answered: Table, codes: Iterable[int]) -> Table:
+    """The shares of `answered` (as `classify` gives it, with probabilities) in 255ths, uint8, as `model_share_columns`
+    names them."""
+    codes = tuple(codes)
+    names = zip(model_share_columns(codes), probability_columns(codes), strict=True)
+    return Table({name: np.rint(answered[of] * WHOLE).astype(np.uint8) for name, of in names})
+
+
+def regularized(
+    table: Table, core: NDArray[np.int64], codes: NDArray[np.uint8], params: RegularizeParams, probabilities: bool
+) -> Table:
+    """As `classify`, by the shares after the mean field.
+
+    `table` has x, y, z [m] and the columns of `model_share_columns` of the `core` rows, which are answered for, and of
+    all rows within ``params.halo`` of them; `codes` are in the order of the shares. A tie goes to the first class.
+    """
+    place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
+    before = np.stack([table[n] for n in model_share_columns(codes)], axis=1)
+    shares = agreed_shares(place, before, core, params)
+    winner = shares.argmax(axis=1)
+    columns: dict[str, NDArray] = {
+        "classification": codes[winner],
+        "confidence": np.take_along_axis(shares, winner[:, None], axis=1)[:, 0],
+        "entropy": entropy(shares),
+    }
+    if probabilities:
+        columns |= {name: shares[:, k] for k, name in enumerate(probability_columns(codes))}
+    return Table(columns)
+
+
+def agreed_shares(
+    place: NDArray[np.int64], shares: NDArray[np.uint8], core: NDArray[np.int64], params: RegularizeParams
+) -> NDArray[np.float64]:
+    """float64 (core rows, classes): shares after the mean field; they add up to 1.
+
+    An echo's share of a class becomes proportional to max(own share, `params.least`) · exp(`params.strength` · s),
+    where s adds up its neighbours' last shares of that class by weight, `params.rounds` times, all echoes at once.
+    Neighbours are the nearest `params.neighbours` other echoes within `params.reach`, a metre of height counting as
+    `params.height`. Weights fall with the squared distance from 1 to 0 at the last of them, at the reach where there
+    are fewer. Of equally near ones those count that come first by x, y, z and shares.
+
+    Parameters
+    ----------
+    place : (echoes, 3) [mm].
+    shares : (echoes, classes) [1/255].
+    core : rows that are answered for, with all echoes around them within ``params.halo``.
+    """
+    if not len(core):
+        return np.zeros((0, shares.shape[1]))
+    order = np.lexsort((*shares.T[::-1], *place.T[::-1]))
+    place = place[order]
+    number, ncols, nrows, edge = _cells(place)
+    rank, start = sort_by_cell(number, ncols * nrows)
+    order, place = order[rank], place[rank]
+    before = np.ascontiguousarray(shares[order])
+    at = np.empty(len(order), np.int64)
+    at[order] = np.arange(len(order))
+    reach = round(1000 * params.reach)
+    around = (params.rounds - 1) * reach
+    low, high = place[at[core], :2].min(axis=0) - around, place[at[core], :2].max(axis=0) + around
+    asked = np.flatnonzero(((place[:, :2] >= low) & (place[:, :2] <= high)).all(axis=1))
+    x, y = (place[:, k] - place[:, k].min() for k in (0, 1))
+    z = np.rint(params.height * place[:, 2]).astype(np.int64)
+    near = np.full((len(asked), params.neighbours), -1, np.int32)
+    weight = np.zeros(near.shape, np.int32)
+    _weigh(asked, x, y, z, rank, start, ncols, nrows, edge, reach, near, weight)
+    cost = np.log(np.maximum(np.arange(WHOLE + 1) / WHOLE, params.least))
+    now, after, answers = before, before.copy(), np.zeros((len(asked), before.shape[1]))
+    for _ in range(params.rounds):
+        _agree(asked, before, now, near, weight, cost, params.strength / (UNIT * WHOLE), after, answers)
+        now, after = after, before.copy() if now is before else now
+    return answers[np.searchsorted(asked, at[core])]
+
+
+def _cells(place: NDArray[np.int64]) -> tuple[NDArray[np.int64], int, int, int]:
+    """Cell of every place (echoes, 3) [mm] in plan, cells of a row and of a column, and their edge [mm]. The edge
+    changes no answer: it is halved while echoes crowd and there is room for more cells."""
+    x, y = (place[:, k] - place[:, k].min() for k in (0, 1))
+    wide, high, rows = int(x.max()) + 1, int(y.max()) + 1, len(place)
+    edge = max(int((WANTED * wide * high / rows) ** 0.5), WANTED * max(wide, high) // rows, 1)
+    while True:
+        ncols, nrows = wide // edge + 1, high // edge + 1
+        number = y // edge * ncols + x // edge
+        held = np.bincount(number)
+        room = 4 * ncols * nrows <= max(FEW_CELLS, CELLS_PER_POINT * rows)
+        if edge == 1 or not room or int((held * held).sum()) <= CROWDED * rows:
+            return number, ncols, nrows, edge
+        edge = (edge + 1) // 2
+
+
+@kernel
+def _weigh(
+    asked: NDArray[np.int64],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    z: NDArray[np.int64],
+    rank: NDArray[np.int64],
+    start: NDArray[np.int64],
+    ncols: int,
+    nrows: int,
+    cell: int,
+    reach: int,
+    near: NDArray[np.int32],
+    weight: NDArray[np.int32],
+) -> None:
+    """Writes the nearest others of the rows `asked`, and their weights [1/256], int32 (asked, neighbours), -1 and 0
+    where there are fewer.
+
+    `x`, `y`, `z` (points,) [mm] are sorted by cells of edge `cell` [mm], the first at 0; cell k begins at ``start[k]``.
+    Of equally near ones those of lower `rank` (points,) count.
+    """
+    count = near.shape[1]
+    best = np.empty(count, np.int64)
+    limit = reach * reach
+    for a in range(len(asked)):
+        i = asked[a]
+        c, r = x[i] // cell, y[i] // cell
+        west, south = x[i] - c * cell, y[i] - r * cell
+        inner = min(west, cell - west, south, cell - south)
+        held, ring = 0, 0
+        while True:
+            for row in range(max(r - ring, 0), min(r + ring, nrows - 1) + 1):
+                step = 1 if ring == 0 or row == r - ring or row == r + ring else 2 * ring
+                for col in range(c - ring, c + ring + 1, step):
+                    if col < 0 or col >= ncols:
+                        continue
+                    at = row * ncols + col
+                    for j in range(start[at], start[at + 1]):
+                        dx, dy, dz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+                        apart = dx * dx + dy * dy + dz * dz
+                        if apart > limit or j == i:
+                            continue
+                        k = held
+                        if held == count:
+                            k = count - 1
+                            if apart > best[k] or (apart == best[k] and rank[j] > rank[near[a, k]]):
+                                continue
+                        else:
+                            held += 1
+                        while k > 0 and (
+                            apart < best[k - 1] or (apart == best[k - 1] and rank[j] < rank[near[a, k - 1]])
+                        ):
+                            best[k], near[a, k] = best[k - 1], near[a, k - 1]
+                            k -= 1
+                        best[k], near[a, k] = apart, j
+            seen = inner + ring * cell
+            if seen > reach or (held == count and best[count - 1] < seen * seen):
+                break
+            if r - ring <= 0 and c - ring <= 0 and r + ring >= nrows - 1 and c + ring >= ncols - 1:
+                break
+            ring += 1
+        end = (best[count - 1] if held == count else limit) + 1
+        for k in range(held):
+            weight[a, k] = (256 * (end - best[k])) // end
+
+
+@kernel
+def _agree(
+    asked: NDArray[np.int64],
+    before: NDArray[np.uint8],
+    now: NDArray[np.uint8],
+    near: NDArray[np.int32],
+    weight: NDArray[np.int32],
+    cost: NDArray[np.float64],
+    strength: float,
+    after: NDArray[np.uint8],
+    answers: NDArray[np.float64],
+) -> None:
+    """One round for the rows `asked`: `after` (points, classes) [1/255] and `answers` (asked, classes), of the own
+    shares `before`, those of neighbours `now`, and ``cost``, the logarithm of every share in 255ths."""
+    classes = before.shape[1]
+    sums = np.empty(classes, np.int64)
+    for a in range(len(asked)):
+        i = asked[a]
+        sums[:] = 0
+        for k in range(near.shape[1]):
+            j = near[a, k]
+            if j < 0:
+                break
+            for c in range(classes):
+                sums[c] += weight[a, k] * now[j, c]
+        most = -np.inf
+        for c in range(classes):
+            answers[a, c] = cost[before[i, c]] + strength * sums[c]
+            most = max(most, answers[a, c])
+        total = 0.0
+        for c in range(classes):
+            answers[a, c] = np.exp(answers[a, c] - most)
+            total += answers[a, c]
+        for c in range(classes):
+            answers[a, c] /= total
+            after[i, c] = np.uint8(np.rint(255.0 * answers[a, c]))

@@ -1,0 +1,104 @@
+"""The stages of a run whose neighbours agree: the model's own shares, and the classes after the mean field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fwclass.classify.kept import Kept
+from fwclass.classify.mean_field import REGULARIZE, model_share_columns, regularized, whole_columns
+from fwclass.classify.params import RegularizeParams
+from fwclass.classify.stage import CLASSIFY
+from fwclass.classify.unsure import Left
+from fwclass.graph.classify import CLASSIFY_ECHOES, classes_written, classify_tile, codes_of, regularizes
+from fwclass.graph.context import CLASSIFY_IN_CONTEXT, classify_tile_in_context
+from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
+from fwclass.graph.fine_layer import fine_layer
+from fwclass.graph.kept import answer_arguments, deciding_column, source_classes, written
+from fwclass.graph.loaded_models import model_at
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.schema import Table
+from fwclass.store.remote_file import local
+
+MODEL_SHARES = "model-shares"
+
+
+def share_tile(
+    here: StageInputs, codes: tuple[int, ...], model: str | None, layer: ContextLayer | None = None
+) -> Result:
+    """The shares of all classes that the model gives a tile's echoes, with a `layer` in context both layers'."""
+    table, facts = classify_tile_in_context(here, layer, True, model) if layer else classify_tile(here, True, model)
+    return whole_columns(table, codes), {name: fact for name, fact in facts.items() if name != "codes"}
+
+
+def regularize_tile(
+    here: StageInputs,
+    codes: tuple[int, ...],
+    params: RegularizeParams,
+    probabilities: bool,
+    kept: Kept | None = None,
+    left: Left | None = None,
+) -> Result:
+    """Classes of a tile's echoes after the mean field; `kept` echoes have the class of their source, `left` ones none,
+    and all are neighbours by what the model says of them."""
+    rows_of, parts = [], []
+    for rows, chunk in here.chunks():
+        rows_of.append(rows)
+        parts.append(regularized(chunk.table, chunk.core, np.array(codes, np.uint8), params, probabilities))
+    answers = Table.concat(parts).take(np.argsort(np.concatenate(rows_of)))
+    table = written(answers, source_classes(here, kept), kept, left)
+    return table, {"codes": codes_of(table)}
+
+
+def _codes(plan: Plan) -> tuple[int, ...]:
+    """Codes of the classes, in the order of the model's shares."""
+    if plan.model is not None:
+        return tuple(model_at(local(plan.model[0]), plan.model[1], True).codes.tolist())
+    return tuple(c.code for c in plan.config.classes)
+
+
+def _share_arguments(plan: Plan) -> dict[str, Any]:
+    return {"codes": _codes(plan), "model": plan.model[1] if plan.model else None}
+
+
+SHARE_ECHOES = replace(
+    CLASSIFY_ECHOES,
+    name=MODEL_SHARES,
+    function=share_tile,
+    when=lambda plan: regularizes(plan) and fine_layer(plan) is None and context_layer(plan) is None,
+    arguments=_share_arguments,
+    own=lambda plan: plan.names,
+    writes=lambda plan: model_share_columns(_codes(plan)),
+    cells=True,
+)
+SHARE_IN_CONTEXT = replace(
+    CLASSIFY_IN_CONTEXT,
+    name=MODEL_SHARES,
+    function=share_tile,
+    when=lambda plan: regularizes(plan) and context_layer(plan) is not None,
+    arguments=lambda plan: {**_share_arguments(plan), "layer": layer_of(plan)},
+    own=lambda plan: plan.names,
+    writes=lambda plan: model_share_columns(_codes(plan)),
+    cells=True,
+)
+CLASSIFY_REGULARIZED = Stage(
+    CLASSIFY.name,
+    1_000_000 * REGULARIZE.version + CLASSIFY.version,
+    "tile",
+    "echo",
+    regularize_tile,
+    when=regularizes,
+    arguments=lambda plan: {
+        "codes": _codes(plan),
+        "params": plan.config.classify.regularize,
+        "probabilities": plan.config.classify.probabilities,
+        **answer_arguments(plan),
+    },
+    reads=lambda plan: ("x", "y", "z", *model_share_columns(_codes(plan))),
+    own=deciding_column,
+    writes=classes_written,
+    halo=lambda plan: plan.config.classify.regularize.halo,
+    after=(MODEL_SHARES,),
+)
