@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.assess.distribution import distribution
 from fwclass.classify.context import coarse_share_columns, context_of
+from fwclass.classify.mean_field import agreed_shares
 from fwclass.classify.stage import classify
 from fwclass.classify.vote import walkable, winners
 from fwclass.columns import FEATURES
@@ -478,6 +479,14 @@ def work_context(_: Path) -> Any:
     shares = {name: rng.integers(0, 256, 300).astype(np.uint8) for name in coarse_share_columns((2, 5, 6))}
     table = Table({**dict(zip("xyz", places, strict=True)), **shares})
     return context_of(table, np.arange(0, 300, 2), list(shares), (1.0, 3.0))
+
+
+def work_mean_field(_: Path) -> Any:
+    """Echoes of a lattice, many equally near, and strays."""
+    rng = np.random.default_rng(12)
+    place = np.concatenate([rng.integers(0, 20, (80, 3)) * 200, rng.integers(0, 60_000, (10, 3))])
+    params = conf.section("classify", ("classify.regularize.strength=0.3", "classify.regularize.reach=2")).regularize
+    return agreed_shares(place, rng.integers(0, 256, (90, 3)).astype(np.uint8), np.arange(0, 90, 2), params)
 
 
 def work_octree(_: Path) -> Any:
