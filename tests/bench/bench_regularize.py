@@ -7,7 +7,8 @@ different classes, times exp(-distance / (2 median distances)), is least: alpha-
 2001) by scipy's maximum flow, one round of all classes. Neighbours are the 20 nearest, a metre of height counts as 4.
 Blocks of the fixed grid are cut with a margin around each, so that no tile could change an answer; `--whole` cuts a
 file at once, to see what the blocks cost. `p1train` leaves out one training tile of P1 at a time: strengths are chosen
-there, and nowhere else. One layer alone: `--set classify.context.cells=[]`.
+there, and nowhere else. One layer alone: `--set classify.context.cells=[]`. Beside it the program's own mean field
+(`classify.regularize`), which `--no-cut` measures alone.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.assess.confusion import confusion, figures
 from fwclass.classes import ClassDef
+from fwclass.classify.mean_field import agreed_shares
+from fwclass.grid import millimetres
+from fwclass.model.contextual import WHOLE
 from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -118,6 +122,13 @@ def by_blocks(xyz: NDArray[np.float64], shares: NDArray[np.float64], strength: f
     return answer
 
 
+def by_mean_field(xyz: NDArray[np.float64], shares: NDArray[np.float64], strength: float) -> NDArray[np.int64]:
+    """Class of every echo by the program's own mean field."""
+    params = conf.section("classify", (f"classify.regularize.strength={strength}",)).regularize
+    whole = np.rint(shares * WHOLE).astype(np.uint8)
+    return agreed_shares(millimetres(xyz), whole, np.arange(len(xyz)), params).argmax(axis=1)
+
+
 def answered(root: Path, codes: list[int]) -> Echoes:
     """What a run's model says of the echoes of all tiles."""
     with Display() as display:
@@ -150,6 +161,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--seeds", default="1")
     parser.add_argument("--strengths", default="0.1,0.2,0.4")
+    parser.add_argument("--fields", default="0.1,0.15,0.2")
+    parser.add_argument("--no-cut", action="store_true")
     parser.add_argument("--whole", action="store_true")
     parser.add_argument("--set", dest="settings", action="append", default=[])
     chosen = parser.parse_args()
@@ -169,7 +182,9 @@ def main() -> None:
                     echoes.append(answered(place, [c.code for c in classes]))
                 print(f"\n{protocol}, seed {seed}{'':<30}overall    kappa  mean IoU, then each split")
                 tell("as the model says", classes, echoes, lambda xyz, shares: shares.argmax(axis=1))
-                for strength in map(float, chosen.strengths.split(",")):
+                for strength in map(float, chosen.fields.split(",")):
+                    tell(f"mean field, {strength:g}", classes, echoes, partial(by_mean_field, strength=strength))
+                for strength in map(float, () if chosen.no_cut else chosen.strengths.split(",")):
                     how = partial(cut if chosen.whole else by_blocks, strength=strength)
                     tell(f"graph cut, {strength:g}", classes, echoes, how)
 
