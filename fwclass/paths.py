@@ -24,6 +24,29 @@ WAVEFORM_ENDINGS = {
 """Endings of the file of waveforms that goes with a file of points or pulses; the usual one first."""
 
 
+BESIDE = {**WAVEFORM_ENDINGS, ".shp": (".dbf", ".shx", ".prj", ".cpg")}
+"""Endings of all files that are read together with one of this ending."""
+
+
+def file_beside(path: Path, ending: str) -> Path | None:
+    """``name.wdp`` beside ``name.las``, in any case of letters; None without one."""
+    exact = path.with_suffix(ending)
+    if exact.is_file():
+        return exact
+    namesakes = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
+    return namesakes[0] if namesakes else None
+
+
+def files_read_with(path: Path) -> list[Path]:
+    """`path`, and the files that are read with it: of its name with the endings `BESIDE`; those of a directory."""
+    if path.is_dir():
+        return sorted(p for p in path.iterdir() if p.is_file())
+    if not path.is_file():
+        return [path]
+    endings = BESIDE.get(path.suffix.lower(), (*WAVEFORM_ENDINGS[".las"], *WAVEFORM_ENDINGS[".pls"]))
+    return [path, *(beside for ending in endings if (beside := file_beside(path, ending)) is not None)]
+
+
 def name_fault(name: object) -> str:
     """Why `name` cannot be the name of one file or directory; "" if it can."""
     if not isinstance(name, str) or not name:

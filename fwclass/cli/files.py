@@ -69,12 +69,15 @@ def _info_waveforms(
 def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
     from fwclass.read.info import describe, files_in
     from fwclass.read.info import info as facts_of
+    from fwclass.store.unchanged import unchanged
 
     facts, faults = [], []
     files = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
     for path in files:
         try:
-            facts.append(facts_of(path))
+            with unchanged(path):
+                told = facts_of(path)
+            facts.append(told)
         except FwclassError as fault:
             faults.append(fault)
             click.echo(f"fwclass: {fault}", err=True)

@@ -13,11 +13,9 @@ from pyproj.exceptions import CRSError
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.formats.gdal import offline
 from fwclass.formats.polygon_magic import check_format
+from fwclass.paths import BESIDE
 
 FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "Shapefile"}
-BESIDE = (".shx", ".dbf", ".prj", ".cpg")
-"""What belongs to a Shapefile."""
-
 MOST_FIELDS = 4096
 """Fields of a layer: the time to read one of them grows with the square of their number."""
 
@@ -108,7 +106,7 @@ def files_of(path: Path) -> list[Path]:
     """The file and those that belong to it."""
     if path.suffix.lower() != ".shp":
         return [path]
-    beside = [q for q in sorted(path.parent.glob("*")) if q.stem == path.stem and q.suffix.lower() in BESIDE]
+    beside = [q for q in sorted(path.parent.glob("*")) if q.stem == path.stem and q.suffix.lower() in BESIDE[".shp"]]
     return [path, *beside]
 
 

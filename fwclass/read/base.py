@@ -78,12 +78,3 @@ class Source(ABC):
     @abstractmethod
     def sample_dtype(self) -> str:
         """One dtype for all samples of the file: the widest that its descriptors ask for."""
-
-
-def file_beside(path: Path, ending: str) -> Path | None:
-    """``name.wdp`` beside ``name.las``, in any case of letters; None without one."""
-    exact = path.with_suffix(ending)
-    if exact.is_file():
-        return exact
-    namesakes = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
-    return namesakes[0] if namesakes else None

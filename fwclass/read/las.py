@@ -22,7 +22,8 @@ from fwclass.formats.las_header import (
     read_header,
 )
 from fwclass.formats.laz import check_laz
-from fwclass.read.base import Source, WaveStore, file_beside
+from fwclass.paths import file_beside
+from fwclass.read.base import Source, WaveStore
 
 STANDARD_GPS_TIME = 1
 """Bit of the global encoding."""

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from fwclass.errors import InputError
 from fwclass.formats.crs import crs_of
-from fwclass.paths import WAVEFORM_ENDINGS, open_regular
-from fwclass.read.base import Source, WaveStore, file_beside
+from fwclass.paths import WAVEFORM_ENDINGS, file_beside, open_regular
+from fwclass.read.base import Source, WaveStore
 from fwclass.read.pls_header import SIGNATURE, SPEC, PulseHeader, read_pulse_header
 
 WAVES_SIGNATURE, WAVES_HEADER = b"PulseWavesWaves\0", 60

@@ -23,6 +23,7 @@ from fwclass.single_file import likeness
 from fwclass.single_file.likeness import SAID_FROM, Likeness
 from fwclass.single_file.pairing import Places, pairs
 from fwclass.store.atomic import file_digest
+from fwclass.store.unchanged import unchanged
 
 GROUND = (ClassDef("ground", 2, (2,)), ClassDef("other", 1, (1, *range(3, 256))))
 """Ground against everything else, as ground filters are judged (He 2023)."""
@@ -93,7 +94,8 @@ def assess_files(
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
     pairs_of_files = _pairs_of_files(reference, prediction)
-    some = [_codes_of_pair(*pair) for pair in pairs_of_files]
+    with unchanged(*(path for pair in pairs_of_files for path in pair)):
+        some = [_codes_of_pair(*pair) for pair in pairs_of_files]
     wanted, answered, x, y = (np.concatenate([pair[k] for pair in some]) for k in range(4))
     alike, given = [pair[4] for pair in some], answered
     classes, answered = _classes(wanted, answered, codes, ground)

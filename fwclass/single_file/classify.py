@@ -48,8 +48,8 @@ from fwclass.single_file.features.echoes import (
 )
 from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.tiles import HELD, FileConfig, FileTiles, Tell, quiet
-from fwclass.single_file.unchanged import of_unchanged
 from fwclass.store.installed_models import model_place
+from fwclass.store.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 
 SECTIONS = (*OF_ECHOES, "classify", "publish", "tile")

@@ -34,8 +34,8 @@ from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import FileConfig, FileTiles
-from fwclass.single_file.unchanged import unchanged
 from fwclass.stage import Chunk
+from fwclass.store.unchanged import unchanged
 from fwclass.survey.systems import given_crs
 from fwclass.waveforms import IMPLAUSIBLE
 
@@ -82,31 +82,34 @@ def decompose_file(
     """
     refuse_existing(output, overwrite)
     params = _params(settings)
-    opened = open_source(source)
-    system = given_crs(crs, "--crs") if crs is not None else opened.crs
-    if to_project(opened, system):
-        settings += (f"read.project_to={json.dumps(crs)}",)
-        params = _params(settings)
-    else:
-        refuse_source(opened, system)
-    refuse_other_system(opened, system)
-    check_source(opened, params["read"])
-    fit: DecomposeParams = params["decompose"]
-    with unchanged(source), strip_of(opened, settings) as strip:
-        tables = list(strip.echoes())
-        pulse, pulses, noise = strip.pulse(), strip.pulses, strip.noise()
-        faults, counts, places = strip.faults(), strip.counts(), strip.places()
-    if not tables:
-        raise InputError(
-            "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
-        )
-    table, place = Table.concat(tables), None
-    if table.rows:
-        ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
-        refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
-        place = place_facts(system, ends[0], ends[1])
-    flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
-    whole, notes, odd_radiometry = add_radiometry(table, flown, params, trajectory)
+    with unchanged(source, trajectory):
+        opened = open_source(source)
+        system = given_crs(crs, "--crs") if crs is not None else opened.crs
+        if to_project(opened, system):
+            settings += (f"read.project_to={json.dumps(crs)}",)
+            params = _params(settings)
+        else:
+            refuse_source(opened, system)
+        refuse_other_system(opened, system)
+        check_source(opened, params["read"])
+        fit: DecomposeParams = params["decompose"]
+        with strip_of(opened, settings) as strip:
+            tables = list(strip.echoes())
+            pulse, pulses, noise = strip.pulse(), strip.pulses, strip.noise()
+            faults, counts, places = strip.faults(), strip.counts(), strip.places()
+        if not tables:
+            raise InputError(
+                "the file has no points and no pulses",
+                where=source,
+                do="check the delivery; there is nothing to decompose",
+            )
+        table, place = Table.concat(tables), None
+        if table.rows:
+            ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
+            refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
+            place = place_facts(system, ends[0], ends[1])
+        flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
+        whole, notes, odd_radiometry = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     shown = without(delivered, () if params["radiometry"].calibrates else ("reflectance",))

@@ -40,14 +40,18 @@ class ExternalFile:
                 got=fault.strerror,
                 do="bring it back and run the same again; what is done is kept",
             ) from fault
-        size = self.looks[0]
-        raise InputError(
-            "a file that is being read was changed while the run was under way",
-            where=self.path,
-            expected=f"{size} bytes, as when the run began",
-            got="the same size, changed later" if now[0] == size else f"{now[0]} bytes",
-            do="when it is whole again, run the same again; what is done is kept",
-        )
+        raise changed_file(self.path, self.looks, now)
+
+
+def changed_file(path: Path, before: Looks, now: Looks) -> InputError:
+    """The fault of a file that is not the one any more that it was when the run began."""
+    return InputError(
+        "a file that is being read was changed while the run was under way",
+        where=path,
+        expected=f"{before[0]} bytes, as when the run began",
+        got="the same size, changed later" if now[0] == before[0] else f"{now[0]} bytes",
+        do="when it is whole again, run the same again; what is done is kept",
+    )
 
 
 def digest_file(path: Path) -> str:

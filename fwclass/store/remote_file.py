@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fwclass.errors import InputError, StoreError
-from fwclass.paths import WAVEFORM_ENDINGS, path_matches
+from fwclass.paths import BESIDE, path_matches
 from fwclass.store.atomic import digest_of
 from fwclass.store.digests import looks
 from fwclass.store.objects import Download, StoredObject, objects_at
@@ -121,9 +121,5 @@ def _with_beside(one: StoredObject, objects: Iterable[StoredObject], directory: 
     return RemoteFile(directory / one.key, tuple(own), params)
 
 
-_BESIDE = {**WAVEFORM_ENDINGS, ".shp": (".dbf", ".shx", ".prj", ".cpg")}
-"""Files that are read together with one of this ending."""
-
-
 def _goes_with(name: str, other: str) -> bool:
-    return Path(other).suffix.lower() in _BESIDE.get(Path(name).suffix.lower(), ())
+    return Path(other).suffix.lower() in BESIDE.get(Path(name).suffix.lower(), ())

@@ -15,7 +15,7 @@ from fwclass.read.text import read_text
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
 from fwclass.survey.file_digests import Digests
-from fwclass.survey.files import box_text, find_files
+from fwclass.survey.files import box_text
 from fwclass.survey.layout import PolygonFile
 from fwclass.survey.systems import given_crs
 
@@ -38,7 +38,7 @@ def check_point_file(
     user_crs = given_crs(params.crs, f"{SETTING}.crs")
     if params.file is None:
         return None
-    places = find_files([params.file], directory, f"{SETTING}.file", config.path, config.store)
+    places = digests.find([params.file], directory, f"{SETTING}.file", config)
     if len(places) > 1:
         raise InputError(
             f"{SETTING}.file is one file", where=config.path, got=f"{len(places)} files match", do="name one"

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from fwclass.conf import Config
 from fwclass.errors import DamagedError
-from fwclass.store.external_file import ExternalFile, digest_file
+from fwclass.formats import vector
+from fwclass.store.digests import Looks, looks
+from fwclass.store.external_file import ExternalFile, changed_file, digest_file
 from fwclass.store.remote_file import Location, RemoteFile, seen_as
 from fwclass.store.run_store import Store
 from fwclass.store.seal import seal, unseal
+from fwclass.store.url import Url
+from fwclass.survey.files import find_files
 
 _INPUTS = "inputs.json"
 _SAVED_EVERY = 30.0
@@ -27,13 +32,22 @@ class Digests:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._known = _load(store)
+        self._first: dict[Path, Looks] = {}
         self._read_only, self._changed, self._saved = store.read_only, False, time.monotonic()
         self._sizes = {(Path(path).name, facts[0]) for path, facts in self._known.items()}
+
+    def find(self, patterns: Sequence[str], directory: Path | Url, setting: str, config: Config) -> list[Location]:
+        """`find_files`; whatever is read of them before their digest is taken is of the bytes that have it."""
+        places = find_files(patterns, directory, setting, config.path, config.store)
+        files = [one for place in places if isinstance(place, Path) for one in vector.files_of(place)]
+        self._first |= {path: looks(path) for path in files}
+        return places
 
     def of(self, paths: Iterable[Path], place: Location | None = None) -> tuple[ExternalFile, ...]:
         """Every path with the digest of its bytes; files that look unchanged are not read again.
 
         `place`, if it is on object storage, is where the paths are copies from: who fetches them looks at their e-tags.
+        `InputError` for one that was changed since it was found (`find`).
         """
         files = []
         for path in paths:
@@ -47,6 +61,8 @@ class Digests:
             else:
                 size, changed, entered, _ = (int(n) for n in now)
                 files.append(ExternalFile(path.name, str(facts[-1]), path, (size, changed, entered)))
+                if self._first.get(path, files[-1].looks) != files[-1].looks:
+                    raise changed_file(path, self._first[path], files[-1].looks)
         if time.monotonic() - self._saved > _SAVED_EVERY:
             self.save()
         return tuple(files)

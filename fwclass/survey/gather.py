@@ -62,7 +62,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     records must be where the headers place them."""
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
-    places, opened, full = open_survey(config, directory, copied)
+    places, opened, full = open_survey(config, directory, copied, digests)
     user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = assign_numbers(s.path.stem for s in opened)
     bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
@@ -77,7 +77,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     )
     _refuse_same_file(strips)
     standard = all(s.standard_gps_time for s in opened)
-    flown = find_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
+    flown = digests.find(config.survey.trajectory.files, directory, "survey.trajectory.files", config)
     require_distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
     polygons = reference_polygons(config, directory, digests, crs)
@@ -96,11 +96,12 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
 
 
 def open_survey(
-    config: Config, directory: Path | Url, copied: bool
+    config: Config, directory: Path | Url, copied: bool, digests: Digests | None = None
 ) -> tuple[list[Location], list[Source], list[Source]]:
     """Where the survey's sources are, all of them opened and checked, and those that hold anything; `InputError` for
     names that two of them share, and where none does."""
-    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    asked = config.survey.sources, directory, "survey.sources"
+    places = digests.find(*asked, config) if digests else find_files(*asked, config.path, config.store)
     opened = open_all(places, config, copied)
     require_distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]

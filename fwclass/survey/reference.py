@@ -32,7 +32,7 @@ from fwclass.store.remote_file import Location, find_remote, local
 from fwclass.store.url import Url
 from fwclass.survey.area_of_interest import edges, shares_area
 from fwclass.survey.file_digests import Digests
-from fwclass.survey.files import box_text, find_files, joint_bounds
+from fwclass.survey.files import box_text, joint_bounds
 from fwclass.survey.layout import FileDigests, PolygonFile
 from fwclass.survey.systems import given_crs
 
@@ -43,7 +43,7 @@ def reference_clouds(
     """The reference's clouds, with their digests and points; `InputError` where they lie elsewhere than `box`."""
     if config.survey.reference.kind != "cloud":
         return ()
-    files = find_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
+    files = digests.find(config.survey.reference.files, directory, "survey.reference.files", config)
     opened = [open_source(local(p)) for p in files]
     place = joint_bounds([s.bounds for s in opened])
     if not place.grown(config.label.max_distance).touches(box):
@@ -67,7 +67,7 @@ def reference_polygons(
         return ()
     survey = CRS.from_wkt(crs) if crs is not None else None
     files = []
-    for place in find_files(reference.files, directory, "survey.reference.files", config.path, config.store):
+    for place in digests.find(reference.files, directory, "survey.reference.files", config):
         path = local(place)
         opened = open_polygons(path, reference.layer)
         field = reference.field or ""
@@ -100,7 +100,7 @@ def shape_file(
     if section_params.file is None:
         return None
     survey = CRS.from_wkt(crs) if crs is not None else None
-    places = find_files([section_params.file], directory, f"{section}.file", config.path, config.store)
+    places = digests.find([section_params.file], directory, f"{section}.file", config)
     if len(places) > 1:
         raise InputError(
             f"{section}.file is one file", where=config.path, got=f"{len(places)} files match", do="name one"
@@ -133,7 +133,7 @@ def reference_echo_labels(
     reference = config.survey.reference
     if reference.kind != "echoes":
         return ()
-    places = find_files(reference.files, directory, "survey.reference.files", config.path, config.store)
+    places = digests.find(reference.files, directory, "survey.reference.files", config)
     for place in places:
         check_echo_labels(local(place), reference.field or FIELD)
     return tuple((place, digests.of([local(place)], place)) for place in places)
@@ -147,9 +147,7 @@ def reference_corrections(
     if reference.kind == "none" or reference.corrections is False:
         return None
     if reference.corrections:
-        places = find_files(
-            [reference.corrections], directory, "survey.reference.corrections", config.path, config.store
-        )
+        places = digests.find([reference.corrections], directory, "survey.reference.corrections", config)
     elif isinstance(run, Url):
         places = list(find_remote(CORRECTIONS, run, config.store))
     else:

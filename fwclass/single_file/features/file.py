@@ -34,7 +34,7 @@ from fwclass.single_file.features.echoes import (
 from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
-from fwclass.single_file.unchanged import of_unchanged
+from fwclass.store.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 from fwclass.temporary import temporary_directory
 from fwclass.tile.stage import morton

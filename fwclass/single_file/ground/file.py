@@ -29,7 +29,7 @@ from fwclass.single_file.ground.params import ground_params, used_params, with_a
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.stray import describe_stray, stray_points
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
-from fwclass.single_file.unchanged import of_unchanged
+from fwclass.store.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 
 MANY = 100

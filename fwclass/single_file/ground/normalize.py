@@ -32,7 +32,7 @@ from fwclass.single_file.ground.output import check_copy, check_output, write_po
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.rasters import check_extent, ground_table
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, quiet
-from fwclass.single_file.unchanged import of_unchanged
+from fwclass.store.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 
 

@@ -12,6 +12,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
 from fwclass.publish.files import whole
 from fwclass.publish.street_pictures import draw_slice
+from fwclass.store.unchanged import unchanged
 from fwclass.street.annotation import HEAD, Box, Labeller, annotated_end, overlaps, read_boxes
 from fwclass.street.frames import Frame, Track
 from fwclass.street.params import StreetParams
@@ -78,11 +79,13 @@ def annotate(
             yield frame
 
     none = InputError("no frame of the recording can be used", where=source, do="fwclass street info")
+    read_from = (source, *trajectory.files)
     if out is None:
-        for _ in labelled():
-            pass
+        with unchanged(*read_from):
+            for _ in labelled():
+                pass
     else:
-        with whole(out) as beside:
+        with whole(out) as beside, unchanged(*read_from):
             if not write_recording(beside, labelled()):
                 raise none
     if not places:

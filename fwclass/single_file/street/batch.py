@@ -26,6 +26,7 @@ from fwclass.run.runner import Runner, require_all
 from fwclass.single_file.street.online import classify_frame
 from fwclass.single_file.street.output import finish
 from fwclass.store.models import load_model, model_digest
+from fwclass.store.unchanged import unchanged
 from fwclass.street.answers import ANSWERS, END, Writer, read_answers
 from fwclass.street.frames import Geometry, Placed, Scan, Track
 from fwclass.street.params import StreetParams
@@ -58,6 +59,11 @@ def check(work: Work) -> None:
 
 def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     """Take the frames of the recording one after the other and keep those that are used, as flat files."""
+    with unchanged(work.recording, *work.trajectory.files):
+        return _read(work, directory)
+
+
+def _read(work: Work, directory: Path) -> Mapping[str, Any]:
     scan = Scan.of(scanner(work.params.scanner))
     track = Track(work.params)
     columns: dict[str, list[Any]] = {n: [] for n in _COLUMNS}

@@ -10,6 +10,7 @@ import numpy as np
 
 from fwclass.errors import InputError
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
+from fwclass.store.unchanged import unchanged
 from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
@@ -20,6 +21,11 @@ def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJ
 
     A recording that ends in damage is told up to there.
     """
+    with unchanged(path, *trajectory.files):
+        return _facts(path, params, trajectory)
+
+
+def _facts(path: Path, params: StreetParams, trajectory: TrajectoryFiles) -> dict[str, Any]:
     recording = open_on_trajectory(path, params, trajectory)
     track = Track(params, may_stand=True)
     times: list[float] = []

@@ -30,6 +30,7 @@ from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
+from fwclass.store.unchanged import unchanged
 from fwclass.street.answers import ANSWERS, END, Answer, Writer, make_answer
 from fwclass.street.frames import Frame, Recording, Scan, Track
 from fwclass.street.params import StreetParams
@@ -159,16 +160,18 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         files = Files(job.target, params, int(model.codes[0]))
         loop, latency, late = Loop(model, params), Latency(), 0
         broken: InputError | None = None
+        read_from = () if recording is None else (Path(job.source), *job.trajectory.files)
         try:
-            for frame, there in frames:
-                delivered = False
-                for one in loop.take(frame):
-                    files.write(one)
-                    delivered = True
-                took = time.perf_counter() - there
-                if delivered:
-                    latency.add(took)
-                late += math.isfinite(loop.track.period) and took > loop.track.period
+            with unchanged(*read_from):
+                for frame, there in frames:
+                    delivered = False
+                    for one in loop.take(frame):
+                        files.write(one)
+                        delivered = True
+                    took = time.perf_counter() - there
+                    if delivered:
+                        latency.add(took)
+                    late += math.isfinite(loop.track.period) and took > loop.track.period
         except InputError as fault:
             broken = fault
         for one in loop.rest():

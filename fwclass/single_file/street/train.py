@@ -13,6 +13,7 @@ from fwclass.graph.street import Split, by_model, fit_model, judge_answers, reco
 from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
+from fwclass.store.unchanged import unchanged
 from fwclass.street.ring import feature_names
 from fwclass.temporary import temporary_directory
 
@@ -32,7 +33,8 @@ def train(
     def tell(path: Path, faults: list[str]) -> None:
         odd.update({path.name: faults} if faults else {})
 
-    sample = sample_of(rows_of(paths, params, way, tell), names, split, classes, config.train.samples_per_class)
+    with unchanged(*paths, *way.files):
+        sample = sample_of(rows_of(paths, params, way, tell), names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
     model = fit_model(sample, params, config.train, config.compare, classes)
     with temporary_directory("street", target.parent) as beside:
@@ -43,7 +45,10 @@ def train(
     if assess:
         say("assessing    the returns that did not train")
         try:
-            accuracy = judge_answers(rows_of(paths, params, way), by_model(model), split, classes, config.assess.block)
+            with unchanged(*paths, *way.files):
+                accuracy = judge_answers(
+                    rows_of(paths, params, way), by_model(model), split, classes, config.assess.block
+                )
         except ValueError as fault:
             raise InputError("the answers cannot be judged", where=paths[0], got=str(fault)) from fault
         if accuracy["rows"]:

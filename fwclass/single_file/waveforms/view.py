@@ -28,6 +28,7 @@ from fwclass.report.pulse_picture import receiver_picture
 from fwclass.single_file.strip import FileStrip, strip_of
 from fwclass.single_file.waveforms.pictured import Shown, echo_facts, pulse_picture
 from fwclass.single_file.waveforms.shown import WaveformView, see
+from fwclass.store.unchanged import unchanged
 
 STRONGEST = 20
 """Echoes without a vendor return that are listed."""
@@ -77,18 +78,21 @@ def look(
         _refuse(picture, pulses, overwrite)
     read: ReadParams = conf.section("read", settings)
     params: DecomposeParams = conf.section("decompose", settings)
-    source = open_source(path)
-    if not source.has_waves:
-        raise InputError("the file has no waveforms", where=path, do="name a file with waveform packets (fwclass info)")
-    check_source(source, read)
-    with strip_of(source, settings) as strip:
-        pulse, noise, places = strip.pulse(), strip.noise(), strip.places()
-        wanted = strip.spans if not pulses else _with(strip.spans, pulses, path)
-        inflation = float(noise["inflation"] or 1.0)
-        views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in wanted)
-        recorded = _recorded(strip, settings)
-        chosen, counts = _named_pulses(views, pulses, pulse, path) if pulses else _telling(views, pulse)
-        remarks = [] if pulses else _remarks(strip, noise, params)
+    with unchanged(path):
+        source = open_source(path)
+        if not source.has_waves:
+            raise InputError(
+                "the file has no waveforms", where=path, do="name a file with waveform packets (fwclass info)"
+            )
+        check_source(source, read)
+        with strip_of(source, settings) as strip:
+            pulse, noise, places = strip.pulse(), strip.noise(), strip.places()
+            wanted = strip.spans if not pulses else _with(strip.spans, pulses, path)
+            inflation = float(noise["inflation"] or 1.0)
+            views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in wanted)
+            recorded = _recorded(strip, settings)
+            chosen, counts = _named_pulses(views, pulses, pulse, path) if pulses else _telling(views, pulse)
+            remarks = [] if pulses else _remarks(strip, noise, params)
     if not chosen:
         raise InputError(
             "no waveform of the file shows an echo",
