@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fwclass.cost import counted
 from fwclass.formats.arrow import numpy_values
 from fwclass.lazy_module import LazyModule
+from fwclass.paths import open_regular
 from fwclass.store.legible import legible
 
 if TYPE_CHECKING:
@@ -38,6 +39,12 @@ LARGE = 1 << 16
 
 LISTED = 16
 """Bytes that a shard takes for each chunk, also for one of nothing."""
+
+_DOCUMENT = "zarr.json"
+_CODECS = ["sharding_indexed", "bytes", "blosc", "bytes", "crc32c"]
+"""Names of what a group's arrays are encoded by: the shard, the numbers of its chunks, and its list of chunks."""
+_NUMBERS = {"bool", *(f"{kind}int{bits}" for kind in ("", "u") for bits in (8, 16, 32, 64)), "float32", "float64"}
+"""Types of numbers that stages keep, as zarr names them."""
 
 PARQUET, ZARR = ".parquet", ".zarr"
 _SHAPE, _DTYPE, _ATTRIBUTES = b"shape", b"dtype", b"attributes"
@@ -196,9 +203,36 @@ def _read_small(path: Path, names: Iterable[str] | None) -> tuple[dict[str, NDAr
 def _read_group(path: Path, names: Iterable[str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
     import zarr
 
-    group = zarr.open_group(str(path), mode="r", zarr_format=3)
-    wanted = list(names) if names is not None else sorted(group.array_keys())
-    return {n: _held(group[n], path / n) for n in wanted}, dict(group.attrs)
+    # each array by its own description, not by what the group's says of it, which zarr would believe
+    about = _described(path)
+    wanted = list(names) if names is not None else sorted(p.parent.name for p in path.glob(f"*/{_DOCUMENT}"))
+    for name in wanted:
+        _check_own(_described(path / name), name)
+    arrays = {n: zarr.open_array(str(path / n), mode="r", zarr_format=3) for n in wanted}
+    return {n: _held(array, path / n) for n, array in arrays.items()}, dict(about["attributes"])
+
+
+def _described(path: Path) -> dict[str, Any]:
+    """What the description of a group or an array says."""
+    with open_regular(path / _DOCUMENT) as stream:
+        about: dict[str, Any] = json.loads(stream.read())
+    return about
+
+
+def _check_own(about: Mapping[str, Any], name: str) -> None:
+    """`ValueError` for numbers or codecs that `write_arrays` does not write: a description may name any codec that is
+    installed, and among these are some that swell without bound, or unpickle."""
+    (codec,) = about["codecs"]
+    of = codec["configuration"]
+    told = [
+        [codec["name"], *(c["name"] for c in of["codecs"]), *(c["name"] for c in of["index_codecs"])],
+        about["chunk_grid"]["name"],
+        about["chunk_key_encoding"],
+        about.get("storage_transformers") or [],
+    ]
+    written: list[Any] = [_CODECS, "regular", {"name": "default", "configuration": {"separator": "/"}}, []]
+    if told != written or about["data_type"] not in _NUMBERS:
+        raise ValueError(f"{name}: numbers of type {about['data_type']!r}, in codecs that are not those of a run")
 
 
 def _held(array: Any, directory: Path) -> NDArray:

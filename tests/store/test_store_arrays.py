@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import pickle
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -96,3 +99,48 @@ def test_features_of_rows_are_read_in_few_chunks(tmp_path: Path) -> None:
     document.write_text(json.dumps(about))
     with pytest.raises(StoreError, match="do not hold"):
         read_arrays(tmp_path / "a.zarr")
+
+
+def test_a_description_that_names_other_codecs_is_refused(tmp_path: Path) -> None:
+    """Zarr takes any that is installed: the group's description could have arrays unpickled, and a description of zeros
+    be swollen without bound."""
+    told = {"name": "numcodecs.delta", "configuration": {"dtype": "<u2"}}
+    swollen = {"name": "gzip", "configuration": {"level": 9}}
+
+    def codecs(about: Any) -> list[Any]:
+        return about["codecs"][0]["configuration"]["codecs"]
+
+    changes: dict[str, Callable[[Any], object]] = {
+        "a filter": lambda about: codecs(about).insert(0, told),
+        "another codec": lambda about: codecs(about).append(swollen),
+        "no shards": lambda about: about.update(codecs=codecs(about)),
+        "text": lambda about: about.update(
+            data_type={"name": "fixed_length_utf32", "configuration": {"length_bytes": 4}}
+        ),
+        "other names": lambda about: about["chunk_key_encoding"].update(name="v2"),
+    }
+    for what, change in changes.items():
+        place = tmp_path / f"{what}.zarr"
+        _write_group(place, {"samples": np.arange(1, 1001, dtype=np.uint16)}, {})
+        about = json.loads((place / "samples" / "zarr.json").read_text())
+        change(about)
+        (place / "samples" / "zarr.json").write_text(json.dumps(about))
+        with pytest.raises(StoreError, match="cannot be read"):
+            read_arrays(place)
+
+
+def test_a_group_is_not_asked_how_its_arrays_are_to_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its description may bring one for each of its arrays: zarr believed it, and had unpickled what lay there."""
+    values = np.arange(1, 1001, dtype=np.uint16)
+    _write_group(tmp_path / "a.zarr", {"samples": values}, {"edge": 1.0})
+    document = tmp_path / "a.zarr" / "zarr.json"
+    kept = {"shape": [3], "chunks": [3], "dtype": "|O", "compressor": None, "fill_value": None, "order": "C"}
+    filters = [{"id": "vlen-utf8"}, {"id": "pickle"}]
+    about = {"zarr_format": 2, "node_type": "array", "attributes": {}, "filters": filters, **kept}
+    inline = {"kind": "inline", "must_understand": False, "metadata": {"samples": about}}
+    document.write_text(json.dumps({**json.loads(document.read_text()), "consolidated_metadata": inline}))
+    (tmp_path / "a.zarr" / "samples" / "0").write_bytes(pickle.dumps("x"))
+    monkeypatch.setattr("numcodecs.pickles.Pickle.decode", lambda *_: pytest.fail("unpickled"))
+    arrays, attributes = read_arrays(tmp_path / "a.zarr")
+    np.testing.assert_array_equal(arrays["samples"], values)
+    assert attributes == {"edge": 1.0}
