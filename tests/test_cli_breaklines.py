@@ -14,6 +14,8 @@ from commandline import fwclass
 
 from fwclass.errors import InputError
 from fwclass.formats.wkb import lines
+from fwclass.store.run_store import Store
+from fwclass.water import along
 
 X, Y = 500_000, 5_400_000
 WORDS = ("--workflow", "ground", "--workers", "0")
@@ -124,4 +126,18 @@ def test_heights_are_told_from_measures_in_every_dialect() -> None:
 
 def test_a_line_without_end_costs_no_memory(survey: Path, tmp_path: Path) -> None:
     told = fwclass("run", survey, "--out", tmp_path / "r", *WORDS, "--set", "breaklines.file=endless.gpkg")
-    assert told.returncode == 3 and "lines are too long" in told.stderr and "Traceback" not in told.stderr
+    assert told.returncode == 2 and "lines are too long" in told.stderr and "endless.gpkg" in told.stderr
+    assert not (tmp_path / "r" / "store").exists()
+
+
+def test_lines_are_refused_before_a_run_where_its_part_would_refuse_them(
+    survey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And no others: what lies around the survey counts, as far as blocks of the terrain read."""
+    words = ("run", survey, *WORDS, "--set", "breaklines.file=wall.gpkg", "--out")
+    assert fwclass(*words, tmp_path / "r").returncode == 0
+    knots = Store(tmp_path / "r", read_only=True).receipt("breaklines", "all").meta["knots"]
+    for most, code in ((knots, 0), (knots // 2, 2)):
+        monkeypatch.setattr(along, "MOST", most)
+        told = fwclass(*words, tmp_path / f"most-{most}")
+        assert told.returncode == code and ("lines are too long" in told.stderr) == (code == 2), told.stderr

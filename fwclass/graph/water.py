@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError, first_few
+from fwclass.errors import first_few
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, joint_box, millimetres
 from fwclass.ground.stage import TERRAIN
@@ -19,13 +19,10 @@ from fwclass.store.arrays import write_arrays
 from fwclass.survey.shape_files import read_as, read_shapes, source_of
 from fwclass.water.level import Body, level_of
 from fwclass.water.params import WaterParams
-from fwclass.water.shore import Shoreline, nearest_shore, shoreline
+from fwclass.water.shore import Shoreline, check_bodies, nearest_shore, shoreline
 
 WATER, SHORE, LEVELS = "water", "shore", "water-levels"
 FILE = "water"
-MOST = int(np.iinfo(np.int16).max)
-"""Bodies of water of a survey; points know theirs by a number of 16 bits."""
-
 NAMED = 5
 """Bodies of water that are named."""
 
@@ -107,14 +104,7 @@ def read_water(
     shapes = read_shapes(path, crs, layer, own_crs)
     features = np.zeros(1 + int(shapes.feature.max(initial=0)), np.int16)
     polygons = Polygons.of(shapes, features, features, path)
-    if polygons.parts > MOST:
-        raise InputError(
-            "too many polygons of water",
-            where=path,
-            expected=f"at most {MOST:,}",
-            got=f"{polygons.parts:,}",
-            do="leave out the small ones, or those outside the survey",
-        )
+    check_bodies(polygons.parts, path)
     line = shoreline(polygons.x, polygons.y, polygons.ring_start, polygons.part_start, step, stretch, near)
     arrays = {"shore_x": line.x, "shore_y": line.y, "body": line.body, "stretch": line.stretch}
     write_arrays(here.directory / FILE, {**polygons.arrays(), **arrays, "feature": shapes.feature})

@@ -12,7 +12,8 @@ from pyproj import CRS
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
-from fwclass.grid import Box
+from fwclass.grid import Box, TileGrid, joint_box
+from fwclass.ground.stage import TERRAIN
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
 from fwclass.params import ShapeFileParams
@@ -35,6 +36,8 @@ from fwclass.survey.file_digests import Digests
 from fwclass.survey.files import box_text, joint_bounds
 from fwclass.survey.layout import FileDigests, PolygonFile
 from fwclass.survey.systems import given_crs
+from fwclass.water.along import Bounds, check_lines
+from fwclass.water.shore import check_bodies
 
 
 def reference_clouds(
@@ -122,8 +125,20 @@ def shape_file(
             got=f"{shapes.parts} shapes",
             do=f"check the file, and its coordinate system ({section}.crs)",
         )
+    if section == "water":
+        check_bodies(shapes.parts, path)
+    if section != "quality.area":
+        check_lines(shapes.x, shapes.y, shapes.ring_start, config.terrain.thin, _around(box, config), path)
     wkt = system.to_wkt() if system is not None else None
     return PolygonFile(places[0], digests.of(opened.files, places[0]), opened.layer, wkt)
+
+
+def _around(box: Box, config: Config) -> Bounds:
+    """What blocks of the terrain read, and shores, of a survey in `box` (`graph.water.near_echoes`)."""
+    terrain, grid = config.terrain, TileGrid(config.terrain.block)
+    xmin, ymin, xmax, ymax = box.bounds
+    blocks = joint_box(grid.tile(key).box for key in grid.keys(np.array([xmin, xmax]), np.array([ymin, ymax])))
+    return blocks.grown(terrain.block + TERRAIN.halo(terrain) + config.water.shore).bounds
 
 
 def reference_echo_labels(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
+from fwclass.errors import ConfigError, InputError
 
 Ends = tuple[NDArray[Any], NDArray[Any]]
 """A coordinate of the beginnings and of the ends of edges."""
@@ -17,7 +17,6 @@ Bounds = tuple[float, float, float, float]
 
 MOST = 10_000_000
 """Places along the lines of a file, near the survey; every 0.5 m they are 5000 km."""
-
 
 LONGEST = 4.0e7
 """m, around the Earth: no edge of a line is longer."""
@@ -42,25 +41,61 @@ def divide(
     `x`, `y` (edges,) [m]: where edges begin and end; `length` (edges,) [m]. Of edges that leave the `box` the places in
     it are made, and one or two beside. `InputError` where these are more than `MOST`, and for an edge beyond `LONGEST`.
     """
+    whole, first, count = _counted(x, y, length, step, box)
+    if not _few(length, count):
+        raise InputError(**_too_long("water.file or breaklines.file", length, step))
+    number = count.astype(np.int64)
+    edge = np.repeat(np.arange(len(length)), number)
+    place = np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number) + first[edge]
+    return edge, place / whole[edge]
+
+
+def check_lines(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    ring_start: NDArray[np.int64],
+    step: float,
+    box: Bounds,
+    where: object,
+) -> None:
+    """`ConfigError` for lines that `knots_along` or `shoreline` would refuse, before anything is made of them."""
+    at = edges(ring_start, len(x))
+    length = _lengths(x, y, at)
+    if not _few(length, _counted((x[at], x[at + 1]), (y[at], y[at + 1]), length, step, box)[2]):
+        raise ConfigError(**_too_long(where, length, step))
+
+
+def _lengths(x: NDArray[Any], y: NDArray[Any], at: NDArray[np.int64]) -> NDArray[np.float64]:
+    with np.errstate(over="ignore"):
+        out: NDArray[np.float64] = np.hypot(x[at + 1] - x[at], y[at + 1] - y[at])
+    return out
+
+
+def _counted(
+    x: Ends, y: Ends, length: NDArray[np.float64], step: float, box: Bounds | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Of every edge the places on all of it, the first that is made, and how many are."""
     whole = np.maximum(1, np.ceil(length / step))
     first, last = np.zeros(len(whole)), whole
     if box is not None:
         enter, leave = _shares_in(x, y, box)
         with np.errstate(invalid="ignore"):  # a length without end
             first, last = np.maximum(0, np.floor(enter * whole) - 1), np.minimum(whole, np.ceil(leave * whole) + 2)
-    count = np.maximum(0, last - first)
-    if not ((length <= LONGEST).all() and count.sum() <= MOST):
-        raise InputError(
-            "lines are too long",
-            where="water.file or breaklines.file",
-            expected=f"at most {MOST * step / 1000:,.0f} km, with a place every {step:g} m (terrain.thin)",
-            got=f"{length.sum() / 1000:.3g} km",
-            do="check the file and its coordinate system, or leave out what is outside the survey",
-        )
-    number = count.astype(np.int64)
-    edge = np.repeat(np.arange(len(length)), number)
-    place = np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number) + first[edge]
-    return edge, place / whole[edge]
+    return whole, first, np.maximum(0, last - first)
+
+
+def _few(length: NDArray[np.float64], count: NDArray[np.float64]) -> bool:
+    return bool((length <= LONGEST).all() and count.sum() <= MOST)
+
+
+def _too_long(where: object, length: NDArray[np.float64], step: float) -> dict[str, Any]:
+    return {
+        "what": "lines are too long",
+        "where": where,
+        "expected": f"at most {MOST * step / 1000:,.0f} km, with a place every {step:g} m (terrain.thin)",
+        "got": f"{length.sum() / 1000:.3g} km",
+        "do": "check the file and its coordinate system, or leave out what is outside the survey",
+    }
 
 
 def _shares_in(x: Ends, y: Ends, box: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -88,8 +123,7 @@ def knots_along(
     """x, y, z [m] of places every `step` [m] at most along lines, their last points among them, with heights between
     those of the points; those in `box` [m] and some beside."""
     at = edges(ring_start, len(x))
-    with np.errstate(over="ignore"):
-        length = np.hypot(x[at + 1] - x[at], y[at + 1] - y[at])
+    length = _lengths(x, y, at)
     edge, share = divide((x[at], x[at + 1]), (y[at], y[at + 1]), length, step, box)
     a, ends = at[edge], ring_start[1:] - 1
     return tuple(np.append(v[a] + share * (v[a + 1] - v[a]), v[ends]) for v in (x, y, z))

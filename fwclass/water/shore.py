@@ -8,8 +8,25 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
+from fwclass.errors import InputError
 from fwclass.units import QUANTUM
 from fwclass.water.along import Bounds, divide, edges
+
+MOST_BODIES = int(np.iinfo(np.int16).max)
+"""Bodies of water of a survey; points know theirs by a number of 16 bits."""
+
+
+def check_bodies(parts: int, where: object) -> None:
+    """`InputError` for more bodies of water than `MOST_BODIES`."""
+    if parts > MOST_BODIES:
+        raise InputError(
+            "too many polygons of water",
+            where=where,
+            expected=f"at most {MOST_BODIES:,}",
+            got=f"{parts:,}",
+            do="leave out the small ones, or those outside the survey",
+        )
+
 
 NEAREST = 4
 """Places of a shoreline that are held against each other; hardly ever are more as near as each other."""
