@@ -25,6 +25,9 @@ MOST_TESTS, MOST_EDGES = 3 * 10**10, 5 * 10**7
 """Points that are held to an edge of their band, of all bands together (two minutes of the processor), and edges of a
 polygon, counted in every band that they cross (400 MB). Forests of a hundred thousand corners come to a tenth of it."""
 
+TESTS = 2 * 10**8
+"""Such tests between which Ctrl-C is heeded, about a second."""
+
 NONE, AMBIGUOUS = -1, -2
 """Groups of a point in no polygon, and of one in polygons of different classes."""
 
@@ -194,7 +197,11 @@ def owners(
     start = np.searchsorted(band[order], np.arange(int(band.max()) + 2))
     sorted_code, sorted_group = code[order], group[order]
     low_x, low_y, high_x, high_y = polygons.bounds
-    done = _mark(
+    bands = len(start) - 1
+    room = _most_edges(polygons.y, polygons.ring_start, polygons.part_start, south, bands)
+    few = room <= MOST_EDGES
+    edges, edge_start, at = (np.empty(n, np.int64) for n in (room if few else 0, bands + 2, 3))
+    given = (
         x[order],
         y[order],
         start,
@@ -211,10 +218,12 @@ def owners(
         polygons.group,
         sorted_code,
         sorted_group,
-        MOST_TESTS,
-        MOST_EDGES,
+        edges,
+        edge_start,
+        at,
     )
-    if not done:
+    at[:] = 0
+    if not few or (len(polygons.x) * len(x) > MOST_TESTS and _mark(*given, MOST_TESTS, True) < 0):
         raise InputError(
             "polygons have too many edges side by side",
             where=f"around {x.min() / 1000:.0f}, {y.min() / 1000:.0f}",
@@ -223,6 +232,9 @@ def owners(
             got=f"{len(polygons.x):,} corners beside {len(x):,} points",
             do="simplify the polygons, or cut them into smaller ones",
         )
+    at[:] = 0
+    while at[0] < polygons.parts:  # Python heeds Ctrl-C in between
+        _mark(*given, TESTS, False)
     code[order], group[order] = sorted_code, sorted_group
     return code, group
 
@@ -301,44 +313,54 @@ def _mark(  # type: ignore[no-untyped-def]
     group,
     out_code,
     out_group,
-    most_tests,
-    most_edges,
+    edges,
+    start,
+    at,
+    tests,
+    counted,
 ):
-    """Every polygon marks its points; points are sorted by band, then x. Whether all was done: not beyond bounds."""
+    """Every polygon marks its points, which are sorted by band, then x, from polygon, band and point `at` on, for as
+    many `tests` of a point against an edge; what is left of these. `counted`: tests are only counted."""
     n_bands = len(band_start) - 1
-    room = _most_edges(y, ring_start, part_start, south, n_bands)
-    if room > most_edges:
-        return False
-    edges = np.empty(room, np.int64)
-    start = np.empty(n_bands + 2, np.int64)
-    for fill in range(0 if len(x) * len(px) > most_tests else 1, 2):  # first they are counted
-        for p in range(len(code)):
-            base = max((low_y[p] - south) // BAND, 0)
-            bands = min((high_y[p] - south) // BAND, n_bands - 1) - base + 1
-            if bands <= 0:
-                continue
+    for p in range(at[0], len(code)):
+        if tests < 0:
+            at[0] = p
+            return tests
+        base = max((low_y[p] - south) // BAND, 0)
+        bands = min((high_y[p] - south) // BAND, n_bands - 1) - base + 1
+        if bands > 0:
             rings = (part_start[p], part_start[p + 1])
             _edges_by_band(y, ring_start, rings, south, base, bands, start, edges)
-            for b in range(bands):
-                i = band_start[base + b]
-                end = band_start[base + b + 1]
-                if i == end or start[b] == start[b + 1]:
-                    continue
-                end = i + np.searchsorted(px[i:end], high_x[p], side="right")
-                i += np.searchsorted(px[i:end], low_x[p])
-                if fill == 0:
-                    most_tests -= (end - i) * (start[b + 1] - start[b])
-                    if most_tests < 0:
-                        return False
-                    continue
-                while i < end:
-                    if _inside(px[i], py[i], x, y, edges, start[b], start[b + 1]):
-                        if out_group[i] == NONE:
-                            out_group[i] = group[p]
-                            out_code[i] = code[p]
-                        elif out_group[i] == group[p]:
-                            out_code[i] = min(out_code[i], code[p])
-                        else:
-                            out_group[i] = AMBIGUOUS
-                    i += 1
-    return True
+        for b in range(at[1], bands):
+            i = band_start[base + b]
+            end = band_start[base + b + 1]
+            here = start[b + 1] - start[b]
+            if i == end or here == 0:
+                continue
+            end = i + np.searchsorted(px[i:end], high_x[p], side="right")
+            i = max(i + np.searchsorted(px[i:end], low_x[p]), at[2])
+            at[2] = 0
+            if counted:
+                tests -= (end - i) * here
+                if tests < 0:
+                    return tests
+                continue
+            while i < end:
+                if tests < 0:
+                    at[0], at[1], at[2] = p, b, i
+                    return tests
+                tests -= here
+                if _inside(px[i], py[i], x, y, edges, start[b], start[b + 1]):
+                    if out_group[i] == NONE:
+                        out_group[i] = group[p]
+                        out_code[i] = code[p]
+                    elif out_group[i] == group[p]:
+                        out_code[i] = min(out_code[i], code[p])
+                    else:
+                        out_group[i] = AMBIGUOUS
+                i += 1
+        at[1] = 0
+        if bands > 0 and not counted:
+            tests -= start[bands]  # edges take time too where no point lies beside them
+    at[0] = len(code)
+    return tests

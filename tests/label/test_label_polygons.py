@@ -15,6 +15,7 @@ from fwclass.formats.wkb import shapes
 from fwclass.graph import label
 from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, Tile
+from fwclass.label import polygons as room
 from fwclass.label.polygons import AMBIGUOUS, NONE, WIDEST, Polygons, from_polygons, owners
 from fwclass.schema import Table
 from fwclass.stage import Chunk
@@ -234,6 +235,44 @@ def test_counting_edges_beforehand_changes_no_answer(monkeypatch):
         monkeypatch.setattr("fwclass.label.polygons.MOST_TESTS", most)
         for answer, other in zip(known, owners(x, y, one), strict=True):
             np.testing.assert_array_equal(answer, other)
+    for tests in (0, 1, 7_001):  # in slices
+        monkeypatch.setattr("fwclass.label.polygons.TESTS", tests)
+        for answer, other in zip(known, owners(x, y, one), strict=True):
+            np.testing.assert_array_equal(answer, other)
     monkeypatch.setattr("fwclass.label.polygons.MOST_TESTS", 100_000)
     with pytest.raises(InputError, match="side by side"):
         owners(x, y, one)
+
+
+def test_answers_in_slices_are_those_of_many_polygons_at_once(monkeypatch):
+    """Polygons that overlap, side by side and far away, with holes and none, cut anywhere."""
+    rng = np.random.default_rng(3)
+    discs = [shapely.Point(*rng.uniform(0, 40, 2)).buffer(r) for r in rng.uniform(0.5, 9, 40)]
+    discs += [d.difference(d.centroid.buffer(0.3)) for d in discs[:9]] + [shapely.box(900, 900, 901, 901)]
+    found = shapes(list(shapely.to_wkb(np.array(discs))), "a.gpkg")
+    code = (np.arange(len(discs)) % 3 + 2).astype(np.int16)
+    several = Polygons.of(found, code, code, "a.gpkg")
+    x, y = rng.integers(0, 40_000, (2, 2000))
+    known = owners(x, y, several)
+    assert set(known[1].tolist()) > {NONE, AMBIGUOUS}
+    for tests in (0, 13, 997, 100_000):
+        monkeypatch.setattr("fwclass.label.polygons.TESTS", tests)
+        for answer, other in zip(known, owners(x, y, several), strict=True):
+            np.testing.assert_array_equal(answer, other)
+
+
+def test_ctrl_c_is_heeded_while_polygons_are_tried(monkeypatch):
+    """Two minutes of the processor went by in one piece."""
+    x, y = np.random.default_rng(1).integers(0, 100_000, (2, 6000))
+    pieces, tried = [], room._mark
+
+    def timed(*given):
+        began = time.process_time()
+        made = tried(*given)
+        pieces.append(time.process_time() - began)
+        return made
+
+    owners(x[:3], y[:3], zigzag(10, 100_000))  # compiled
+    monkeypatch.setattr(room, "_mark", timed)
+    owners(x, y, zigzag(60_000, 100_000))
+    assert len(pieces) > 1 and max(pieces) < 3, pieces
