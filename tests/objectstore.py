@@ -32,7 +32,7 @@ class Trouble:
     """What the server does to requests whose method and path `meant` accepts, the next `times` of them.
 
     `kind`: "busy" answers 503, "slow" waits `seconds` first, "torn" breaks off in the middle of the answer, "deaf" does
-    what was asked and breaks off before it says so.
+    what was asked and breaks off before it says so, "heedless" answers whatever version of an object was asked for.
     """
 
     kind: str
@@ -69,6 +69,8 @@ class Faults:
             return [b"<Error><Code>ServiceUnavailable</Code></Error>"]
         if kind == "slow" and trouble is not None:
             time.sleep(trouble.seconds)
+        if kind == "heedless":
+            environ.pop("HTTP_IF_MATCH", None)
         told: list[Any] = []
         with self._one:
             answer = b"".join(self.inner(environ, lambda *words: told.append(words)))

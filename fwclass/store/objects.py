@@ -223,7 +223,10 @@ class Objects:
         options: Any = {"range": piece, **({"if_match": e_tag} if e_tag else {})}
 
         def read() -> memoryview:
-            data = memoryview(obstore.get(self._store, key, options=options).bytes())
+            answer = obstore.get(self._store, key, options=options)
+            data, came = memoryview(answer.bytes()), answer.meta.get("e_tag")
+            if e_tag and came and came != e_tag:  # not every server heeds what was asked for
+                raise LostRace("an object was changed while it was read", where=self.url / key)
             if len(data) != piece[1] - piece[0]:
                 raise OSError(f"{len(data)} bytes came, not {piece[1] - piece[0]}")
             return data

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
-from objectstore import Server, quick
+from objectstore import Server, Trouble, quick
 
 from fwclass.errors import InputError
 from fwclass.store.atomic import file_digest
@@ -65,6 +67,25 @@ def test_a_file_that_changes_under_the_run_stops_its_part(s3: Server, survey: Ur
         local(strip)
     s3.remove(survey / "strips/a.las")
     with pytest.raises(InputError, match=r"changed or removed while the run"):
+        local(strip)
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("kind", ["heedless", ""])
+def test_a_large_file_that_changes_between_its_pieces_is_no_mixture(s3: Server, kind: str) -> None:
+    """A server that does not heed which version was asked for gave pieces of both, and they were believed."""
+    url = s3.url("survey")
+    old, new = (bytes([k]) * (11 << 20) for k in (1, 2))
+    s3.write(url / "a.las", old)
+    [strip] = find_remote("a.las", url, quick(chunk_mib=5, parallel=1))
+    pieces = itertools.count(1)
+
+    def meant(method: str, path: str) -> bool:
+        if method == "GET" and path.endswith("a.las") and next(pieces) == 2:
+            s3.write(url / "a.las", new)
+        return method == "GET"
+
+    with s3.trouble(Trouble(kind, 100, meant)), pytest.raises(InputError, match="changed or removed while the run"):
         local(strip)
 
 
