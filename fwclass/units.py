@@ -28,3 +28,11 @@ LAND = (-500.0, 9000.0)
 QUANTUM = 0.001
 """Step of every coordinate in the store [m]; millimetres are exact integers in float64 and, as
 differences below 16 km, in float32."""
+
+
+def number_of(word: str) -> float:
+    """The number that a word of a file is; `ValueError` for none, also for what Python alone takes for one (``1_5`` for
+    15, digits of other scripts)."""
+    if "_" in word or not word.isascii():
+        raise ValueError(f"no number: {word[:40]!r}")
+    return float(word)

@@ -142,6 +142,8 @@ def _parse(path: Path, lines: list[bytes], first: int) -> tuple[NDArray[np.float
     head, parts = np.full((len(lines), HEAD), np.nan), []
     for k, line in enumerate(lines):
         try:
+            if b"_" in line:  # Python takes 1_5 for 15
+                raise ValueError(line)
             values = np.array(line.split(), np.float64)
         except ValueError:
             raise _wrong(path, first + k, "this is no number", line[:60].decode("utf-8", "replace")) from None

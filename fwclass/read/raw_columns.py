@@ -30,13 +30,18 @@ from pyproj.exceptions import CRSError
 from fwclass.errors import InputError
 from fwclass.formats.grid_files import names_file, without_paths
 from fwclass.read.beam_source import SPACINGS, SPEEDS, BeamRows, Ragged
-from fwclass.units import METRES_PER_NS
+from fwclass.units import METRES_PER_NS, number_of
 
 PLACE, DIRECTION = ("x", "y", "z"), ("dx", "dy", "dz")
 LISTS = ("samples", "outgoing")
 OPTIONAL = ("spacing_ns", "begin_ns", "range_m", "gps_time", "pulse", "channel", "outgoing", "outgoing_begin_ns")
 REQUIRED = (*PLACE, *DIRECTION, "samples")
 KEYS = ("crs", "spacing_ns", "saturation", "step", "standard_gps_time")
+
+YES_OR_NO = {"": False, **dict.fromkeys(("false", "no", "0"), False), **dict.fromkeys(("true", "yes", "1"), True)}
+
+MOST_WHOLE = 2.0**53
+"""Whole numbers up to here are told apart in 64 bits with a point."""
 
 PER_NS, UNIT, PER_SAMPLE = "metres per nanosecond", "a unit vector", "metres per sample"
 
@@ -77,8 +82,15 @@ class Settings:
                 got=f"{step:g}",
                 expected="a number above 0, in the unit of the samples",
             )
-        standard = metadata.get("standard_gps_time", "").lower() in ("true", "1")
-        return cls(spacing, saturation, step, standard, metadata.get("crs", ""))
+        standard = metadata.get("standard_gps_time", "").lower()
+        if standard not in YES_OR_NO:
+            raise InputError(
+                "this is neither yes nor no",
+                where=f"{path}: metadata standard_gps_time",
+                expected="true (GPS seconds less 10^9) or false",
+                got=standard[:80],
+            )
+        return cls(spacing, saturation, step, YES_OR_NO[standard], metadata.get("crs", ""))
 
     def system(self, path: Path, faults: list[str]) -> Any:
         """The coordinate system, or None."""
@@ -108,7 +120,7 @@ def _number(metadata: Mapping[str, str], key: str, path: Path) -> float | None:
         return None
     text = metadata[key]
     try:
-        value = float(text)
+        value = number_of(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
@@ -161,8 +173,10 @@ def beam_rows(
     settings: Settings,
     direction: str,
     first: int,
+    path: Path,
 ) -> BeamRows:
-    """Rows from columns (n,); `first` is the number of the first one in its file."""
+    """Rows from columns (n,); `first` is the number of the first one in its file, `path`. `InputError` for pulses or
+    channels that have no whole number."""
     n = len(numbers["x"])
     nothing = np.full(n, np.nan)
 
@@ -170,8 +184,20 @@ def beam_rows(
         return numbers[name] if name in numbers else np.full(n, otherwise)
 
     def whole(name: str, otherwise: NDArray[np.int64]) -> NDArray[np.int64]:
+        if name not in numbers:
+            return otherwise
+        values = numbers[name] if name == "pulse" else np.nan_to_num(numbers[name], nan=-1.0)
         with np.errstate(invalid="ignore"):
-            return np.nan_to_num(numbers[name], nan=-1.0).astype(np.int64) if name in numbers else otherwise
+            odd = np.flatnonzero(~((values == np.rint(values)) & (np.abs(values) < MOST_WHOLE)))
+        if len(odd):
+            raise InputError(
+                f"a {name} has no whole number",
+                where=f"{path}: row {first + odd[0] + 1}",
+                expected=f"whole numbers below {MOST_WHOLE:.0f}",
+                got="nothing" if np.isnan(values[odd[0]]) else f"{values[odd[0]]:.17g}",
+                do=f"number them anew, or leave the column {name} out",
+            )
+        return values.astype(np.int64)
 
     spacing = column("spacing_ns", math.nan if settings.spacing is None else settings.spacing)
     away = np.stack([numbers[name] for name in DIRECTION], axis=1)

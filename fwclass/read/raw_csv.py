@@ -6,6 +6,7 @@ Lines before the heading that begin with ``#`` may hold metadata as ``# key: val
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -28,6 +29,7 @@ from fwclass.read.raw_columns import (
     kind_of_direction,
 )
 from fwclass.read.text_blocks import LONGEST_LINE, line_blocks, row_marks, rows_between, rows_of
+from fwclass.units import number_of
 
 HEAD = 65_536
 """Bytes that metadata and heading have at most."""
@@ -37,6 +39,9 @@ LOOKED_AT = 1000
 
 CLOSE = 0.66
 """Likeness of a comment's first word to a key from which it is taken for a slip."""
+
+_DECIMAL_COMMA, _BLANK = re.compile(r"\d,\d"), re.compile(r"[\d.]\s+[-+.\d]")
+"""Both in a list: its numbers are apart by blanks and have decimal commas, or nobody knows."""
 
 _LIST_MARKS = str.maketrans("[](){};,", " " * 8)
 
@@ -75,7 +80,7 @@ class CsvLayout(Layout):
 
     def _parsed(self, lines: list[bytes], first: int) -> BeamRows:
         numbers, lists = self._cells(lines, first)
-        return beam_rows(numbers, lists, self.settings, self.direction, first)
+        return beam_rows(numbers, lists, self.settings, self.direction, first, self.path)
 
     def _cells(self, lines: list[bytes], first: int) -> tuple[dict[str, NDArray[np.float64]], dict[str, Ragged]]:
         try:
@@ -101,17 +106,21 @@ class CsvLayout(Layout):
         parts = []
         for k, word in enumerate(words):
             try:
+                if _DECIMAL_COMMA.search(word) and _BLANK.search(word):
+                    raise ValueError(word)
+                if "_" in word or not word.isascii():  # as `number_of`
+                    raise ValueError(word)
                 parts.append(np.array(word.translate(_LIST_MARKS).split(), np.float64))
             except ValueError:
                 raise self._wrong(
-                    f"{name} hold what is no number", first + k, "numbers apart by blanks", word
+                    f"{name} hold what is no number", first + k, "numbers apart by blanks, with decimal points", word
                 ) from None
         ends = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
         return Ragged(np.concatenate([*parts, np.empty(0)]), ends)
 
     def _number(self, word: str, name: str, row: int) -> float:
         try:
-            return float(word) if word.strip() else np.nan
+            return number_of(word) if word.strip() else np.nan
         except ValueError:
             raise self._wrong("this is no number", row, f"a number as {name}", word) from None
 

@@ -77,7 +77,9 @@ class ParquetLayout(Layout):
             at += len(rows)
             if at >= last:
                 break
-        empty = beam_rows({n: np.empty(0) for n in REQUIRED}, {"samples": Ragged.none(0)}, self.settings, PER_NS, 0)
+        empty = beam_rows(
+            {n: np.empty(0) for n in REQUIRED}, {"samples": Ragged.none(0)}, self.settings, PER_NS, 0, self.path
+        )
         return BeamRows.joined(parts) if parts else empty
 
     def _rows(self, groups: range | list[int]) -> Iterator[BeamRows]:
@@ -90,7 +92,7 @@ class ParquetLayout(Layout):
                 for batch in batches:
                     numbers = {n: numbers_of(batch.column(n)) for n in self.columns if n not in LISTS}
                     lists = {n: _ragged(batch.column(n)) for n in LISTS if n in self.columns}
-                    yield beam_rows(numbers, lists, self.settings, self.direction, first)
+                    yield beam_rows(numbers, lists, self.settings, self.direction, first, self.path)
                     first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as fault:
             raise _damaged(self.path, fault) from None

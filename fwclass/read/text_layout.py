@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fwclass.errors import InputError
+from fwclass.units import number_of
 
 _NAMES = {
     "x": ("x", "easting", "east", "e"),
@@ -109,10 +110,10 @@ def words_of(line: bytes, delimiter: str) -> list[str]:
 def is_number(word: str, decimal: str = ".") -> bool:
     """A word is a number with `decimal` as its mark, or one that stands for no value."""
     try:
-        float(word.replace(decimal, ".") if decimal != "." else word)
+        number_of(word.replace(decimal, ".") if decimal != "." else word)
     except ValueError:
         return word in NULLS
-    return "_" not in word
+    return True
 
 
 def _known(words: list[str]) -> list[str]:

@@ -18,6 +18,7 @@ from pyproj.exceptions import CRSError, ProjError
 from fwclass.errors import InputError
 from fwclass.paths import open_regular
 from fwclass.schema import Table
+from fwclass.units import number_of
 
 RECORD = np.dtype("<f8")
 FIELDS = 17
@@ -268,7 +269,7 @@ def _heading(words: list[str]) -> tuple[Sequence[int], bool] | None:
 
 def _is_number(word: str) -> bool:
     try:
-        float(word)
+        number_of(word)
     except ValueError:
         return False
     return True

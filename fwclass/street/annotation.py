@@ -20,6 +20,7 @@ from fwclass.errors import InputError
 from fwclass.paths import open_regular
 from fwclass.street.frames import Frame, Placed, Track
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.units import number_of
 
 HEAD = ("begin", "end", "y0", "y1", "z0", "z1", "kind", "class")
 KINDS = ("include", "exclude", "rest")
@@ -123,9 +124,9 @@ def _box(line: int, row: list[str]) -> Box | str:
     if kind not in KINDS:
         return f"kind {kind[:20]!r}"
     try:
-        begin, end = float(row[0]), float(row[1])
-        y0, y1, z0, z1 = (-math.inf, math.inf) * 2 if kind == "rest" else (float(v) for v in row[2:6])
-        code = int(row[7]) if row[7] or kind != "exclude" else 0
+        begin, end = number_of(row[0]), number_of(row[1])
+        y0, y1, z0, z1 = (-math.inf, math.inf) * 2 if kind == "rest" else (number_of(v) for v in row[2:6])
+        code = _code(row[7]) if row[7] or kind != "exclude" else 0
     except ValueError as fault:
         return str(fault)[:80]
     if not (math.isfinite(begin) and math.isfinite(end)) or any(map(math.isnan, (y0, y1, z0, z1))):
@@ -136,6 +137,11 @@ def _box(line: int, row: list[str]) -> Box | str:
     if kind != "exclude" and not 1 <= code <= 255:
         return f"class {code}"
     return Box(line, begin, end, y0, y1, z0, z1, kind, code)
+
+
+def _code(word: str) -> int:
+    number_of(word)  # ValueError for what Python alone takes for a number
+    return int(word)
 
 
 def overlaps(boxes: Sequence[Box]) -> Iterator[tuple[Box, Box]]:

@@ -13,6 +13,7 @@ from fwclass.errors import InputError
 from fwclass.paths import open_regular
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import LISTS, MOST_BEAMS, NUMBERS, check_columns, class_codes, frame_of
+from fwclass.units import number_of
 
 LONGEST_LINE = 1 << 20
 """Bytes; 30 000 ranges of ten letters have 330 kB."""
@@ -98,4 +99,4 @@ class CsvRecording:
 
 def _number(text: str) -> float:
     text = text.strip()
-    return float(text) if text else math.nan
+    return number_of(text) if text else math.nan

@@ -170,6 +170,10 @@ def test_bad_rows_are_left_out_and_counted(tmp_path):
         (lambda t: t | {"dx": t["dx"] * 1e3, "dy": t["dy"] * 1e3, "dz": t["dz"] * 1e3}, "means nothing"),
         (lambda t: t | {"dx": -t["dx"], "dy": -t["dy"], "dz": -t["dz"]}, "point down"),
         (lambda t: t | {"pulse": np.arange(90) % 30}, "do not follow"),
+        (lambda t: t | {"pulse": np.arange(90) * 0.5}, "pulse has no whole number"),
+        (lambda t: t | {"pulse": 2.0**60 + np.arange(90) * 1024}, "pulse has no whole number"),
+        (lambda t: t | {"pulse": np.where(np.arange(90) < 3, np.nan, np.arange(90))}, "pulse has no whole number"),
+        (lambda t: t | {"channel": np.full(90, 3.7)}, "channel has no whole number"),
         (lambda t: t | {n: t[n] * 1e-5 for n in ("x", "y", "dx", "dy")}, "degrees"),
         (lambda t: {k: v[:0] for k, v in t.items()}, "nothing to decompose"),
     ],
@@ -186,7 +190,41 @@ def test_refused_in_words(tmp_path, write, change, words):
     assert fwclass("info", path).returncode in (0, 1)
 
 
-@pytest.mark.parametrize("told", [{"spacing_ns": "fast"}, {"spacing_ns": "1e9"}, {"spacing_ns": "1", "crs": "EPSG:1"}])
+@pytest.mark.parametrize(
+    ("column", "cell"),
+    [("x", "512_000"), ("x", "\u0665\u0661\u0662"), ("samples", "1_2 13 14"), ("samples", '"12,5 13,5 14,5"')],
+)
+def test_words_that_python_alone_takes_for_numbers_are_refused(tmp_path, column, cell):
+    """1_2 was taken for 12, and samples with decimal commas for two each."""
+    path = write_csv(tmp_path / "a.csv", scene(pulses=9).columns(), TOLD)
+    lines = path.read_text().splitlines()
+    heading = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    words = lines[heading + 4].split(",")
+    words[lines[heading].split(",").index(column)] = cell
+    path.write_text("\n".join([*lines[: heading + 4], ",".join(words), *lines[heading + 5 :]]) + "\n")
+    with pytest.raises(InputError, match="no number") as fault:
+        open_source(path)
+    assert "row 4" in str(fault.value)
+
+
+@pytest.mark.parametrize("cell", ["[12, 13, 14]", "12,13,14", "(12;13;14)", "12 13 14.5"])
+def test_lists_are_written_as_people_write_them(tmp_path, cell):
+    path = write_csv(tmp_path / "a.csv", scene(pulses=9).columns(), TOLD)
+    lines = path.read_text().splitlines()
+    lines[-1] = ",".join([*lines[-1].split(",")[:-1], f'"{cell}"'])
+    path.write_text("\n".join(lines) + "\n")
+    assert open_source(path).census.rows == 9
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"spacing_ns": "1", "standard_gps_time": "maybe"},
+        {"spacing_ns": "fast"},
+        {"spacing_ns": "1e9"},
+        {"spacing_ns": "1", "crs": "EPSG:1"},
+    ],
+)
 def test_bad_metadata(tmp_path, told):
     path = write_parquet(tmp_path / "a.parquet", scene(pulses=9).columns(), told)
     with pytest.raises(InputError, match=r"metadata|coordinate system"):

@@ -125,3 +125,14 @@ def test_a_recording_without_a_frame_is_told_where_it_would_be_written(tmp_path)
     with pytest.raises(InputError, match="no frame of the recording can be used"):
         annotate(tmp_path / "r.parquet", tmp_path / "a.csv", tmp_path / "o.parquet", None, 2.0, True, config().street)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "r.parquet"]
+
+
+@pytest.mark.parametrize(
+    "line", ["0,1_2,-20,0,1,20,include,5", "0,2,-20,0,1,20,include,1_5", "0,\u0662,-20,0,1,20,include,5"]
+)
+def test_words_that_python_alone_takes_for_numbers_are_refused(tmp_path, line):
+    """1_2 was taken for 12 m of road."""
+    path = tmp_path / "a.csv"
+    path.write_text(HEAD + line + "\n")
+    with pytest.raises(InputError, match=r"cannot be used[\s\S]*no number"):
+        read_boxes(path)
