@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import difflib
 import errno
+import json
 import os
+import re
+import shlex
 import shutil
 import signal
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fwclass.redact import redacted
@@ -143,6 +146,27 @@ def nearest(word: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(word, names, n=1)
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)
 
+
+_PLAIN = re.compile(r"[A-Za-z_/][\w/.-]*")
+
+
+def set_words(key: str, value: object) -> str:
+    """``--set key=value`` as it can be given to a shell: a text from a file would else be its next command. A text is
+    written as YAML reads it, a mapping with its one key; other values as they are."""
+
+    def written(text: object) -> str:
+        plain = not isinstance(text, str) or (_PLAIN.fullmatch(text) and text.lower() not in _NO_TEXTS)
+        return str(text) if plain else json.dumps(text)
+
+    if isinstance(value, Mapping):
+        value = "{" + ", ".join(f"{written(k)}: {v}" for k, v in value.items()) + "}"
+    else:
+        value = written(value)
+    return f"--set {shlex.quote(f'{key}={value}')}"
+
+
+_NO_TEXTS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n", "nan"}
+"""Words that YAML takes for something else."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What a write says where nothing more can be written: disk full, quota used up, file larger than is allowed."""

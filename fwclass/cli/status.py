@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any, NoReturn
@@ -185,7 +186,7 @@ def _request_of_run(run: Any, workflow: str, verify: bool, as_json: bool) -> tup
             "the configuration that the run was made with is not there any more",
             where=run,
             expected=request.conf,
-            do=f"name where it is now: fwclass status NEW.yaml --out {run}",
+            do=f"name where it is now: fwclass status NEW.yaml --out {shlex.quote(str(run))}",
         )
     return configured(request.conf, request.settings, workflow_of(request.workflow).classifies), request
 
@@ -229,7 +230,7 @@ def status(
             raise ConfigError(
                 "a run directory is looked at as its run was asked for",
                 where=conf_or_run,
-                do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
+                do=f"for another configuration: fwclass status CONF --out {shlex.quote(str(conf_or_run))} --set …",
             )
         if verify and is_generation(conf_or_run):
             _verify_copy(conf_or_run, as_json)

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.errors import ConfigError, InputError, nearest, set_words
 from fwclass.formats.gdal import offline
 from fwclass.formats.polygon_magic import check_format
 from fwclass.paths import BESIDE
@@ -59,7 +59,7 @@ def header(path: Path, layer: str | None, setting: str = "survey.reference.layer
             where=path,
             expected=f"one, or {setting}",
             got=", ".join(known),
-            do=f"--set {setting}={known[0]}",
+            do=set_words(setting, known[0]),
         )
     if layer is not None and layer not in known:
         raise ConfigError(

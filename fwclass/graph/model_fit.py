@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, set_words
 from fwclass.features.params import Asked, FeaturesParams, is_feature
 from fwclass.graph.quantities import quantities_by_feature
 from fwclass.model import ClassDef, Model
@@ -52,13 +53,13 @@ def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
     theirs = model.card.get("computed", {})
     for name, value in ours.items():
         if name not in theirs or theirs[name] != value:
-            setting = str(theirs.get(name)).replace(" ", "")
+            setting = shlex.quote(f"features.{name}={theirs.get(name)}".replace(" ", ""))
             raise ConfigError(
                 f"the model's features were computed with another {name}",
                 where=where,
                 expected=theirs.get(name, "a model whose card says what it was"),
                 got=value,
-                do=f"--set features.{name}={setting}" if name in theirs else "train it again",
+                do=f"--set {setting}" if name in theirs else "train it again",
             )
 
 
@@ -70,7 +71,7 @@ def ground_notes(card: Mapping[str, Any], method: str | None, height: str, in_ru
     learned = computed.get("ground")
     if learned not in (None, method):
         here = "the file's own ground" if method is None else method
-        how = f"--set ground.method={learned}" if in_run else f"--method {learned}"
+        how = set_words("ground.method", learned) if in_run else f"--method {shlex.quote(str(learned))}"
         if learned == "auto" and not in_run:
             how = "`fwclass ground --auto` first, then --own-ground"
         notes.append(f"the model learned from heights above the ground of {learned}, here it is that of {here}: {how}")
@@ -78,7 +79,7 @@ def ground_notes(card: Mapping[str, Any], method: str | None, height: str, in_ru
     if above not in (None, height):
         notes.append(
             f"the model learned from heights above ground by {above}, here they are by {height}: "
-            f"--set terrain.height={above}"
+            + set_words("terrain.height", above)
         )
     return notes
 

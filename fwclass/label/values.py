@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import ConfigError, first_few
+from fwclass.errors import ConfigError, first_few, set_words
 from fwclass.model import ClassDef, class_index
 
 NO_CODE = -1
@@ -59,7 +59,7 @@ def codes_of(
             where=where,
             expected="codes, or " + ", ".join([c.name for c in classes] + [str(k) for k in meaning]),
             got=listed,
-            do=f'map each to a code, a class or null: --set "survey.reference.values={{{unknown[0]}: null}}"',
+            do=f"map each to a code, a class or null: {set_words('survey.reference.values', {unknown[0]: 'null'})}",
         )
     codes = np.array([NO_CODE if t is None else table[t] for t in texts], np.int16)
     _check_some(codes, classes, counts, where)

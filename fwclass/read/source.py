@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def las_of(source: Source) -> LasSource:
         where=source.path,
         expected="a LAS, LAZ or COPC file",
         got=source.path.name,
-        do=f"decompose it first: fwclass decompose {source.path.name} OUT.laz",
+        do=f"decompose it first: fwclass decompose {shlex.quote(source.path.name)} OUT.laz",
     )
 
 

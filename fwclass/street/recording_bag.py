@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, set_words
 from fwclass.street.bag_limits import WORK, BagPath, check_chunks, check_files, forget_chunks, limit_library, open_first
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import MOST_BEAMS, frame_of
@@ -82,7 +82,7 @@ class BagRecording:
                 where=self.path,
                 expected="one, or its name",
                 got=", ".join(scans),
-                do=f"choose one: --set street.topic={scans[0]}",
+                do=f"choose one: {set_words('street.topic', scans[0])}",
             )
         raise ConfigError(
             "the bag has no laser scans of this topic", where="street.topic", expected=", ".join(scans), got=asked

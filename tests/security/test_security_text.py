@@ -5,18 +5,22 @@ from __future__ import annotations
 import io
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+import yaml
 from commandline import fwclass
 from lasmaker import vlr, write_las
 from pyproj import CRS
 from rich.console import Console
 
-from fwclass.errors import InputError, visible
+from fwclass.classes import ClassDef
+from fwclass.errors import ConfigError, InputError, set_words, visible
 from fwclass.grid import Window
+from fwclass.label.values import codes_of
 from fwclass.publish.cog import write_cog
 from fwclass.publish.figures import class_map
 from fwclass.publish.params import PublishParams
@@ -222,3 +226,33 @@ def test_a_line_of_a_file_does_not_pass_for_one_of_the_message() -> None:
     fault = InputError("no such run", where="a\nb", expected="a run", got="x\n  what to do: rm -rf /", do="check it")
     labels = [line for line in str(fault).splitlines() if re.match(r"  \S", line)]
     assert [line.split(":")[0].strip() for line in labels] == ["where", "expected", "got", "what to do"]
+
+
+EVIL = [
+    "$(touch PWN)",
+    "`touch PWN`",
+    "a; touch PWN",
+    "a' b",
+    'a" b',
+    "a\nb",
+    "\x1b[2J",
+    "null",
+    "12",
+    "{a: b}",
+    "Straße 7",
+    "/scan",
+    "",
+]
+
+
+@pytest.mark.parametrize("text", EVIL)
+def test_words_that_a_user_may_copy_hold_no_command_of_a_file(text: str) -> None:
+    """A class field's values and a layer's name stood between double quotes, or none."""
+    for value, read in ((text, text), ({text: "null"}, {text: None})):
+        words = shlex.split(str(InputError("a", do=set_words("survey.reference.layer", value))).partition("do: ")[2])
+        assert words[0] == "--set" and len(words) == 2
+        assert yaml.safe_load(words[1].partition("=")[2]) == read
+    with pytest.raises(ConfigError) as fault:
+        codes_of([text + "#"], {}, (ClassDef("ground", 2, (2,)),), "here")
+    told = shlex.split(str(fault.value).partition("or null: ")[2])
+    assert told[:1] == ["--set"] and yaml.safe_load(told[1].partition("=")[2]) == {text + "#": None}
