@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.abc
+import importlib.machinery
 import importlib.util
 import sys
 import traceback
@@ -145,22 +147,38 @@ class _WithoutCode:
         return self.function(here, **arguments)
 
 
+class _FromBytes(importlib.abc.SourceLoader):
+    """Takes a module's code from the bytes whose digest was looked at, never from a ``__pycache__`` beside its file:
+    whoever brought the directory may have filled that."""
+
+    def __init__(self, path: str, source: bytes) -> None:
+        self._path, self._source = path, source
+
+    def get_filename(self, fullname: str) -> str:
+        return self._path
+
+    def get_data(self, path: str | bytes) -> bytes:
+        return self._source
+
+
 def _module(path: Path, digest: str) -> ModuleType:
     """The module of a file with these bytes, imported once in a process."""
     name = _PREFIX + digest[:16]
     if name in sys.modules:
         return sys.modules[name]
-    if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+    with open_regular(path) as file:
+        source = file.read()
+    if hashlib.sha256(source).hexdigest() != digest:
         raise StoreError(
             "the workflow's file was changed while the run was under way", where=path, do="run the same again"
         )
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ConfigError("this is no Python file", where=path)
+    loader = _FromBytes(str(path), source)
+    spec = importlib.machinery.ModuleSpec(name, loader, origin=str(path))
+    spec.has_location = True  # `__file__`
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise

@@ -1,9 +1,13 @@
 """docs/extending.md, followed to the letter: every file on the page runs as the page says."""
 
 import contextlib
+import importlib.util
+import os
+import py_compile
 import re
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import laspy
 import numpy as np
@@ -160,6 +164,26 @@ def test_a_bad_file_is_refused_in_words(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(ConfigError, match=words):
         workflow_of(str(path))
+
+
+def test_the_code_of_a_file_is_that_file_s(tmp_path):
+    """Python's own cache beside it was run in its place, and written there: an unpacked delivery brings one."""
+    path, planted = tmp_path / "mine.py", tmp_path / "planted.py"
+    told = (
+        "from fwclass.workflows.classification import classification as workflow\nimport os\nos.environ['WHO'] = '{}'\n"
+    )
+    path.write_text(told.format("mine"))
+    planted.write_text(told.format("evil"))
+    os.utime(planted, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns))
+    py_compile.compile(str(planted), importlib.util.cache_from_source(str(path)), dfile=str(path))
+    planted.unlink()
+    with mock.patch.dict(os.environ):
+        assert workflow_of(str(path)).name
+        assert os.environ["WHO"] == "mine"
+        shutil.rmtree(tmp_path / "__pycache__")
+        path.write_text(told.format("else"))
+        assert workflow_of(str(path)).name and os.environ["WHO"] == "else"
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.py"]
 
 
 def test_a_missing_file_and_an_unknown_name(tmp_path):
