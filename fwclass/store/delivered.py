@@ -50,22 +50,26 @@ REPORT: Shape = {
     },
 }
 
-TILES: Shape = {
-    "features": [
-        Related(
-            {
-                "id": TILE,
-                "assets": {"data": {"href": pattern("a file of laz/tiles", r"(\./)?tiles/[0-9_-]{1,60}\.copc\.laz")}},
-                "properties": {
-                    "pc:count": COUNT,
-                    "proj:bbox": _BOUNDS,
-                    "pc:statistics": [{"name": TEXT, "average": NUMBER}],
-                },
+_TILES = [
+    Related(
+        {
+            "id": TILE,
+            "assets": {"data": {"href": pattern("a file of laz/tiles", r"(\./)?tiles/[0-9_-]{1,60}\.copc\.laz")}},
+            "properties": {
+                "pc:count": COUNT,
+                "proj:bbox": _BOUNDS,
+                "pc:statistics": [{"name": TEXT, "average": NUMBER}],
             },
-            "a tile with its height",
-            lambda tile: any(f["name"] == "Z" for f in tile["properties"]["pc:statistics"]),
-        )
-    ]
+        },
+        "a tile with its height, in the file of its name",
+        lambda tile: (
+            any(f["name"] == "Z" for f in tile["properties"]["pc:statistics"])
+            and tile["assets"]["data"]["href"].rpartition("/")[2] == f"{tile['id']}.copc.laz"
+        ),
+    )
+]
+TILES: Shape = {
+    "features": Related(_TILES, "every tile once", lambda tiles: len({tile["id"] for tile in tiles}) == len(tiles))
 }
 """Of ``laz/survey.vpc``, which names files: none of them lies elsewhere."""
 

@@ -57,6 +57,8 @@ FORGED: dict[str, tuple[str, Callable[[Any], object]]] = {
     "bounds without end": (VPC, first(lambda t: t["properties"].update({"proj:bbox": [-1e300] * 3 + [1e300] * 3}))),
     "a count that is none": (VPC, first(lambda t: t["properties"].update({"pc:count": "x"}))),
     "no height": (VPC, first(lambda t: t["properties"].update({"pc:statistics": []}))),
+    "a tile that is listed twice": (VPC, lambda told: told["features"].append(told["features"][0])),
+    "a tile in another's file": (VPC, first(lambda t: t.update(id="20001_216001"))),
     "a list of nothing": (VPC, lambda told: told.clear()),
     "classes without code": (REPORT, lambda told: told.update(classes=[{"name": "a"}])),
     "a survey without name": (REPORT, lambda told: told.update(survey=None)),
