@@ -11,6 +11,7 @@ from fwclass.errors import ConfigError, nearest
 from fwclass.ground.methods.params import MAX_HALO
 from fwclass.ground.terrain.params import MOST_CELLS
 from fwclass.ground.tuning_params import largest_halo
+from fwclass.voxels.params import MOST_NUMBERS
 
 
 def _check_features(config: Config) -> None:
@@ -57,6 +58,16 @@ def _check_cells(config: Config) -> None:
             expected=f"at least {config.terrain.block / MOST_CELLS:g} m: {MOST_CELLS:,} in a block (terrain.block)",
             got=f"{config.publish.class_cell:g} m",
             do="make them larger, or the blocks smaller",
+        )
+    profile = config.profile
+    numbers = (config.terrain.block / profile.cell + 1.0) ** 2 * profile.bins
+    if profile.write and numbers > MOST_NUMBERS:
+        raise ConfigError(
+            "the profiles of a block are too many numbers",
+            where=f"{where}: profile.cell, profile.bin",
+            expected=f"at most {MOST_NUMBERS:,} in a block of {config.terrain.block:g} m (terrain.block)",
+            got=f"{numbers:.3g}: {profile.bins:,} heights in cells of {profile.cell:g} m",
+            do="larger cells or bins, a lower profile.highest, or smaller blocks",
         )
     for which, cell in (("cell", config.quality.cell), ("planes.cell", config.quality.planes.cell)):
         if round(config.terrain.block * 1000) % max(1, round(cell * 1000)):

@@ -12,6 +12,9 @@ from fwclass.params import Params
 MOST_BINS = 100_000
 """Heights of a profile."""
 
+MOST_NUMBERS = 64_000_000
+"""Of the profiles of a block, 1.7 GB while they are made."""
+
 
 class VoxelParams(Params):
     """Parameters of the voxels; the numbers are in `conf/base.yaml`.

@@ -373,3 +373,14 @@ def test_a_preset_is_one_that_comes_with_fwclass(name: str, tmp_path: Path, monk
     for ask in (lambda: conf.load(path), lambda: ground_params(None, name)):
         with pytest.raises(ConfigError, match="no such preset"):
             ask()
+
+
+def test_profiles_that_no_memory_holds_are_refused_before_anything_runs(tmp_path: Path) -> None:
+    """415 GiB were asked for in a part; half of what is there would have been taken."""
+    path = tmp_path / "a.yaml"
+    path.write_text(SMALL)
+    fine = ("profile.write=true", "profile.cell=0.5", "profile.bin=0.5")
+    assert conf.load(path, fine).profile.cell == 0.5
+    with pytest.raises(ConfigError, match="too many numbers") as fault:
+        conf.load(path, (*fine, "profile.bin=0.01"))
+    assert "profile.cell, profile.bin" in str(fault.value)
