@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 
@@ -66,3 +67,19 @@ def first_hole(path: Path, begin: int, end: int, least: int = 7) -> int | None:
                 return int(at + SECTOR * (starts[long[0]] - before))
             run = int(lengths[-1]) if len(ends) and ends[-1] == len(whole) else 0
     return None
+
+
+def mapped(path: Path, least: int) -> NDArray[np.uint8]:
+    """The bytes of a file, mapped, not read; `InputError` where they are fewer than the `least` that it had when places
+    in it were checked: kernels would read behind its end."""
+    size = path.stat().st_size
+    data = np.asarray(np.memmap(path, np.uint8, "r")) if size else np.empty(0, np.uint8)
+    if len(data) < least:
+        raise InputError(
+            "the file was changed while it was read",
+            where=path,
+            expected=f"at least {least} bytes, as when it was opened",
+            got=f"{len(data)} bytes",
+            do="run the same again when the file is whole",
+        )
+    return data

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.checks import mapped
 from fwclass.formats.las_header import EVLR_HEADER
 from fwclass.read.compressed_packets import SHORTEST, decompress
 from fwclass.read.las import LASZIP, PLAIN, LasSource
@@ -319,7 +320,7 @@ def _stored(source: LasSource, refs: References, table: _Lookup, anchor: NDArray
         _refuse_swollen(source, int(table.bytes[index].sum()))
     if len(anchor) == 0 or source.waves.path is None:
         return _Stored(np.empty(0, np.uint8), np.empty(0, np.int64), wide[:0], none[:0])
-    data = np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
+    data = mapped(source.waves.path, source.waves.base + source.waves.available)
     start = refs.offset[anchor].astype(np.int64) + source.waves.base
     if not packed.any():
         return _Stored(data, start, wide, none)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.checks import mapped
 from fwclass.read.plz_kernels import (
     BITS,
     EXTRA_BYTES,
@@ -80,7 +81,7 @@ def read_chunks(path: Path, size: int, start: int, pulses: int, pulse_size: int,
     chunk, items = _items(path, record, pulse_size)
     if pulses * pulse_size > EXPANSION * size:
         raise _damaged(path, f"at most {EXPANSION} times its bytes of pulses", f"{pulses} of {pulse_size} bytes")
-    data = np.memmap(path, np.uint8, "r")
+    data = mapped(path, size)
     if start + 8 > size:
         raise _damaged(path, "a table of chunks", "the end of the file")
     at = _whole(data, start)
@@ -160,7 +161,7 @@ def unpacked_pulses(path: Path, chunks: Chunks, first: int, last: int) -> NDArra
     InputError
         A chunk ends before its pulses do.
     """
-    data, length = np.memmap(path, np.uint8, "r"), int(chunks.items[:, 1].sum())
+    data, length = mapped(path, int(chunks.start[-1])), int(chunks.items[:, 1].sum())
     decoder = decoder_of(data, MODELS + int(chunks.items[1:, 1].sum()), BITS)
     rows = []
     for c in range(

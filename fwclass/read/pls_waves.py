@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.checks import mapped
 from fwclass.read import wave_kernels
 from fwclass.read.packets import VECTOR_RANGE
 from fwclass.read.pls_compressed import PULSE, unpacked_pulses, unpacked_waves
@@ -290,7 +291,7 @@ def waves_fault(source: PulseSource, begins: NDArray[np.int64], pulses: Pulses) 
 
 def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:
     """The bytes of the Waves file, mapped, not read; None without one."""
-    return None if source.waves.path is None else np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
+    return None if source.waves.path is None else mapped(source.waves.path, source.waves.available)
 
 
 def blocks_of(source: PulseSource) -> Iterator[tuple[NDArray[Any], Pulses]]:

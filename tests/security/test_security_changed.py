@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,10 @@ from commandline import fwclass
 from smallsurvey import small_survey
 from streetmaker import SHORT, directory
 
+from fwclass.conf import section
+from fwclass.errors import InputError
+from fwclass.read.source import open_source
+from fwclass.read.stage import index_source, read_span
 from fwclass.store.unchanged import unchanged
 
 CHANGED = "changed while"
@@ -164,3 +169,17 @@ def test_a_system_of_polygons_that_changes_before_their_digest_ends_the_run(
     change_at(monkeypatch, "fwclass.survey.reference.source_crs", tmp_path / "p.prj")
     ended = fwclass("run", survey, "--out", tmp_path / "run", "--workers", 0)
     assert ended.returncode == 1 and CHANGED in ended.stderr and "p.prj" in ended.stderr, ended.stderr
+
+
+@pytest.mark.parametrize("beside", [".wdp", ".wvs"])
+@pytest.mark.parametrize("left", [0, 100])
+def test_samples_that_are_cut_off_behind_their_opening_are_not_read_beyond_their_end(
+    beside: str, left: int, tmp_path: Path
+) -> None:
+    """Kernels read on behind the end of what is there: zeros, or the end of the process."""
+    path, params = strip(tmp_path, beside), section("read", ())
+    source = open_source(path)
+    spans = index_source(source, params)
+    os.truncate(path.with_suffix(beside), left)
+    with pytest.raises(InputError, match="changed while it was read"):
+        read_span(source, spans[0], params)
