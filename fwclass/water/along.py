@@ -58,7 +58,11 @@ def check_lines(
     box: Bounds,
     where: object,
 ) -> None:
-    """`ConfigError` for lines that `knots_along` or `shoreline` would refuse, before anything is made of them."""
+    """`ConfigError` for lines that `knots_along` or `shoreline` would refuse, before anything is made of them.
+
+    `x`, `y` (points,) [m]: the lines one after another; `ring_start` int64 (lines + 1,), as `edges` has it; `step` [m]
+    between places; `box` [m], None: all of them count.
+    """
     at = edges(ring_start, len(x))
     length = _lengths(x, y, at)
     if not _few(length, _counted((x[at], x[at + 1]), (y[at], y[at + 1]), length, step, box)[2]):
