@@ -7,7 +7,6 @@ import json
 import os
 import random
 import signal
-import struct
 import subprocess
 import sys
 import threading
@@ -17,13 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import psutil
 from commandline import fwclass
 from runmaker import SETTINGS, delivered
 
-from fwclass.run.cluster import Cluster
-from fwclass.run.part import Task
 from fwclass.store.lock import holder
 from fwclass.store.run_store import Store
 
@@ -38,9 +34,6 @@ SMALL = (
     "tile.size=80",
 )
 """One strip over 60 m x 60 m: a run of seconds."""
-
-HELD = 500 << 20
-"""Bytes that a part of `greedy` and `hopeless` holds."""
 
 PATIENCE = 300.0
 """s, until a process that does not end counts as hung."""
@@ -245,53 +238,3 @@ class Reader:
         files = [p for p in generation.rglob("*") if p.is_file() and p.name not in aside]
         if len(files) != facts["files"]:
             raise ValueError(f"{len(files)} files of {facts['files']}")
-
-
-def set_back(root: Path, ahead: Path) -> None:
-    """Ten parts on two workers of this process, whose clock is set back all the time; `clock.c` reads `ahead`."""
-    over = threading.Event()
-
-    def back() -> None:
-        with ahead.open("r+b", buffering=0) as stream:  # in place: it is mapped
-            seconds = 0
-            while not over.wait(0.005):
-                seconds -= 100
-                os.pwrite(stream.fileno(), struct.pack("q", seconds), 0)
-
-    with Cluster(None, 2, 1.0, 100) as cluster:
-        thread = threading.Thread(target=back, daemon=True)
-        thread.start()
-        for outcome in cluster.run(root, [Task("simple", f"a{k}", 1, {}, simple) for k in range(10)]):
-            assert outcome.status == "computed", outcome
-        over.set()
-        thread.join()
-
-
-def simple(inputs: Any, directory: Path) -> dict[str, Any]:
-    """A part that takes a moment."""
-    time.sleep(0.2)
-    (directory / "made").write_text(directory.name)
-    return {}
-
-
-def greedy(inputs: Any, directory: Path) -> dict[str, Any]:
-    """A part that holds much memory, and less in pieces."""
-    return _holding(HELD // inputs.split**2, directory)
-
-
-def hopeless(inputs: Any, directory: Path) -> dict[str, Any]:
-    """A part that holds much memory, in pieces too."""
-    return _holding(HELD, directory)
-
-
-def crashing(inputs: Any, directory: Path) -> dict[str, Any]:
-    """A part that crashes its process."""
-    signal.raise_signal(signal.SIGSEGV)
-    return {}
-
-
-def _holding(size: int, directory: Path) -> dict[str, Any]:
-    held = np.ones(size, np.uint8)
-    time.sleep(1.5)
-    (directory / "made").write_text(str(held[-1]))
-    return {}

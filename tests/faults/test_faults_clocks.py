@@ -34,7 +34,7 @@ def test_workers_whose_clock_is_set_back_go_on(shim, tmp_path):
     ahead = tmp_path / "ahead"
     ahead.write_bytes(struct.pack("q", 0))
     given = {**os.environ, "LD_PRELOAD": str(shim), "JUMP": str(ahead), "PYTHONPATH": ":".join(sys.path)}
-    line = "import sys; from pathlib import Path; from faultmaker import set_back; set_back(*map(Path, sys.argv[1:]))"
+    line = "import sys; from pathlib import Path; from faultparts import set_back; set_back(*map(Path, sys.argv[1:]))"
     subprocess.run([sys.executable, "-c", line, tmp_path / "run", ahead], env=given, check=True, timeout=120)
     assert receipts(tmp_path / "run") == 10
 

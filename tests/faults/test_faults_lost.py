@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from faultmaker import crashing, greedy, hopeless, simple
+from faultparts import crashing, greedy, hopeless, simple
 
 from fwclass.run.cluster import Cluster
 from fwclass.run.lost import MEMORY

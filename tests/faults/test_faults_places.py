@@ -11,7 +11,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from faultmaker import receipts, running, scheduler, simple, unharmed, words
+from faultmaker import receipts, running, scheduler, unharmed, words
+from faultparts import simple
 from runmaker import delivered
 
 from fwclass.errors import FwclassError
