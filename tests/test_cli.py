@@ -77,7 +77,7 @@ def test_a_missing_or_geographic_crs_is_told(tmp_path, small):
 
 def test_sources_that_do_not_exist_and_areas_elsewhere(tmp_path, small):
     path = config(tmp_path / "c.yaml", sources="b*.las", crs="none")
-    assert told(process("run", path, "--out", tmp_path / "r"), 1, "no file matches", "b*.las")
+    assert told(fwclass("run", path, "--out", tmp_path / "r"), 1, "no file matches", "b*.las")
     path = config(tmp_path / "c.yaml", crs="none")
     away = ("--set", "areas.train=[[1000,0,1100,10]]", "--workers", 0, "--out", tmp_path / "r")
     assert told(fwclass("run", path, *away), 2, "no training area lies on the survey", "[0.")
@@ -89,7 +89,7 @@ def test_an_empty_and_a_foreign_file(tmp_path):
     assert told(fwclass("run", path, "--workers", 0, "--out", tmp_path / "r"), 1, "a.las")
     (tmp_path / "a.las").write_text("x y z\n1 2 3\n" * 200)
     assert told(fwclass("run", path, "--workers", 0, "--out", tmp_path / "r"), 1, "a.las")
-    assert told(process("info", tmp_path / "a.las", "--json"), 1, "a.las")
+    assert told(fwclass("info", tmp_path / "a.las", "--json"), 1, "a.las")
 
 
 def test_info_json_is_alone_on_standard_output(small):
@@ -216,7 +216,7 @@ def test_a_run_on_echoes_without_waveforms_and_its_threshold(tmp_path, small):
     settings = ["--set", "survey.features=[zc, echo_ratio_r100]", "--set", "areas.gap=0.5"]
     args = ("run", path, "--workers", 0, "--out", tmp_path / "r", *settings)
     assert told(fwclass(*args), 0, "400", "accuracy", "report.html")
-    assert told(process(*args, "--set", "assess.min_kappa=0.99"), 4, "kappa misses its threshold")
+    assert told(fwclass(*args, "--set", "assess.min_kappa=0.99"), 4, "kappa misses its threshold")
     strip = laspy.read(tmp_path / "r" / "laz" / "strips" / "a.laz")
     source = laspy.read(small)
     np.testing.assert_array_equal(strip.X, source.X)
@@ -226,15 +226,15 @@ def test_a_run_on_echoes_without_waveforms_and_its_threshold(tmp_path, small):
 def test_info_of_a_directory_is_that_of_its_files(small, tmp_path):
     folder = tmp_path / "strips"
     folder.mkdir()
-    ended = process("info", folder)
+    ended = fwclass("info", folder)
     assert ended.returncode == 1 and "without files of points" in ended.stderr and "Traceback" not in ended.stderr
     for name in ("b.las", "a.LAS"):
         shutil.copy(small, folder / name)
     (folder / "notes.txt").write_text("x")
     (folder / "report.json").write_text("{}")
     (folder / "below.las").mkdir()
-    ended = process("info", folder, "--json")
+    ended = fwclass("info", folder, "--json")
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout) == [
-        json.loads(process("info", folder / n, "--json").stdout) for n in ("a.LAS", "b.las")
+        json.loads(fwclass("info", folder / n, "--json").stdout) for n in ("a.LAS", "b.las")
     ]

@@ -311,9 +311,9 @@ def test_rows_that_cannot_be_used_end_with_exit_code_4(tmp_path):
     columns = scene(pulses=600).columns()
     columns["x"][:200] = np.nan
     path = write_csv(tmp_path / "a.csv", columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
-    ended = process("decompose", path, tmp_path / "o.laz")
+    ended = fwclass("decompose", path, tmp_path / "o.laz")
     assert ended.returncode == 4, ended.stderr
     assert "200 of 600 pulses (33.3 %)" in ended.stderr + ended.stdout
     assert "200, 33.3 %" in ended.stderr
     assert (tmp_path / "o.laz").exists()
-    assert process("decompose", path, tmp_path / "p.laz", "--accept-implausible").returncode == 0
+    assert fwclass("decompose", path, tmp_path / "p.laz", "--accept-implausible").returncode == 0
