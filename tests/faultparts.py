@@ -1,4 +1,4 @@
-"""What workers do in tests of faults. Every worker that starts loads this file, so it imports nothing that a worker does
+"""What workers do in tests of faults. Every worker that starts loads this file, so it imports nothing that workers do
 without."""
 
 from __future__ import annotations

@@ -48,8 +48,8 @@ def test_killed_workers_change_nothing(survey, request, tmp_path, times):
 
 @pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
 def test_a_killed_driver_goes_on_where_it_was(survey, request, tmp_path, times):
-    """Begun again as soon as it is dead: every other time its workers may still be ending. A single driver that dies has
-    one worker, which is cheaper to start."""
+    """Begun again as soon as it is dead: every other time its workers may still be ending. Where one driver dies it
+    has one worker, which is cheaper to start."""
     whole, more = undisturbed(request, times)
     root, rng, killed, workers = tmp_path / "run", random.Random(times), 0, []  # noqa: S311
     line, parts = (*words(survey, root, *more), "--workers", min(times, 2)), receipts(whole)

@@ -8,7 +8,7 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from commandline import fwclass, process
+from commandline import fwclass
 from rawmaker import GROUND, HALF_LIGHT, scene, write_csv, write_parquet
 
 from fwclass.errors import InputError
