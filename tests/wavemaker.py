@@ -18,7 +18,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import toeplitz
-from scipy.signal import lfilter
 
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
@@ -235,14 +234,24 @@ def coloured(rng: np.random.Generator, n: int, samples: int, phi: Sequence[float
     if len(phi) == 0:
         return rng.standard_normal((n, samples))
     burn = 200
-    out = lfilter([1.0], [1.0, *(-np.asarray(phi))], rng.standard_normal((n, samples + burn)))[:, burn:]
+    out = regressed(phi, rng.standard_normal((n, samples + burn)))[:, burn:]
     return out / np.sqrt(covariance(phi, 1)[0])
+
+
+def regressed(phi: Sequence[float], new: NDArray) -> NDArray:
+    """Series, along the last axis, every value of which is `phi` times those before it and the next of `new`, as by
+    `scipy.signal.lfilter`, whose import takes longer than most tests."""
+    out = np.ascontiguousarray(new.T)
+    for k in range(1, len(out)):
+        for lag, share in enumerate(phi[:k], 1):
+            out[k] += share * out[k - lag]
+    return out.T
 
 
 def covariance(phi: Sequence[float], lags: int) -> NDArray:
     """Autocovariance at the lags 0 to `lags` of an autoregression with innovations of unit variance, from its impulse
     response."""
-    answer = lfilter([1.0], [1.0, *(-np.asarray(phi))], np.r_[1.0, np.zeros(4000)])
+    answer = regressed(phi, np.eye(1, 4001))[0]
     return np.array([answer[: len(answer) - k] @ answer[k:] for k in range(lags + 1)])
 
 
