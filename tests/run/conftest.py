@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -43,3 +44,16 @@ def finished(survey: Path, tmp_path_factory: pytest.TempPathFactory):
     runner, report = walk(survey, root)
     assert not runner.failures, runner.failures
     return root, report
+
+
+@pytest.fixture(scope="session")
+def begun(finished, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Makes run directories in which the survey is read and its features are there: a run that asks for something else
+    makes only that, which `test_run_resume.py` holds to be what it makes from the beginning."""
+
+    def make(name: str) -> Path:
+        root = tmp_path_factory.mktemp(name) / "run"
+        shutil.copytree(finished[0] / "store", root / "store", symlinks=True)
+        return root
+
+    return make

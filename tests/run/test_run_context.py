@@ -221,8 +221,8 @@ def answers(root):
 
 
 @pytest.fixture(scope="module")
-def one_layer(survey, tmp_path_factory):
-    root = tmp_path_factory.mktemp("one")
+def one_layer(survey, begun):
+    root = begun("one")
     runner, _ = walk(survey, root, *LAYER, "classify.context.cells=[]")
     assert not runner.failures
     return root
@@ -238,9 +238,9 @@ def said(why):
 
 
 @pytest.fixture(scope="module")
-def given_up(survey, tmp_path_factory):
+def given_up(survey, begun):
     """A run whose second layer does not pay."""
-    root = tmp_path_factory.mktemp("given-up")
+    root = begun("given-up")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(context_training, "verdict", said(("mean IoU does not rise",)))
         runner, report = walk(survey, root, *AUTO)

@@ -50,8 +50,8 @@ def delivered(root, *columns):
 
 
 @pytest.fixture(scope="module")
-def uneven(survey, files, tmp_path_factory):
-    root = tmp_path_factory.mktemp("uneven")
+def uneven(survey, files, begun):
+    root = begun("uneven")
     runner, report = walk(survey, root, FEATURES, workflow=files["uneven.py"])
     assert not runner.failures, runner.failures
     return root, report

@@ -134,25 +134,25 @@ def test_what_is_done_is_skipped_and_a_changed_file_or_meaning_is_not(survey, dr
 
 
 @pytest.fixture(scope="module")
-def reported(survey, drawn, tmp_path_factory):
+def reported(survey, drawn, begun):
     """A whole run on overlapping and unsound polygons: (root, report)."""
-    root = tmp_path_factory.mktemp("reported")
+    root = begun("reported")
     extra = geopandas.GeoDataFrame(
         {"klass": ["building", "nothing"], "code": [6, 0]},
         crs=25832,
         geometry=[shapely.box(512000, 5403000, 512030, 5403008), None],
     )
     both = geopandas.GeoDataFrame(geopandas.pd.concat([drawn, extra], ignore_index=True), crs=25832)
-    both.to_parquet(root / "labels.parquet")
+    both.to_parquet(root.parent / "labels.parquet")
     runner, report = walk(
         survey,
-        root / "run",
-        asked(root / "labels.parquet", values="{nothing: null}"),
+        root,
+        asked(root.parent / "labels.parquet", values="{nothing: null}"),
         *FAST,
         "areas.train=[[512000, 5403000, 512060, 5403120]]",
     )
     assert not runner.failures, runner.failures
-    return root / "run", report
+    return root, report
 
 
 def test_the_report_counts_the_labels(reported):

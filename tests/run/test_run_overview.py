@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import laspy
@@ -21,8 +22,8 @@ SMALL = (f"publish.overview_square={SQUARE}", f"publish.overview_echoes={MOST}")
 
 
 @pytest.fixture(scope="module")
-def several(survey: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("several")
+def several(survey: Path, begun: Callable[[str], Path]) -> Path:
+    root = begun("several")
     runner, _ = walk(survey, root, *SMALL)
     assert not runner.failures
     return root
