@@ -70,9 +70,9 @@ def labelled(survey: Path, root: Path, *settings: str):
 
 
 @pytest.fixture(scope="module")
-def squares(survey, drawn, tmp_path_factory):
+def squares(survey, drawn, begun):
     """Labels by the squares: (root, echoes)."""
-    root = tmp_path_factory.mktemp("squares")
+    root = begun("squares").parent
     drawn.to_file(root / "labels.gpkg")
     return root, labelled(survey, root / "run", asked(root / "labels.gpkg"))[1]
 
@@ -102,13 +102,13 @@ def test_every_echo_has_the_class_of_its_square(squares, drawn):
     ],
 )
 def test_the_format_the_system_and_the_tiles_change_no_label(
-    ending, crs, setting, field, survey, drawn, squares, tmp_path
+    ending, crs, setting, field, survey, drawn, squares, begun, tmp_path
 ):
     """Reprojected corners are back within a millimetre, so that only echoes at an edge may change sides."""
     path = tmp_path / f"labels.{ending}"
     made = drawn.to_crs(crs)
     made.to_parquet(path) if ending == "parquet" else made.to_file(path, **_digits(ending))
-    _, echoes = labelled(survey, tmp_path / "run", asked(path, field=field), setting)
+    _, echoes = labelled(survey, begun("format"), asked(path, field=field), setting)
     np.testing.assert_array_equal(echoes["x"], squares[1]["x"])
     before = squares[1]["reference"]
     after = np.where(echoes["reference"] == 5, 3, echoes["reference"])
@@ -241,24 +241,25 @@ def test_polygons_that_mean_nothing_are_told(survey, drawn, tmp_path):
     assert "empty" in str(broken(survey, tmp_path / "run", asked(tmp_path / "empty.gpkg")))
 
 
-def test_polygons_elsewhere_without_a_system_or_of_another_kind_are_told(survey, drawn, tmp_path, capsys):
+def test_polygons_elsewhere_without_a_system_or_of_another_kind_are_told(survey, drawn, begun, tmp_path, capsys):
+    root = begun("elsewhere")
     drawn.translate(50_000).to_frame("geometry").assign(klass="ground").to_parquet(tmp_path / "away.parquet")
-    fault = broken(survey, tmp_path / "run", asked(tmp_path / "away.parquet"))
+    fault = broken(survey, root, asked(tmp_path / "away.parquet"))
     assert isinstance(fault, InputError) and "another place" in str(fault) and "[562000.0, 5403000.0" in str(fault)
     drawn.set_crs(None, allow_override=True).to_parquet(tmp_path / "bare.parquet")
-    fault = broken(survey, tmp_path / "run", asked(tmp_path / "bare.parquet"))
+    fault = broken(survey, root, asked(tmp_path / "bare.parquet"))
     assert "survey.reference.crs=EPSG" in str(fault)
     lines = drawn.assign(geometry=drawn.boundary)
     lines.to_parquet(tmp_path / "lines.parquet")
-    fault = broken(survey, tmp_path / "run", asked(tmp_path / "lines.parquet"))
+    fault = broken(survey, root, asked(tmp_path / "lines.parquet"))
     told = " ".join(capsys.readouterr().err.split())  # the display has the whole message, the fault its first line
     assert isinstance(fault, InputError) and "is no polygon" in str(fault)
     assert "feature 1" in told and "LineString" in told
 
 
-def test_a_system_that_is_given_stands_for_the_file_s_own(survey, drawn, squares, tmp_path):
+def test_a_system_that_is_given_stands_for_the_file_s_own(survey, drawn, squares, begun, tmp_path):
     drawn.set_crs(None, allow_override=True).to_parquet(tmp_path / "bare.parquet")
-    _, echoes = labelled(survey, tmp_path / "run", asked(tmp_path / "bare.parquet", crs="EPSG:25832"))
+    _, echoes = labelled(survey, begun("given"), asked(tmp_path / "bare.parquet", crs="EPSG:25832"))
     np.testing.assert_array_equal(echoes["reference"], squares[1]["reference"])
 
 

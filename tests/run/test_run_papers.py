@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -60,9 +61,9 @@ def follow(name: str, survey: Path, root: Path, *settings: str, tiles=None):
 
 
 @pytest.fixture(scope="module")
-def fan(survey: Path, tmp_path_factory: pytest.TempPathFactory):
+def fan(survey: Path, begun: Callable[[str], Path]):
     """(root, facts) of the workflow fan2013."""
-    root = tmp_path_factory.mktemp("fan")
+    root = begun("fan")
     runner, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
     assert not runner.failures
     return root, json.loads((root / "fan2013.json").read_text())
