@@ -41,6 +41,8 @@ def accuracy_remarks(
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
     apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
     reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + halo_of(cells)
+    field = config.classify.regularize
+    reach += field.halo if field.strength > 0 else 0.0
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
     learned_here = (config.survey.model or config.survey.base_model) and not config.areas.train
     return [

@@ -7,6 +7,7 @@ from typing import Any
 
 from fwclass import __version__
 from fwclass.classify.kept import Kept
+from fwclass.classify.params import RegularizeParams
 from fwclass.conf import Config
 from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
@@ -189,6 +190,16 @@ def _remarks(
         *remarks_on_empty_files(report["input"]),
         *remarks_of_parts(runner),
         *(class_remarks(source, known, keeps) if classified else ()),
+        *(_on_neighbours(config.classify.regularize) if classified else ()),
+    ]
+
+
+def _on_neighbours(params: RegularizeParams) -> list[str]:
+    if params.strength == 0:
+        return []
+    return [
+        f"neighbours agree by a mean field of strength {params.strength:g} (classify.regularize): classes and "
+        "confidences are those after it"
     ]
 
 

@@ -44,6 +44,10 @@ def alone(survey, tmp_path_factory):
     return root
 
 
+def look(root):
+    return json.loads((root / "report.json").read_text())
+
+
 def same(before, after):
     for name in before:
         np.testing.assert_array_equal(before[name], after[name], err_msg=name)
@@ -57,6 +61,12 @@ def test_it_changes_some_answers_and_the_model_stays(agreed, alone):
     assert after["confidence"].mean() > before["confidence"].mean(), "neighbours that agree are surer"
     models = [{k: v for k, v in delivered(root).items() if k.startswith("model")} for root in (agreed, alone)]
     assert models[0] == models[1] and models[0]
+
+
+@pytest.mark.slow
+def test_the_report_says_that_neighbours_agree(agreed, alone):
+    said = [any("mean field of strength 0.3" in line for line in look(root)["remarks"]) for root in (agreed, alone)]
+    assert said == [True, False]
 
 
 @pytest.mark.slow
