@@ -27,7 +27,7 @@ def weigh(
     where there are fewer.
 
     `x`, `y`, `z` (points,) [mm] are sorted by cells of edge `cell` [mm], the first at 0; cell k begins at ``start[k]``.
-    Of equally near ones those of lower `rank` (points,) count.
+    Of equally near ones those of lower `rank` (points,) count; it rises within a cell.
     """
     count = near.shape[1]
     best = np.empty(count, np.int64)
@@ -46,6 +46,8 @@ def weigh(
                         continue
                     at = row * ncols + col
                     for j in range(start[at], start[at + 1]):
+                        if held == count and best[count - 1] == 0:  # crowds at one place: all others have higher ranks
+                            break
                         dx, dy, dz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
                         apart = dx * dx + dy * dy + dz * dz
                         if apart > limit or j == i:
