@@ -15,28 +15,28 @@ from commands import COMMANDS, cases_of, foreign
 from watch import Child
 
 QUICK = {
-    "info": 50,
-    "assess": 15,
-    "ground": 7,
-    "features": 8,
-    "classify": 8,
-    "normalize": 7,
-    "decompose": 5,
-    "export": 7,
-    "history": 4,
-    "status": 3,
+    "info": 25,
+    "assess": 8,
+    "ground": 4,
+    "features": 4,
+    "classify": 4,
+    "normalize": 4,
+    "decompose": 3,
+    "export": 4,
+    "history": 2,
+    "status": 2,
     "plan": 2,
-    "view-export": 3,
-    "suggest": 2,
-    "diff": 2,
+    "view-export": 2,
+    "suggest": 1,
+    "diff": 1,
     "stored-verify": 1,
     "street-stream": 1,
-    "street": 2,
+    "street": 1,
 }
 """Drawn inputs of the commands that do not run a survey, for the fast suite. The slow one goes on from there,
 with all commands and 2 000 inputs."""
 
-LEAST = 4
+LEAST = 8
 """As many times the drawn inputs of the fast suite are tried in both together, also of commands with a small share."""
 
 EMPTY = ("features short", "info-waveforms short")
