@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import geopandas
@@ -119,7 +120,8 @@ def test_sparse_echoes_are_told(tmp_path: Path):
     assert len(made) <= 4 and made.is_valid.all()
 
 
-def test_a_survey_whose_buildings_are_none_has_an_empty_layer(tmp_path: Path):
-    run(survey(tmp_path / "s"), "r", "--set", "vectors.buildings.least_height=50")
+def test_a_survey_whose_buildings_are_none_has_an_empty_layer(place: Path, tmp_path: Path):
+    shutil.copytree(place, tmp_path / "s", symlinks=True)
+    run(tmp_path / "s", "r", "--set", "vectors.buildings.least_height=50")
     assert len(pyogrio.read_dataframe(tmp_path / "s/r/vectors.gpkg", layer="buildings")) == 0
     assert len(geopandas.read_parquet(tmp_path / "s/r/vectors/buildings.parquet")) == 0
