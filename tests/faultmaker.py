@@ -36,9 +36,6 @@ SMALL = (
 )
 """One strip over 60 m x 60 m: a run of seconds."""
 
-COMMAND = "from fwclass.publish import drawing; drawing.DPI = 50; from fwclass.cli import main; main()"
-"""With pictures as coarse as those of `commandline.coarse`: they took a seventh of such a run."""
-
 PATIENCE = 300.0
 """s, until a process that does not end counts as hung."""
 
@@ -58,7 +55,7 @@ class Run:
 
     @classmethod
     def begin(cls, told: Path, *line: object, limit: Callable[[], None] | None = None) -> Run:
-        command = [sys.executable, "-c", COMMAND, *map(str, line)]
+        command = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, line)]
         with told.open("ab") as stream:
             return cls(
                 told, subprocess.Popen(command, stdout=stream, stderr=stream, start_new_session=True, preexec_fn=limit)
