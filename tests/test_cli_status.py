@@ -24,6 +24,7 @@ survey:
 areas: {train: [[0, 0, 5, 10]], gap: 0.5}
 tile: {size: 5.0}
 train: {trees: 5}
+plausibility: {accept: true}
 """
 RUN = ("--workers", 0)
 

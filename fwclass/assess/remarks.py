@@ -128,12 +128,12 @@ def judge_chance(accuracy: Mapping[str, Any], accepted: bool, where: object) -> 
 
 def _interval_of_kappa(accuracy: Mapping[str, Any]) -> tuple[float, float] | None:
     """95 % interval of kappa by blocks, where these are too few as of echoes that are right or wrong each for itself
-    (Congalton and Green 1999), which is too narrow; None where the reference has not two classes."""
-    counts, kappa = np.asarray(accuracy["confusion"], float), accuracy["kappa"]
+    (Congalton and Green 1999), which is too narrow; None without kappa, or two classes in the reference."""
+    counts, kappa = np.asarray(accuracy["confusion"], float), accuracy.get("kappa")
     reference = counts.sum(axis=1)
     if np.count_nonzero(reference) < 2 or kappa is None:
         return None
-    if accuracy["intervals"]:
+    if accuracy.get("intervals"):
         low, high = accuracy["intervals"]["kappa"]
         return float(low), float(high)
     rows = reference.sum()
