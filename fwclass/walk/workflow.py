@@ -9,6 +9,7 @@ from typing import Any
 from fwclass.columns import declare
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
+from fwclass.graph.regularize import CLASSIFY_REGULARIZED
 from fwclass.graph.simulation import SIMULATE
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import LEARNING, STAGES, TO_TILES, check_order, check_reads
@@ -53,6 +54,16 @@ class Workflow:
     def begin(self, config: Config) -> Plan:
         """What is planned by before any file is read; `ConfigError` for features that no stage writes."""
         config = config if self.settle is None else self.settle(config)
+        classifying = [s for s in self.stages if s.name == CLASSIFY_REGULARIZED.name]
+        known = any(s is CLASSIFY_REGULARIZED for s in classifying)
+        if self.classifies and classifying and not known and config.classify.regularize.strength > 0:
+            raise ConfigError(
+                "this workflow's own classifier knows no neighbours that agree",
+                where=f"workflow {self.name}: classify.regularize.strength",
+                expected="0",
+                got=config.classify.regularize.strength,
+                do="--set classify.regularize.strength=0",
+            )
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
         returns = config.survey.echoes == "returns" or (self.by_returns and config.survey.echoes == "auto")

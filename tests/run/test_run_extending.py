@@ -321,6 +321,16 @@ def test_a_function_that_gives_nonsense_fails_in_words(survey, finished, tmp_pat
     assert any(re.search(words, m) for m in messages), messages
 
 
+def test_a_classifier_of_ones_own_refuses_neighbours_that_agree(survey, tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        HEAD + "def g(table):\n    return np.full(table.rows, 7)\n"
+        "workflow = classification.without_training().with_stage_instead(classifier_stage(g, ('z',)))"
+    )
+    with pytest.raises(ConfigError, match="knows no neighbours that agree"):
+        walk(survey, tmp_path / "run", "classify.regularize.strength=0.1", workflow=str(path))
+
+
 @pytest.mark.slow
 def test_a_stage_may_read_a_feature_of_the_program(survey, tmp_path):
     path = tmp_path / "mine.py"
