@@ -43,6 +43,7 @@ from fwclass.errors import ConfigError, nearest
 @SET
 @SCHEDULER
 @WORKERS
+@ACCEPT_IMPLAUSIBLE
 @OVERWRITE
 @JSON
 def train(
@@ -52,6 +53,7 @@ def train(
     compare: str | None,
     out: Path | None,
     settings: tuple[str, ...],
+    accept_implausible: bool,
     **options: Any,
 ) -> None:
     """Train a model on a survey's training areas, and judge it on its test areas.
@@ -69,6 +71,7 @@ def train(
         raise click.UsageError("--compare names its classifiers itself")
     if method is not None:
         settings = (*settings, f"train.method={_known(method, '--method')}")
+    settings += ("plausibility.accept=true",) if accept_implausible else ()
     from fwclass.operate.configured import configured
 
     config = configured(conf, settings)
@@ -100,6 +103,7 @@ def _count(config: Any, options: dict[str, Any]) -> int:
 
 
 def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> None:
+    from fwclass.assess.remarks import judge_chance
     from fwclass.single_file.model_directory import check_target, deliver
     from fwclass.study.left_out import leave_out
     from fwclass.study.training import kept_rows, training
@@ -115,6 +119,8 @@ def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> No
     click.echo(f"{describe(result)}\nmodel       {target}", err=True)
     if options["as_json"]:
         click.echo(json.dumps({**result, "model": str(target)}, indent=1))
+    if result["accuracy"]:
+        judge_chance(result["accuracy"], config.plausibility.accept, config.path)
 
 
 def _compare(config: Any, root: Path, methods: tuple[str, ...], options: dict[str, Any]) -> None:

@@ -92,6 +92,9 @@ def test_labels_of_other_echoes_are_told_by_a_run(tmp_path):
     assert ended.returncode == 4 and "chance may agree with the reference as well" in ended.stderr, ended.stderr
     assert "chance may agree with the reference as well" in (tmp_path / "r" / "report.html").read_text()
     assert fwclass(*line, "--accept-implausible").returncode == 0
+    ended = fwclass("train", survey, "--model", tmp_path / "m", *line[2:])
+    assert ended.returncode == 4 and "no better than chance does" in ended.stderr, ended.stderr
+    assert (tmp_path / "m" / "card.json").is_file()
 
 
 def test_exchanged_codes_are_told_though_the_classifier_learns_them(tmp_path):
