@@ -23,6 +23,7 @@ survey:
 areas: {train: [[0, 0, 5, 10]], gap: 0.5}
 tile: {size: 5.0}
 train: {trees: 5}
+plausibility: {accept: true}
 run: {workers: 0}
 schedule: {look: 0.2, settle: 1.0, webhook_pause: 0.1, webhook_timeout: 2.0}
 """

@@ -22,6 +22,7 @@ survey:
 areas: {train: [[0, 0, 5, 10]], gap: 0.5}
 tile: {size: 5.0}
 train: {trees: 2}
+plausibility: {accept: true}
 """
 
 
