@@ -133,9 +133,8 @@ def _interval_of_kappa(accuracy: Mapping[str, Any]) -> tuple[float, float] | Non
     reference = counts.sum(axis=1)
     if np.count_nonzero(reference) < 2 or kappa is None:
         return None
-    if accuracy.get("intervals"):
-        low, high = accuracy["intervals"]["kappa"]
-        return float(low), float(high)
+    if by_blocks := (accuracy.get("intervals") or {}).get("kappa"):
+        return float(by_blocks[0]), float(by_blocks[1])
     rows = reference.sum()
     right, chance = np.trace(counts) / rows, reference @ counts.sum(axis=0)[: len(reference)] / rows**2
     half = 1.96 * math.sqrt(right * (1.0 - right) / rows) / (1.0 - chance)

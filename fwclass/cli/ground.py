@@ -88,7 +88,7 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
-    judge_place(summary["place"], accepted, source)
+    judge_place(summary["judged"]["place"], accepted, source)
     judge_ground({"echoes": summary["shown"], "ground": summary["ground"]}, accepted, source)
 
 

@@ -30,11 +30,11 @@ rectangle, column by column, dots where nothing lies. By name: ``{"names": {name
 """
 
 REMEMBERED = 8192
-"""Digests of windows, some 2 MiB: every stage that reads a tile with its halo asks for the same ones."""
+"""Digests of windows that are kept: every stage that reads a tile with its halo asks for the same ones."""
 
 _windows: dict[tuple[str, int, int, int, int], str | None] = {}
 """By the receipt's digest, which counts its squares, first and last column and row. Not by the text of the squares, of
-which each would be held, at 120 kB for a strip."""
+which each would be held, at 16 bytes a square."""
 _guard = threading.Lock()
 
 _WIDTH = 16

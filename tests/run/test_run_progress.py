@@ -61,7 +61,7 @@ def test_what_was_done_before_does_not_count_as_pace():
 
 
 def test_workers_at_another_stage_do_not_make_this_one_slow():
-    """Four of 7 851 parts had been made in half a minute beside another stage: 17 h were told for 3 minutes."""
+    """Four of 7 851 parts had been made in half a minute beside another stage: 17 h were told for some minutes."""
     display, clock = shown(live=False)
     display.workers = 2
     display.expect({"contours": 7851})

@@ -133,7 +133,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
-        "place": place,
+        "judged": {"place": place},
         "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *cloud.cut_packets, *place["remarks"]]),
         "seconds": {
             "filter": round(filtering, 3),
