@@ -11,6 +11,8 @@ from functools import cache
 from typing import Any
 from weakref import WeakSet
 
+from fwclass import frontend
+
 TRIED = "0.68."
 """Versions of numba whose insides are known; any other compiles its own way, which takes a third longer."""
 
@@ -29,6 +31,7 @@ def change_numba(inner: Callable[[str], bool]) -> None:
         return
     # Each block of a function that is written into another would get a copy of the scope, and of all names in it.
     ir.Scope.__deepcopy__ = lambda scope, memo: scope  # type: ignore[attr-defined,unused-ignore]
+    frontend.shorten()
     _code_when_asked_for(codegen)
     _no_address_inside(inner)
 

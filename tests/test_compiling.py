@@ -241,6 +241,45 @@ answer = more(answer) if waiting == {"more", "place"} and gc.isenabled() else wa
     assert ended(started(alone + TELL, program, cache)) == (2.0, 0, "")
 
 
+MODULES = """
+import hashlib, sys
+from fwclass import compiling, frontend
+if sys.argv[1] == "long":
+    frontend.shorten = lambda: None
+from fwclass.operate.ahead import _type, listed_kernels
+wanted = [(kernel, types) for kernel, types in listed_kernels() if kernel.__name__ in ("_relax", "nearest_of_pulse")]
+compiled = [kernel.compiled() for kernel, _ in wanted]
+from numba.core.codegen import CPUCodeLibrary
+optimise = CPUCodeLibrary._optimize_final_module
+def tell(library):
+    print(library.name, hashlib.blake2b(str(library._final_module).encode()).hexdigest())
+    optimise(library)
+CPUCodeLibrary._optimize_final_module = tell
+for kernel, (_, types) in zip(compiled, wanted):
+    kernel.compile(tuple(map(_type, types)))
+"""
+
+
+def test_a_shorter_way_through_the_compiler_gives_it_the_same_code(tmp_path: Path) -> None:
+    told = []
+    for way in ("long", "short"):
+        ended = subprocess.run(
+            [sys.executable, "-P", "-c", MODULES, way],
+            env=os.environ
+            | {
+                "PYTHONPATH": str(Path(__file__).parents[1]),
+                "NUMBA_CACHE_DIR": str(tmp_path / way),
+                "PYTHONHASHSEED": "0",
+            },
+            capture_output=True,
+            text=True,
+        )
+        assert ended.returncode == 0, ended.stderr
+        told.append(ended.stdout)
+    assert told[0].count("\n") > 5
+    assert told[0] == told[1]
+
+
 FAULT = """
 from fwclass.kernel import kernel
 class Wrong(ValueError): pass
