@@ -12,6 +12,7 @@ from typing import Any
 def shorten() -> None:
     """Let numba compare options, list variables and look for their ends only as often as it must."""
     _compare_options_by_value()
+    _remember_operators()
     _list_variables_by_class()
     _find_ends_when_asked_for()
     _report_no_locks()
@@ -41,6 +42,28 @@ def _compare_options_by_value() -> None:
     TargetConfig.values = values  # type: ignore[method-assign,unused-ignore]
     TargetConfig.__eq__ = equal  # type: ignore[method-assign,assignment,unused-ignore]
     TargetConfig.__hash__ = lambda config: digest(config.__class__)  # type: ignore[method-assign,unused-ignore]
+
+
+def _remember_operators() -> None:
+    """An operator of the same numbers has the same type each time; numba tries ten templates for it each time."""
+    from numba.core import types
+
+    whole = types.Function.get_call_type
+    number = (types.Number, types.Boolean)
+
+    def get_call_type(function: Any, context: Any, args: Any, named: Any) -> Any:
+        if named or not all(isinstance(kind, number) for kind in args):
+            return whole(function, context, args, named)
+        seen = function.__dict__.setdefault("_seen", {})
+        signature = seen.get((context, args))
+        if signature is None:
+            signature = whole(function, context, args, named)
+            # what is compiled for it depends on the caller's options; what is built in does not
+            if signature is not None and function.get_impl_key(signature) is function.typing_key:
+                seen[context, args] = signature
+        return signature
+
+    types.Function.get_call_type = get_call_type  # type: ignore[method-assign,assignment,unused-ignore]
 
 
 def _list_variables_by_class() -> None:
