@@ -71,7 +71,20 @@ def test_parts_of_scipy_are_loaded_when_they_are_used() -> None:
     assert not loaded & {"ndimage", "sparse", "spatial", "special", "linalg", "optimize", "interpolate"}, loaded
 
 
-FLOOR = ("classes", "columns", "errors", "grid", "hashing", "kernel", "model", "neighbours", "schema", "stage", "units")
+FLOOR = (
+    "classes",
+    "columns",
+    "errors",
+    "grid",
+    "hashing",
+    "kernel",
+    "model",
+    "neighbours",
+    "schema",
+    "sorting",
+    "stage",
+    "units",
+)
 """Modules of the ground floor, below `fwclass`."""
 
 

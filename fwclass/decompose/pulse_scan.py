@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from fwclass.kernel import kernel
+from fwclass.sorting import sort_few
 
 ROUNDS = 8
 CLIP = 2.5
@@ -19,7 +20,8 @@ def levels(samples, offsets, level, spread):  # type: ignore[no-untyped-def]
     """Per waveform the level and the standard deviation of its noise [DN]: what stays when echoes are clipped from
     above, by medians. Fills float64 `level` and `spread` (rows,); NaN for empty waveforms."""
     for w in range(len(level)):
-        values = np.sort(samples[offsets[w] : offsets[w + 1]].astype(np.float64))
+        values = samples[offsets[w] : offsets[w + 1]].astype(np.float64)
+        sort_few(values)
         kept = len(values)
         level[w], spread[w] = np.nan, np.nan
         for _ in range(ROUNDS):

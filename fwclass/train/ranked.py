@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.kernel import inlined, kernel
+from fwclass.sorting import sort_few
 from fwclass.train.gain import score, term
 
 COUNTED = 1024
@@ -149,7 +150,7 @@ def _best_sorted(packed, other, bucket, label, weight, class_weight, total, left
     for i in range(len(rows)):
         packed[i] = np.uint64(codes[rows[i]]) << _CODE | np.uint64(weight[i]) << _WEIGHT | np.uint64(label[i])
     if len(rows) < RADIX:
-        packed.sort()
+        sort_few(packed)
     else:
         packed = _by_digits(packed, other, bucket, n_codes)
     best, low, high = -(1 << 62), np.int64(0), np.int64(0)

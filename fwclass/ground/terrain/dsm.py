@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window
 from fwclass.kernel import kernel
+from fwclass.sorting import sort_few
 
 
 def highest(cells: NDArray[np.int64], z: NDArray[np.float64], window: Window) -> NDArray[np.float64]:
@@ -89,4 +90,5 @@ def _bridge(surface, near, steps, most, out):  # type: ignore[no-untyped-def]
                             n += 1
                 if n > 0:
                     break
-            out[r, c] = np.sort(around[:n])[(n - 1) // 2]
+            sort_few(around[:n])
+            out[r, c] = around[(n - 1) // 2]
