@@ -72,6 +72,9 @@ def test_a_model_that_nobody_tests_is_cross_validated(tmp_path: Path) -> None:
     figures = result["cross_validation"]
     assert 0.7 < figures["accuracy"] < 1.0 and figures["squares"] == 48 and figures["folds"] == 5, figures
     assert "in folds" in ended.stderr and f"{100 * figures['accuracy']:.2f}" in ended.stderr
+    assert ended.returncode == 0, ended.stderr
+    blind = fwclass("train", path, *words, *blocks, "--set", "survey.features=[echo_number]")
+    assert blind.returncode == 4 and "no better than chance" in blind.stderr, blind.stderr
     one = fwclass("train", path, *words, "--set", "select.block=500")
     assert one.returncode == 0 and "cannot be cross-validated: select-training of part all failed (" in one.stderr
     assert json.loads(one.stdout)["cross_validation"] is None

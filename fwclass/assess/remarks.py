@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from fwclass.assess.intervals import FEW, LEAST
@@ -114,9 +115,23 @@ def chance_remarks(accuracy: Mapping[str, Any]) -> list[str]:
 def judge_chance(accuracy: Mapping[str, Any], accepted: bool, where: object) -> None:
     """`QualityError` where there are `chance_remarks` and kappa is at most `SLIGHT`; nothing where the user accepts."""
     interval = _interval_of_kappa(accuracy)
-    chance = interval is not None and interval[0] <= 0.0 and accuracy["kappa"] <= SLIGHT
+    if interval is not None and interval[0] <= 0.0 and accuracy["kappa"] <= SLIGHT:
+        _refuse_chance(_kappa_words(accuracy, interval), accepted, where)
+
+
+def judge_folds(validated: Mapping[str, Any], accepted: bool, where: object) -> None:
+    """As `judge_chance`, by the mean ``kappa`` of ``folds`` and the ``kappa_std`` between them: their t interval."""
+    kappa, folds = validated["kappa"], validated["folds"]
+    if kappa is None or kappa > SLIGHT or folds < 2:
+        return
+    half = float(scipy.special.stdtrit(folds - 1, 0.975)) * (validated["kappa_std"] or 0.0) / math.sqrt(folds)
+    if kappa - half <= 0.0:
+        _refuse_chance(f"{kappa:.3f} in folds (95 %: {kappa - half:.3f} to {kappa + half:.3f})", accepted, where)
+
+
+def _refuse_chance(kappa: str, accepted: bool, where: object) -> None:
     refuse_unsound(
-        [f"kappa {_kappa_words(accuracy, interval)}"] if chance and interval else [],
+        [f"kappa {kappa}"],
         accepted,
         "the classes agree with the reference no better than chance does",
         where,

@@ -103,7 +103,7 @@ def _count(config: Any, options: dict[str, Any]) -> int:
 
 
 def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> None:
-    from fwclass.assess.remarks import judge_chance
+    from fwclass.assess.remarks import judge_chance, judge_folds
     from fwclass.single_file.model_directory import check_target, deliver
     from fwclass.study.left_out import leave_out
     from fwclass.study.training import kept_rows, training
@@ -121,6 +121,8 @@ def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> No
         click.echo(json.dumps({**result, "model": str(target)}, indent=1))
     if result["accuracy"]:
         judge_chance(result["accuracy"], config.plausibility.accept, config.path)
+    elif result["cross_validation"]:
+        judge_folds(result["cross_validation"], config.plausibility.accept, config.path)
 
 
 def _compare(config: Any, root: Path, methods: tuple[str, ...], options: dict[str, Any]) -> None:

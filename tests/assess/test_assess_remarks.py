@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import laspy
@@ -12,7 +13,7 @@ from smallsurvey import small_survey
 
 from fwclass import conf
 from fwclass.assess.blocks import BlockCounts
-from fwclass.assess.remarks import Extent, judge_chance, pure_share, remarks
+from fwclass.assess.remarks import Extent, judge_chance, judge_folds, pure_share, remarks
 from fwclass.classes import ClassDef
 from fwclass.errors import QualityError
 from fwclass.graph.street import crown_accuracy
@@ -117,3 +118,19 @@ def test_blocks_of_one_class_are_pure_but_for_strays():
     blocks[2] = [[60, 0, 0], [0, 40, 0]]
     assert pure_share(blocks) == pytest.approx(300 / 400)
     assert pure_share(blocks[3:]) is None
+
+
+@pytest.mark.parametrize(
+    ("kappa", "spread", "folds", "refused"),
+    [(0.01, 0.02, 5, True), (0.1, 0.02, 5, False), (0.15, 0.2, 5, True), (0.25, 0.5, 5, False), (-0.1, 0.0, 3, True)],
+)
+def test_folds_that_agree_by_chance_are_refused(kappa, spread, folds, refused):
+    validated = {"kappa": kappa, "kappa_std": spread, "folds": folds}
+    judge_folds(validated, True, "here")
+    with pytest.raises(QualityError, match="no better than chance") if refused else contextlib.nullcontext():
+        judge_folds(validated, False, "here")
+
+
+def test_folds_without_kappa_are_not_judged():
+    judge_folds({"kappa": None, "kappa_std": None, "folds": 5}, False, "here")
+    judge_folds({"kappa": 0.0, "kappa_std": None, "folds": 1}, False, "here")

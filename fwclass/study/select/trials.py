@@ -74,7 +74,11 @@ def cross_validate(config: Any, runner: Runner, layout: Layout, before: Tasks, n
     (trial,) = Trials(runner, config, names)([names])
     figures = score(trial, np.array(meta["eligible"]) / np.array(meta["counts"]), "overall").plain()
     folding = {n: plain(config.select)[n] for n in ("folds", "block", "gap")}
-    return {n: figures[n] for n in ("accuracy", "accuracy_std", "kappa")} | folding | {"squares": meta["blocks"]}
+    return (
+        {n: figures[n] for n in ("accuracy", "accuracy_std", "kappa", "kappa_std")}
+        | folding
+        | {"squares": meta["blocks"]}
+    )
 
 
 def try_features(
