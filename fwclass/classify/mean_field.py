@@ -44,17 +44,28 @@ def whole_columns(answered: Table, codes: Iterable[int]) -> Table:
     return Table({name: np.rint(answered[of] * WHOLE).astype(np.uint8) for name, of in names})
 
 
-def regularized(
-    table: Table, core: NDArray[np.int64], codes: NDArray[np.uint8], params: RegularizeParams, probabilities: bool
-) -> Table:
-    """As `classify`, by the shares after the mean field.
+def shares_of(table: Table, codes: Iterable[int]) -> NDArray[np.uint8]:
+    """(rows, classes), the columns of `model_share_columns` side by side [1/255]."""
+    return np.stack([table[n] for n in model_share_columns(codes)], axis=1)
 
-    `table` has x, y, z [m] and the columns of `model_share_columns` of the `core` rows, which are answered for, and of
-    all rows within ``params.halo`` of them; `codes` are in the order of the shares. A tie goes to the first class.
+
+def regularized(
+    table: Table, core: NDArray[np.int64], before: NDArray[np.uint8], params: RegularizeParams
+) -> NDArray[np.float64]:
+    """float64 (core rows, classes), the shares after the mean field, or without one `before` as they are.
+
+    `table` has x, y, z [m] of the `core` rows and of all rows within ``params.halo`` of them, `before` their shares
+    [1/255].
     """
+    if params.strength == 0:
+        own = before[core].astype(np.float64)
+        return own / np.maximum(own.sum(axis=1, keepdims=True), 1.0)
     place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
-    before = np.stack([table[n] for n in model_share_columns(codes)], axis=1)
-    shares = agreed_shares(place, before, core, params)
+    return agreed_shares(place, before, core, params)
+
+
+def answers(shares: NDArray[np.float64], codes: NDArray[np.uint8], probabilities: bool) -> Table:
+    """As `classify`, by shares (rows, classes) in the order of `codes`. A tie goes to the first class."""
     winner = shares.argmax(axis=1)
     columns: dict[str, NDArray] = {
         "classification": codes[winner],

@@ -127,6 +127,42 @@ class RegularizeParams(Params):
 Code = Annotated[int, Field(strict=True, ge=0, le=255)]
 
 
+class LineParams(Params):
+    """Classes whose echoes lie on straight lines: wires; numbers stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    codes : class codes; those that no class has count for nothing.
+    reach : along a line, to both sides of an echo [m].
+    tolerance : echoes of a line are at most as far beside, above or below it [m].
+    sag : what heights may differ besides, times the products of distances along the line [1/m].
+    slope : steepest line.
+    sure : share of the class from which an echo says where a line is.
+    least : share of the class from which an echo may join it.
+    share : cells of a line that must hold a sure echo, of those that a wire's echoes would be in.
+    fewest : cells at least.
+    width : pulses that come so near to a wire, both sides together, return from it [m].
+    most : sure echoes within the reach, one for half a metre; where there are more they are no wires.
+    """
+
+    codes: tuple[Code, ...] = Field(max_length=256)
+    reach: float = Field(ge=15.0, le=30.0)
+    tolerance: float = Field(gt=0.0, le=1.0)
+    sag: float = Field(ge=0.0, le=0.1)
+    slope: float = Field(gt=0.0, le=2.0)
+    sure: float = Field(gt=0.0, le=1.0)
+    least: float = Field(gt=0.0, le=1.0)
+    share: float = Field(gt=0.0, le=1.0)
+    fewest: int = Field(ge=3, le=30)
+    width: float = Field(gt=0.0, le=10.0)
+    most: int = Field(ge=10, le=10_000)
+
+    @property
+    def halo(self) -> float:
+        """Distance around an echo within which all lies that its answer depends on [m]."""
+        return 2 * self.reach
+
+
 class ClassifyParams(Params):
     """What is classified and written, and second layers; everything else that decides comes from the model.
 
@@ -151,6 +187,7 @@ class ClassifyParams(Params):
     refine: RefineParams
     context: ContextParams
     regularize: RegularizeParams
+    lines: LineParams
 
     @model_validator(mode="after")
     def _kept_or_classified(self) -> Self:

@@ -118,6 +118,19 @@ def regularizes(plan: Plan) -> bool:
     return plan.config.classify.regularize.strength > 0
 
 
+def line_codes(plan: Plan) -> tuple[int, ...]:
+    """Codes of the classes whose echoes lie on lines; none where not all echoes are answered for at once."""
+    if thins(plan.config) or fine_layer(plan) is not None:
+        return ()
+    codes = plan.config.classify.lines.codes
+    return tuple(c.code for c in plan.config.classes if c.code in codes)
+
+
+def settles(plan: Plan) -> bool:
+    """Whether the model's answers are settled among neighbours: a mean field, or lines."""
+    return regularizes(plan) or bool(line_codes(plan))
+
+
 def classes_written(plan: Plan) -> tuple[str, ...]:
     """The columns that classifying writes, with the share of every class where the run asks for them."""
     shares = probability_columns(c.code for c in plan.config.classes) if plan.config.classify.probabilities else ()
@@ -131,7 +144,7 @@ CLASSIFY_ECHOES = Stage(
     "echo",
     classify_tile,
     when=lambda plan: (
-        not thins(plan.config) and fine_layer(plan) is None and context_layer(plan) is None and not regularizes(plan)
+        not thins(plan.config) and fine_layer(plan) is None and context_layer(plan) is None and not settles(plan)
     ),
     arguments=_arguments,
     keyed=names_that_decide,

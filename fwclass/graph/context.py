@@ -19,7 +19,7 @@ from fwclass.graph.classify import (
     names_that_decide,
     outside_facts,
     own_model,
-    regularizes,
+    settles,
 )
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
@@ -109,7 +109,7 @@ CLASSIFY_IN_CONTEXT = Stage(
     "tile",
     "echo",
     classify_tile_in_context,
-    when=lambda plan: context_layer(plan) is not None and not regularizes(plan),
+    when=lambda plan: context_layer(plan) is not None and not settles(plan),
     arguments=lambda plan: {
         "layer": layer_of(plan),
         "probabilities": plan.config.classify.probabilities,

@@ -1,4 +1,5 @@
-"""The stages of a run whose neighbours agree: the model's own shares, and the classes after the mean field."""
+"""The stages of a run whose answers are settled among neighbours: the model's own shares, and the classes after the
+mean field and along lines."""
 
 from __future__ import annotations
 
@@ -8,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.kept import Kept
-from fwclass.classify.mean_field import REGULARIZE, model_share_columns, regularized, whole_columns
-from fwclass.classify.params import RegularizeParams
+from fwclass.classify.lines import LINES, settle_lines
+from fwclass.classify.mean_field import REGULARIZE, answers, model_share_columns, regularized, shares_of, whole_columns
+from fwclass.classify.params import LineParams, RegularizeParams
 from fwclass.classify.stage import CLASSIFY
 from fwclass.classify.unsure import Left
-from fwclass.graph.classify import CLASSIFY_ECHOES, classes_written, classify_tile, codes_of, regularizes
+from fwclass.graph.classify import CLASSIFY_ECHOES, classes_written, classify_tile, codes_of, line_codes, settles
 from fwclass.graph.context import CLASSIFY_IN_CONTEXT, classify_tile_in_context
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.fine_layer import fine_layer
@@ -37,19 +39,26 @@ def regularize_tile(
     here: StageInputs,
     codes: tuple[int, ...],
     params: RegularizeParams,
+    lines: LineParams | None,
     probabilities: bool,
     kept: Kept | None = None,
     left: Left | None = None,
 ) -> Result:
-    """Classes of a tile's echoes after the mean field; `kept` echoes have the class of their source, `left` ones none,
-    and all are neighbours by what the model says of them."""
-    rows_of, parts = [], []
+    """Classes of a tile's echoes after the mean field and along `lines`; `kept` echoes have the class of their
+    source, `left` ones none, and all are neighbours by what the model says of them."""
+    rows_of, parts, joined, gone = [], [], 0, 0
+    ways = [(codes.index(code), lines) for code in lines.codes] if lines else []
     for rows, chunk in here.chunks():
+        own = shares_of(chunk.table, codes)
+        shares = regularized(chunk.table, chunk.core, own, params)
+        for line, how in ways:
+            shares, more, fewer = settle_lines(chunk.table, chunk.core, own, shares, line, how)
+            joined, gone = joined + more, gone + fewer
         rows_of.append(rows)
-        parts.append(regularized(chunk.table, chunk.core, np.array(codes, np.uint8), params, probabilities))
-    answers = Table.concat(parts).take(np.argsort(np.concatenate(rows_of)))
-    table = written(answers, source_classes(here, kept), kept, left)
-    return table, {"codes": codes_of(table)}
+        parts.append(answers(shares, np.array(codes, np.uint8), probabilities))
+    answered = Table.concat(parts).take(np.argsort(np.concatenate(rows_of)))
+    table = written(answered, source_classes(here, kept), kept, left)
+    return table, {"codes": codes_of(table), **({"lines": [joined, gone]} if lines else {})}
 
 
 def _codes(plan: Plan) -> tuple[int, ...]:
@@ -63,11 +72,25 @@ def _share_arguments(plan: Plan) -> dict[str, Any]:
     return {"codes": _codes(plan), "model": plan.model[1] if plan.model else None}
 
 
+def _lines(plan: Plan) -> LineParams | None:
+    """Which classes lie on lines, and how; None where none does."""
+    codes = line_codes(plan)
+    return plan.config.classify.lines.model_copy(update={"codes": codes}) if codes else None
+
+
+def settled_halo(plan: Plan) -> float:
+    """What a tile reads around it [m]."""
+    ways = plan.config.classify
+    return max(
+        ways.regularize.halo if ways.regularize.strength > 0 else 0.0, ways.lines.halo if line_codes(plan) else 0.0
+    )
+
+
 SHARE_ECHOES = replace(
     CLASSIFY_ECHOES,
     name=MODEL_SHARES,
     function=share_tile,
-    when=lambda plan: regularizes(plan) and fine_layer(plan) is None and context_layer(plan) is None,
+    when=lambda plan: settles(plan) and fine_layer(plan) is None and context_layer(plan) is None,
     arguments=_share_arguments,
     own=lambda plan: plan.names,
     writes=lambda plan: model_share_columns(_codes(plan)),
@@ -77,7 +100,7 @@ SHARE_IN_CONTEXT = replace(
     CLASSIFY_IN_CONTEXT,
     name=MODEL_SHARES,
     function=share_tile,
-    when=lambda plan: regularizes(plan) and context_layer(plan) is not None,
+    when=lambda plan: settles(plan) and context_layer(plan) is not None,
     arguments=lambda plan: {**_share_arguments(plan), "layer": layer_of(plan)},
     own=lambda plan: plan.names,
     writes=lambda plan: model_share_columns(_codes(plan)),
@@ -85,20 +108,25 @@ SHARE_IN_CONTEXT = replace(
 )
 CLASSIFY_REGULARIZED = Stage(
     CLASSIFY.name,
-    1_000_000 * REGULARIZE.version + CLASSIFY.version,
+    1_000_000 * (REGULARIZE.version + LINES.version) + CLASSIFY.version,
     "tile",
     "echo",
     regularize_tile,
-    when=regularizes,
+    when=settles,
     arguments=lambda plan: {
         "codes": _codes(plan),
         "params": plan.config.classify.regularize,
+        "lines": _lines(plan),
         "probabilities": plan.config.classify.probabilities,
         **answer_arguments(plan),
     },
-    reads=lambda plan: ("x", "y", "z", *model_share_columns(_codes(plan))),
+    reads=lambda plan: (
+        *("x", "y", "z"),
+        *(("echo_number",) if line_codes(plan) else ()),
+        *model_share_columns(_codes(plan)),
+    ),
     own=deciding_column,
     writes=classes_written,
-    halo=lambda plan: plan.config.classify.regularize.halo,
+    halo=settled_halo,
     after=(MODEL_SHARES,),
 )

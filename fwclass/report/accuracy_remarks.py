@@ -43,6 +43,8 @@ def accuracy_remarks(
     reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + halo_of(cells)
     field = config.classify.regularize
     reach += field.halo if field.strength > 0 else 0.0
+    lines = config.classify.lines
+    reach = max(reach, lines.halo) if any(c.code in lines.codes for c in config.classes) else reach
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
     learned_here = (config.survey.model or config.survey.base_model) and not config.areas.train
     return [

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.classify.lines import line_remarks
+from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.errors import first_few, visible
 from fwclass.features.dense import Crowd
@@ -89,11 +91,12 @@ def remarks_on_empty_files(files: Mapping[str, Any]) -> list[str]:
 
 
 def remarks_of_parts(runner: Runner) -> list[str]:
-    """What the parts of water, contour lines, breaklines and vectors say."""
+    """What the parts of water, contour lines, breaklines, wires and vectors say."""
     stages = (LEVELS, DELIVER_CONTOURS.name)
     remarks = [
         line for stage in stages for receipt in receipts_of_run(runner, stage) for line in receipt.meta["remarks"]
     ]
     blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
     remarks += breakline_remarks(blocks)
+    remarks += line_remarks(r.meta["lines"] for r in receipts_of_run(runner, CLASSIFY.name) if "lines" in r.meta)
     return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]

@@ -339,7 +339,12 @@ META: dict[str, Shape] = {
     "machine-search": {"right": COUNT, "judged": COUNT},
     "coarse": {"outside?": _OUTSIDE},
     "first-shares": {"outside?": _OUTSIDE},
-    "classify": {"codes": {CODE: COUNT}, "outside?": _OUTSIDE, "of_source?": {CODE: (COUNT, COUNT)}},
+    "classify": {
+        "codes": {CODE: COUNT},
+        "outside?": _OUTSIDE,
+        "of_source?": {CODE: (COUNT, COUNT)},
+        "lines?": (COUNT, COUNT),
+    },
     "confusion": Related(
         {"matrix": square(), "lost": [COUNT], "ground": _TWO, "sure": (_PERCENT, _PERCENT, _PERCENT), "kept?": COUNT},
         "as many lost as there are classes",

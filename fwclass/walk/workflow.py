@@ -64,6 +64,9 @@ class Workflow:
                 got=config.classify.regularize.strength,
                 do="--set classify.regularize.strength=0",
             )
+        if not known:
+            lines = config.classify.lines.model_copy(update={"codes": ()})
+            config = replace(config, classify=config.classify.model_copy(update={"lines": lines}))
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
         returns = config.survey.echoes == "returns" or (self.by_returns and config.survey.echoes == "auto")

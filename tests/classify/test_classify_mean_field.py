@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fwclass import conf
-from fwclass.classify.mean_field import agreed_shares, model_share_columns, regularized
+from fwclass.classify.mean_field import agreed_shares, answers, model_share_columns, regularized, shares_of
 from fwclass.schema import Table
 
 CODES = np.array([2, 5, 6], np.uint8)
@@ -104,8 +104,9 @@ def test_one_among_others_takes_their_class_and_is_as_sure():
     table = Table(
         dict(zip("xyz", (place / 1000.0).T, strict=True)) | dict(zip(model_share_columns(CODES), shares.T, strict=True))
     )
-    answered = regularized(table, np.arange(9), CODES, params(strength=0.5), True)
+    own = shares_of(table, CODES)
+    answered = answers(regularized(table, np.arange(9), own, params(strength=0.5)), CODES, True)
     assert (answered["classification"] == 2).all()
     np.testing.assert_array_equal(answered["confidence"], answered["probability_2"])
-    weak = regularized(table, np.arange(9), CODES, params(strength=0.001), False)
+    weak = answers(regularized(table, np.arange(9), own, params(strength=0.001)), CODES, False)
     assert weak["classification"][4] == 5

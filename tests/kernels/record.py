@@ -43,6 +43,7 @@ COMMANDS = [
     "run demo --out refined --workers 0 --set classify.refine.between=[building,vegetation]",
     "run demo --out context --workers 0 --set classify.context.cells=[1,2.5]",
     "run demo --out regularized --workers 0 --set classify.regularize.strength=0.1",
+    "run demo --out lines --workers 0 --set classify.lines.codes=[64]",
     "run street-sim --workflow li2018 --out street --workers 0 --set street_scene.length=20",
     f"run riegl-sample --out riegl --workers 0 --set survey.directory={DATA / 'waveform'}",
     f"decompose {DATA / 'waveform' / 'geolas_example2.pls'} pulses.laz",

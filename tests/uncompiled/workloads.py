@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.assess.distribution import distribution
 from fwclass.classify.context import coarse_share_columns, context_of
+from fwclass.classify.lines import settle_lines
 from fwclass.classify.mean_field import agreed_shares
 from fwclass.classify.stage import classify
 from fwclass.classify.vote import walkable, winners
@@ -487,6 +488,18 @@ def work_mean_field(_: Path) -> Any:
     place = np.concatenate([rng.integers(0, 20, (80, 3)) * 200, rng.integers(0, 60_000, (10, 3))])
     params = conf.section("classify", ("classify.regularize.strength=0.3", "classify.regularize.reach=2")).regularize
     return agreed_shares(place, rng.integers(0, 256, (90, 3)).astype(np.uint8), np.arange(0, 90, 2), params)
+
+
+def work_lines(_: Path) -> Any:
+    """Two wires and strays, of which some are sure."""
+    rng = np.random.default_rng(14)
+    along = np.arange(0.0, 40.0, 1.5)
+    wires = [np.stack([along, np.full(len(along), side), np.full(len(along), 9.0)]) for side in (0.0, 1.0)]
+    places = np.concatenate([*wires, rng.uniform(0, 40, (3, 60))], axis=1)
+    table = Table(dict(zip("xyz", places, strict=True)) | {"echo_number": np.ones(places.shape[1], np.uint8)})
+    own = rng.integers(0, 256, (table.rows, 2)).astype(np.uint8)
+    lines = conf.section("classify", ("classify.lines.width=5",)).lines
+    return settle_lines(table, np.arange(table.rows), own, own / 255.0, 0, lines)
 
 
 def work_octree(_: Path) -> Any:

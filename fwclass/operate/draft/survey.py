@@ -178,7 +178,7 @@ def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], d
     bounds = [f["bounds"] for f in holdings.facts if f.get("bounds")]
     split = None
     while len(classes) > 1:
-        split = best_split(holdings.places, [c.codes for c in classes], outer_box(bounds), gap_of(features))
+        split = best_split(holdings.places, [c.codes for c in classes], outer_box(bounds), gap_of(features, classes))
         if split is None:
             break
         both = (split.train >= LEAST / 10) & (split.test >= LEAST / 10)
@@ -202,11 +202,13 @@ def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]
     return left
 
 
-def gap_of(features: str) -> float:
-    """m, in whole metres: how far apart tested echoes share no neighbour with a training area's, and a second layer
-    looks at none of its echoes."""
+def gap_of(features: str, classes: Iterable[Meaning]) -> float:
+    """m, in whole metres: how far apart tested echoes share no neighbour with a training area's, and neither a second
+    layer nor a line looks at any of its echoes."""
     reach = Asked.of(n for n in feature_set(features).features if is_feature(n)).reach(conf.section("features"))
-    return float(math.ceil(reach + max(reach, halo_of(conf.section("classify").context.auto_cells))))
+    ways = conf.section("classify")
+    lines = ways.lines.halo if any(code in ways.lines.codes for one in classes for code in one.codes) else 0.0
+    return float(math.ceil(max(2 * reach, reach + halo_of(ways.context.auto_cells), lines)))
 
 
 def sources_of(paths: Sequence[Path], beside: Path) -> tuple[str, list[str]]:

@@ -1,0 +1,155 @@
+"""Echoes of wires: classes whose echoes lie on straight lines get those that do, and lose those that do not.
+
+Leaves around a wire hide its shape from every neighbourhood, while some metres on it hangs free: sure echoes of a wire
+say where the others are. Over ten metres a wire is straight; its sag is a bound on the heights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.classify.line_kernels import on_line
+from fwclass.classify.params import LineParams
+from fwclass.grid import millimetres
+from fwclass.model.contextual import WHOLE
+from fwclass.schema import Table
+from fwclass.stage import Computation
+
+LINES = Computation(name="lines", version=1, writes=())
+
+SQUARE = 10.0
+"""m, squares of the lattice whose first echoes are the density of pulses."""
+
+VOXEL = 0.5
+"""m, cubes of the lattice of which one sure echo counts: two for every cell of a line."""
+
+AT_A_TIME = 2_000
+"""Echoes that one call of a kernel looks from: between two calls an interrupt is heeded."""
+
+
+def settle_lines(
+    table: Table,
+    core: NDArray[np.int64],
+    own: NDArray[np.uint8],
+    shares: NDArray[np.float64],
+    line: int,
+    params: LineParams,
+) -> tuple[NDArray[np.float64], int, int]:
+    """The `shares` after echoes have joined the class number `line` or left it, and how many joined and left.
+
+    An echo is on a line where, along some direction through it, `needed` cells of a metre to both sides hold a sure
+    echo of the class. Echoes that may be of the class and are on a line join it: its share and the greatest are
+    exchanged. Those that were answered for with it and have not half as many cells leave it: its share and the next
+    are exchanged. Sure echoes that would leave count for nobody. Where pulses are so few that a wire would not be
+    seen, nothing changes.
+
+    Parameters
+    ----------
+    table : x, y, z [m] and echo_number of the core rows and of all within ``params.halo`` of them.
+    core : rows that are answered for.
+    own : (rows, classes), the model's own shares [1/255].
+    shares : (core rows, classes), which the answers so far go by.
+    """
+    place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
+    reach = round(1000 * params.reach)
+    if not len(core):
+        return shares, 0, 0
+    low, high = place[core, :2].min(axis=0), place[core, :2].max(axis=0)
+    near = ((place[:, :2] >= low - reach) & (place[:, :2] <= high + reach)).all(axis=1)
+    sure = np.flatnonzero(own[:, line] >= params.sure * WHOLE)
+    answered = shares.argmax(axis=1) == line
+    asked = np.flatnonzero(answered | (own[core, line] >= params.least * WHOLE))
+    if not len(sure) or not len(asked):
+        return shares, 0, 0
+    judged = np.union1d(sure[near[sure]], core[asked])
+    need = needed(place, table["echo_number"] == 1, judged, params)
+    seen = _on_line(place, judged, 0.5 * need, sure, params)
+    support = np.setdiff1d(sure, judged[~seen])
+    at = np.searchsorted(judged, core[asked])
+    need, stays = need[at], seen[at]
+    joins = _on_line(place, core[asked], need, support, params) & ~answered[asked] & np.isfinite(need)
+    leaves = answered[asked] & ~stays
+    return _exchanged(shares, asked, line, joins, leaves), int(joins.sum()), int(leaves.sum())
+
+
+def line_remarks(counts: Iterable[Iterable[int]]) -> list[str]:
+    """What to say of the echoes that joined a line and left one, by part; nothing where none did."""
+    joined, left = (sum(numbers) for numbers in zip((0, 0), *counts, strict=True))
+    if not joined + left:
+        return []
+    return [
+        f"{joined:,} echoes have got a wire's class as they lie in line with sure ones, and {left:,} have lost it as "
+        "they lie in line with too few (classify.lines)"
+    ]
+
+
+def needed(
+    place: NDArray[np.int64], first: NDArray[np.bool_], rows: NDArray[np.int64], params: LineParams
+) -> NDArray[np.float64]:
+    """How many cells of a metre of a line through each of `rows` must be occupied; infinite where a whole wire would
+    be seen in fewer than twice ``params.fewest``.
+
+    A wire returns a pulse that comes within half of ``params.width``; the density of pulses is that of first echoes
+    in a square of the lattice. `place` (echoes, 3) [mm].
+    """
+    square = place[:, :2] // round(1000 * SQUARE)
+    square -= square.min(axis=0)
+    number = square[:, 1] * (int(square[:, 0].max()) + 1) + square[:, 0]
+    asked, of = np.unique(number[rows], return_inverse=True)
+    at = np.searchsorted(asked, number[first])
+    at[at == len(asked)] = 0
+    count = np.bincount(at[asked[at] == number[first]], minlength=len(asked))
+    expected = 2.0 * params.reach * (1.0 - np.exp(-params.width * count / SQUARE**2))
+    need = np.maximum(np.ceil(params.share * expected), params.fewest)
+    return np.where(expected < 2 * params.fewest, np.inf, need)[of]
+
+
+def _on_line(
+    place: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    need: NDArray[np.float64],
+    support: NDArray[np.int64],
+    params: LineParams,
+) -> NDArray[np.bool_]:
+    """Whether each of `rows` is on a line of the sure echoes `support`; yes where `need` is infinite."""
+    seen = np.ones(len(rows), np.bool_)
+    ask = np.flatnonzero(np.isfinite(need))
+    if not len(ask):
+        return seen
+    kept = _one_a_voxel(place[support])
+    x, y, z = (np.ascontiguousarray(kept[:, k]) for k in range(3))
+    reach, tolerance = round(1000 * params.reach), 1000 * params.tolerance
+    for begin in range(0, len(ask), AT_A_TIME):
+        some = ask[begin : begin + AT_A_TIME]
+        seen[some] = on_line(
+            place[rows[some]], need[some], x, y, z, reach, tolerance, 0.001 * params.sag, params.slope, params.most
+        )
+    return seen
+
+
+def _one_a_voxel(place: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Of the places in every cube of the lattice the first by x, y and z; in that order."""
+    place = np.unique(place, axis=0)
+    cube = place // round(1000 * VOXEL)
+    _, first = np.unique(cube, axis=0, return_index=True)
+    return place[np.sort(first)]
+
+
+def _exchanged(
+    shares: NDArray[np.float64],
+    asked: NDArray[np.int64],
+    line: int,
+    joins: NDArray[np.bool_],
+    leaves: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """`shares` with that of `line` exchanged for the greatest other one in the `asked` rows that join or leave."""
+    after = shares.copy()
+    rows = asked[joins | leaves]
+    others = after[rows]
+    others[:, line] = -1.0
+    other = others.argmax(axis=1)
+    after[rows, line], after[rows, other] = shares[rows, other], shares[rows, line]
+    return after
