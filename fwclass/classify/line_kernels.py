@@ -18,7 +18,7 @@ BESIDE = 500
 NEAREST = 3000
 """mm, a nearer echo gives no direction: its noise would turn it."""
 
-DIRECTIONS = 256
+DIRECTIONS = 128
 """Directions that are tried of one echo, at most: with more echoes every second, third, … of them."""
 
 
@@ -34,13 +34,14 @@ def on_line(
     sag: float,
     slope: float,
     most: int,
+    crowded: bool,
 ) -> NDArray[np.bool_]:
     """bool (echoes,): whether at least `need` cells of a line through `place` (echoes, 3) [mm] hold a sure echo.
 
     `x`, `y`, `z` [mm] are the sure echoes, sorted by x. A line goes through the echo and one of them, between `NEAREST`
     and `reach` [mm] away in plan and no steeper than `slope`. Those within `reach` along it and `tolerance` [mm] beside
     it count; in height a distance of ``tolerance + sag · |s| · |s − d|`` [mm], s the way to it and d to the one that
-    gives the direction: a parabola through both. With more than `most` sure echoes in reach there is none.
+    gives the direction: a parabola through both. With more than `most` sure echoes in reach the answer is `crowded`.
     """
     answer = np.zeros(len(place), np.bool_)
     dx, dy, dz = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
@@ -59,6 +60,8 @@ def on_line(
                 break
             dx[n], dy[n], dz[n] = u, v, z[j] - place[i, 2]
             n += 1
+        if n > most:
+            answer[i] = crowded
         if n > most or n < need[i]:
             continue
         step = (n + DIRECTIONS - 1) // DIRECTIONS

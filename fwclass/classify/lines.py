@@ -43,8 +43,9 @@ def settle_lines(
     An echo is on a line where, along some direction through it, `needed` cells of a metre to both sides hold a sure
     echo of the class. Echoes that may be of the class and are on a line join it: its share and the greatest are
     exchanged. Those that were answered for with it and have not half as many cells leave it: its share and the next
-    are exchanged. Sure echoes that would leave count for nobody. Where pulses are so few that a wire would not be
-    seen, nothing changes.
+    are exchanged. Sure echoes that would leave count for nobody. Where pulses are so few that a wire would hardly be
+    seen none leaves, and where they are half as many none joins; where more than ``params.most`` sure echoes are in
+    reach neither.
 
     Parameters
     ----------
@@ -65,13 +66,12 @@ def settle_lines(
     if not len(sure) or not len(asked):
         return shares, 0, 0
     judged = np.union1d(sure[near[sure]], core[asked])
-    need = needed(place, table["echo_number"] == 1, judged, params)
-    seen = _on_line(place, judged, 0.5 * need, sure, params)
+    joining, staying = needed(place, table["echo_number"] == 1, judged, params)
+    seen = _on_line(place, judged, staying, sure, params, True)
     support = np.setdiff1d(sure, judged[~seen])
     at = np.searchsorted(judged, core[asked])
-    need, stays = need[at], seen[at]
-    joins = _on_line(place, core[asked], need, support, params) & ~answered[asked] & np.isfinite(need)
-    leaves = answered[asked] & ~stays
+    joins = _on_line(place, core[asked], joining[at], support, params, False) & ~answered[asked]
+    leaves = answered[asked] & ~seen[at]
     return _exchanged(shares, asked, line, joins, leaves), int(joins.sum()), int(leaves.sum())
 
 
@@ -88,12 +88,13 @@ def line_remarks(counts: Iterable[Iterable[int]]) -> list[str]:
 
 def needed(
     place: NDArray[np.int64], first: NDArray[np.bool_], rows: NDArray[np.int64], params: LineParams
-) -> NDArray[np.float64]:
-    """How many cells of a metre of a line through each of `rows` must be occupied; infinite where a whole wire would
-    be seen in fewer than twice ``params.fewest``.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How many cells of a metre of a line through each of `rows` must hold a sure echo for it to join, and to stay.
 
     A wire returns a pulse that comes within half of ``params.width``; the density of pulses is that of first echoes
-    in a square of the lattice. `place` (echoes, 3) [mm].
+    in a square of the lattice. To join takes ``params.share`` of the cells that a whole wire would be seen in, and
+    ``params.fewest``; it is infinite where these are fewer than twice that. To stay takes half; it is 0 where these
+    are fewer than four times that. `place` (echoes, 3) [mm].
     """
     square = place[:, :2] // round(1000 * SQUARE)
     square -= square.min(axis=0)
@@ -104,7 +105,9 @@ def needed(
     count = np.bincount(at[asked[at] == number[first]], minlength=len(asked))
     expected = 2.0 * params.reach * (1.0 - np.exp(-params.width * count / SQUARE**2))
     need = np.maximum(np.ceil(params.share * expected), params.fewest)
-    return np.where(expected < 2 * params.fewest, np.inf, need)[of]
+    joining = np.where(expected < 2 * params.fewest, np.inf, need)
+    staying = np.where(expected < 4 * params.fewest, 0.0, 0.5 * need)
+    return joining[of], staying[of]
 
 
 def _on_line(
@@ -113,10 +116,12 @@ def _on_line(
     need: NDArray[np.float64],
     support: NDArray[np.int64],
     params: LineParams,
+    crowded: bool,
 ) -> NDArray[np.bool_]:
-    """Whether each of `rows` is on a line of the sure echoes `support`; yes where `need` is infinite."""
-    seen = np.ones(len(rows), np.bool_)
-    ask = np.flatnonzero(np.isfinite(need))
+    """Whether each of `rows` is on a line of the sure echoes `support`, of `need` cells; `crowded` where there are too
+    many of these to tell."""
+    seen = need <= 0
+    ask = np.flatnonzero(~seen & np.isfinite(need))
     if not len(ask):
         return seen
     kept = _one_a_voxel(place[support])
@@ -125,7 +130,15 @@ def _on_line(
     for begin in range(0, len(ask), AT_A_TIME):
         some = ask[begin : begin + AT_A_TIME]
         seen[some] = on_line(
-            place[rows[some]], need[some], x, y, z, reach, tolerance, 0.001 * params.sag, params.slope, params.most
+            place[rows[some]],
+            need[some],
+            *(x, y, z),
+            reach,
+            tolerance,
+            0.001 * params.sag,
+            params.slope,
+            params.most,
+            crowded,
         )
     return seen
 

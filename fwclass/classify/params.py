@@ -142,7 +142,7 @@ class LineParams(Params):
     share : cells of a line that must hold a sure echo, of those that a wire's echoes would be in.
     fewest : cells at least.
     width : pulses that come so near to a wire, both sides together, return from it [m].
-    most : sure echoes within the reach, one for half a metre; where there are more they are no wires.
+    most : sure echoes within the reach, one for half a metre; where there are more nothing changes.
     """
 
     codes: tuple[Code, ...] = Field(max_length=256)

@@ -55,7 +55,7 @@ def test_wires_among_leaves_join_and_leaves_that_look_like_wires_leave():
     before, now = own.argmax(axis=1) == WIRE, after.argmax(axis=1) == WIRE
     assert (before & true).sum() / true.sum() < 0.6
     assert (now & true).sum() / true.sum() > 0.9
-    assert (now & true).sum() / now.sum() > 0.9
+    assert (now & true).sum() / now.sum() > 0.85
     assert joined == (now & ~before).sum() > 50
     assert left == (before & ~now).sum() > 0
 
@@ -96,13 +96,12 @@ def test_the_cells_needed_follow_the_pulses():
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0, 60, 0.5), np.arange(0, 60, 0.5)))
     place = np.stack([1000 * x, 1000 * y, 0 * x], axis=1).astype(np.int64)
     how = params(reach=20, width=0.25, share=0.2, fewest=3)
-    expected = 40 * (1 - np.exp(-0.25 * 4))
-    np.testing.assert_array_equal(
-        needed(place, np.ones(len(place), bool), np.arange(9), how), np.full(9, np.ceil(0.2 * expected))
-    )
+    every, rows = np.ones(len(place), bool), np.arange(9)
+    need = np.ceil(0.2 * 40 * (1 - np.exp(-0.25 * 4)))
+    np.testing.assert_array_equal(needed(place, every, rows, how), [[need] * 9, [need / 2] * 9])
     one_of_four = (place[:, 0] % 1000 == 0) & (place[:, 1] % 1000 == 0)
-    np.testing.assert_array_equal(needed(place, one_of_four, np.arange(9), how), 3.0)
-    assert np.isinf(needed(place, np.zeros(len(place), bool), np.arange(9), how)).all()
+    np.testing.assert_array_equal(needed(place, one_of_four, rows, how), [[3.0] * 9, [0.0] * 9])
+    np.testing.assert_array_equal(needed(place, ~every, rows, how), [[np.inf] * 9, [0.0] * 9])
 
 
 def plain(place, need, sure, reach, tolerance, sag, slope):
@@ -127,24 +126,32 @@ def plain(place, need, sure, reach, tolerance, sag, slope):
 @pytest.mark.parametrize("seed", range(4))
 def test_lines_are_those_of_plain_loops(seed):
     r = np.random.default_rng(seed)
-    sure = np.unique(r.integers(0, [30_000, 6_000, 1_500], (150, 3)), axis=0)
+    sure = np.unique(r.integers(0, [30_000, 6_000, 1_500], (100, 3)), axis=0)
     place, need = sure[::2].copy(), r.integers(3, 12, len(sure[::2])).astype(float)
     x, y, z = (np.ascontiguousarray(sure[:, k]) for k in range(3))
-    got = on_line(place, need, x, y, z, 20_000, 250.0, 2e-6, 0.5, 1000)
+    got = on_line(place, need, x, y, z, 20_000, 250.0, 2e-6, 0.5, 1000, False)
     np.testing.assert_array_equal(got, plain(place, need, sure, 20.0, 0.25, 0.002, 0.5))
     assert 0 < got.mean() < 1
 
 
-def test_a_crowd_of_sure_echoes_is_no_line():
+def test_a_crowd_of_sure_echoes_tells_nothing():
     place = np.stack([np.arange(0, 20_000, 500), *np.zeros((2, 40), int)], axis=1)
     x, y, z = (np.ascontiguousarray(place[:, k]) for k in range(3))
     need = np.full(40, 5.0)
-    assert on_line(place, need, x, y, z, 20_000, 250.0, 2e-6, 0.5, 40).all()
-    assert not on_line(place[15:25], need, x, y, z, 20_000, 250.0, 2e-6, 0.5, 30).any()
+    assert on_line(place, need, x, y, z, 20_000, 250.0, 2e-6, 0.5, 40, False).all()
+    for crowded in (True, False):
+        answer = on_line(place[15:25], need, x, y, z, 20_000, 250.0, 2e-6, 0.5, 30, crowded)
+        assert (answer == crowded).all()
 
 
 def test_without_a_sure_echo_nothing_is_looked_for():
     table, own, _ = power_line()
-    own[:, WIRE] = np.minimum(own[:, WIRE], 100)
+    own[:, WIRE] = np.minimum(own[:, WIRE], 60)
     assert settled(table, np.arange(table.rows), own)[1:] == (0, 0)
     assert settled(table, np.arange(0), own)[0].shape == (0, 3)
+
+
+def test_in_a_crowd_of_sure_echoes_nothing_changes():
+    table, own, _ = power_line()
+    own[table["z"] > 2] = [30, 200, 25]
+    assert settled(table, np.arange(table.rows), own, params(most=10))[1:] == (0, 0)

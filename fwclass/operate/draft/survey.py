@@ -288,7 +288,7 @@ def _area_lines(classes: Sequence[Meaning], split: Split | None) -> list[str]:
         lines += [f"    # {one.name}: {inside:,} points to train on, {tested:,} to test on"]
     return [
         *lines,
-        f"  gap: {split.gap:g}    # m: neither features nor a second layer know tested echoes by trained ones",
+        f"  gap: {split.gap:g}    # m: no feature, second layer or wire knows tested echoes by trained ones",
         "",
         "classify:",
         "  context: {cells: auto}    # a second layer by the answers around, where it pays (docs/context.md); []: none",
