@@ -158,7 +158,7 @@ def test_the_model_knows_its_mounting(tmp_path: Path) -> None:
     ended = fwclass(*line, *ALONE, "--set", "street.mounting.side=left", "--set", "street.radii=[0.5]")
     assert "another mounting (side right there, left here)" in ended.stderr, ended.stderr
     assert "street.radii is the model's, [0.3], not [0.5]" in ended.stderr
-    ended = fwclass(*line)
+    ended = fwclass(*line, *ALONE)
     assert ended.returncode == 0 and "looks right, 1.8 m above the road (measured: 1.80 m)" in ended.stderr
     assert "remark" not in ended.stderr
 
