@@ -57,9 +57,10 @@ def test_as_if_the_files_had_no_waveforms(place: Path) -> None:
     assert {n: facts[n] for n in FIGURES} == {n: plain[n] for n in FIGURES}
 
 
-def test_tiles_chunks_and_workers_change_no_byte(place: Path) -> None:
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_tiles_chunks_and_workers_change_no_byte(place: Path, workers: int) -> None:
     run(place, "run")
-    run(place, "other", "tile.size=50", "read.chunk_pulses=150", workers=2)
+    run(place, "other", "tile.size=50", "read.chunk_pulses=150", workers=workers)
     for name in ("quality.json", "rasters/pulse_density.tif"):
         assert (place / "other" / name).read_bytes() == (place / "run" / name).read_bytes(), name
     pages = [(place / out / "quality.html").read_text() for out in ("other", "run")]

@@ -45,7 +45,8 @@ def test_width_of_a_bin_is_found(tmp_path, bin_ns):
     found = json.loads(fwclass("info", path, "--json").stdout)
     assert found["waveforms"]["spacing_ns"] == pytest.approx([2 * bin_ns, 2 * bin_ns], rel=1e-9)
     assert found["format"].startswith("HELIOS++") and found["pulses"] == 300
-    assert fwclass("info", "--waveforms", path, "--out", tmp_path / "a.png").returncode == 0 or bin_ns == 1.0
+    if bin_ns == 0.1:
+        assert fwclass("info", "--waveforms", path, "--out", tmp_path / "a.png").returncode == 0
 
 
 def mend(lines, how):

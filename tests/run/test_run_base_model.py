@@ -110,9 +110,10 @@ def test_only_what_learns_is_made_anew(made, learned, tmp_path):
     assert again.returncode == 0 and "base-rows" not in again.stderr.replace("base-rows        1 skipped", "")
 
 
-def test_tiles_and_workers_change_nothing(made, learned, tmp_path):
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_tiles_and_workers_change_nothing(made, learned, tmp_path, workers):
     shutil.copytree(made[1] / "labels", tmp_path / "run" / "labels")
-    ended = learn(made, tmp_path / "run", "tile.size=40", workers=2)
+    ended = learn(made, tmp_path / "run", "tile.size=40", workers=workers)
     assert ended.returncode == 0, ended.stderr
     tables = [
         package.open(r).echoes(columns=["strip", "pulse", "echo_number", "classification", "confidence"]).to_pandas()

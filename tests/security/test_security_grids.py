@@ -82,7 +82,7 @@ def las(path: Path, wkt: str) -> Path:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
-@pytest.mark.parametrize("form", ["WKT 1", "WKT 2", "vertical"])
+@pytest.mark.parametrize("form", [pytest.param("WKT 1", marks=pytest.mark.slow), "WKT 2", "vertical"])
 def test_a_pipe_holds_no_command_up(tmp_path: Path, form: str):
     os.mkfifo(tmp_path / "pipe")
     las(tmp_path / "a.las", FORMS[form](str(tmp_path / "pipe")))
