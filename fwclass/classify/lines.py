@@ -54,10 +54,10 @@ def settle_lines(
     own : (rows, classes), the model's own shares [1/255].
     shares : (core rows, classes), which the answers so far go by.
     """
-    place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
-    reach = round(1000 * params.reach)
     if not len(core):
         return shares, 0, 0
+    place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
+    reach = round(1000 * params.reach)
     low, high = place[core, :2].min(axis=0), place[core, :2].max(axis=0)
     near = ((place[:, :2] >= low - reach) & (place[:, :2] <= high + reach)).all(axis=1)
     sure = np.flatnonzero(own[:, line] >= params.sure * WHOLE)
