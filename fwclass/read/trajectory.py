@@ -34,6 +34,9 @@ ADJUSTED = 1e9
 MAX_BYTES = 4 << 30
 """Largest file; ten hours at 200 Hz are 1 GB."""
 
+AT_A_TIME = 65_536
+"""Records of an SBET file that are read at once, 9 MB."""
+
 HEAD_BYTES, HEAD_LINES = 65_536, 200
 """Where the heading of a text file is looked for."""
 
@@ -185,8 +188,7 @@ def _sbet(path: Path, size: int) -> _Columns:
             got=f"{size} bytes",
             do="copy the file again, or export the trajectory as text with a heading",
         )
-    values = np.memmap(path, RECORD, "r").reshape(-1, FIELDS)
-    time, lat, lon, z = (np.array(values[:, k], np.float64) for k in range(4))
+    time, lat, lon, z = _first_fields(path, size // (FIELDS * RECORD.itemsize))
     with np.errstate(invalid="ignore"):
         good = (np.abs(lat) <= np.pi / 2) & (np.abs(lon) <= 2 * np.pi) & (np.abs(z) < 1e5) & (time >= 0) & (time < 1e10)
         good &= np.abs(lat) + np.abs(lon) > 1e-9  # zeros, and doubles of the other byte order
@@ -211,6 +213,26 @@ def _sbet(path: Path, size: int) -> _Columns:
             do="give flights that were joined as files of their own (survey.trajectory.files), or export it again",
         )
     return time + np.cumsum(new_week) * WEEK, np.degrees(lon), np.degrees(lat), z, True
+
+
+def _first_fields(path: Path, records: int) -> NDArray[np.float64]:
+    """float64 (4, records), time, latitude, longitude and altitude; read, as a map of a file that is cut off meanwhile
+    ends the process."""
+    fields, length = np.empty((4, records)), FIELDS * RECORD.itemsize
+    with open_regular(path) as file:
+        for at in range(0, records, AT_A_TIME):
+            count = min(AT_A_TIME, records - at)
+            data = file.read(count * length)
+            if len(data) < count * length:
+                raise InputError(
+                    "the file was changed while it was read",
+                    where=path,
+                    expected=f"{records * length} bytes, as when it was opened",
+                    got=f"{at * length + len(data)} bytes",
+                    do="run the same again when the file is whole",
+                )
+            fields[:, at : at + count] = np.frombuffer(data, RECORD).reshape(count, FIELDS)[:, :4].T
+    return fields
 
 
 def _text(path: Path, head: bytes) -> _Columns:

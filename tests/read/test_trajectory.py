@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from fwclass.errors import InputError
+from fwclass.read import trajectory
 from fwclass.read.trajectory import ADJUSTED, WEEK, in_survey_time, read_trajectory, thin_trajectory
 from fwclass.schema import Table
 from fwclass.simulate.stage import SimulateParams, write_trajectory
@@ -95,6 +97,26 @@ def test_sbet(tmp_path: Path) -> None:
     lifted = read_trajectory(tmp_path / "flight.out", f"{CRS}+7837", undulation=48.2)
     np.testing.assert_allclose(lifted["z"], got["z"] - 48.2)
     np.testing.assert_array_equal(lifted["x"], got["x"])
+
+
+def test_sbet_in_pieces_and_one_that_is_cut_off_while_it_is_read(tmp_path: Path, monkeypatch: Any) -> None:
+    rows, _ = around()
+    path = written(tmp_path, sbet(rows), "flight.out")
+    whole = read_trajectory(path, CRS)
+    monkeypatch.setattr(trajectory, "AT_A_TIME", 7)
+    for name, values in read_trajectory(path, CRS).items():
+        np.testing.assert_array_equal(values, whole[name])
+    calls, opened = [], trajectory.open_regular
+
+    def cut_before_the_records(at: Path) -> Any:
+        calls.append(at)
+        if len(calls) == 2:
+            os.truncate(at, at.stat().st_size // 2)
+        return opened(at)
+
+    monkeypatch.setattr(trajectory, "open_regular", cut_before_the_records)
+    with pytest.raises(InputError, match="changed while it was read"):
+        read_trajectory(path, CRS)
 
 
 def test_text_in_degrees_is_the_sbet(tmp_path: Path) -> None:
