@@ -4,6 +4,8 @@ import json
 import shutil
 import struct
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, KINDS, LEAF, Boosted, Contextual, KernelMachine, Layered, TwoLayer, trees
 from fwclass.model.base import LARGEST
-from fwclass.store.models import load_forest, load_model, model_digest, save_model
+from fwclass.store.models import load_array, load_forest, load_model, model_digest, save_model
 
 ONE_LAYER = sorted(name for name, kind in KINDS.items() if not issubclass(kind, Layered))
 
@@ -454,3 +456,24 @@ def test_a_digest_reads_what_a_model_has_and_nothing_else(tmp_path):
         model_digest(path)
     with pytest.raises(InputError):
         model_digest(tmp_path)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_an_array_that_is_cut_off_while_it_is_read_is_refused(
+    order: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.npy"
+    values = np.asarray(np.arange(20_000.0).reshape(100, 200), order=order)
+    np.save(path, values)
+    np.testing.assert_array_equal(load_array(path, "<f8", 2), values)
+    load = np.load
+
+    def cut(*given: Any, **named: Any) -> Any:
+        laid = load(*given, **named)
+        with path.open("r+b") as file:
+            file.truncate(200)
+        return laid
+
+    monkeypatch.setattr("fwclass.store.models.np.load", cut)
+    with pytest.raises(ValueError, match="changed while it was read"):
+        load_array(path, "<f8", 2)
