@@ -260,6 +260,7 @@ for kernel, (_, types) in zip(compiled, wanted):
 """
 
 
+@pytest.mark.slow
 def test_a_shorter_way_through_the_compiler_gives_it_the_same_code(tmp_path: Path) -> None:
     told = []
     for way in ("long", "short"):
