@@ -6,7 +6,7 @@ say where the others are. Over ten metres a wire is straight; its sag is a bound
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,8 @@ def settle_lines(
     shares: NDArray[np.float64],
     line: int,
     params: LineParams,
-) -> tuple[NDArray[np.float64], int, int]:
-    """The `shares` after echoes have joined the class number `line` or left it, and how many joined and left.
+) -> NDArray[np.float64]:
+    """The `shares` after echoes have joined the class number `line` or left it.
 
     An echo is on a line where, along some direction through it, `needed` cells of a metre to both sides hold a sure
     echo of the class. Echoes that may be of the class and are on a line join it: its share and the greatest are
@@ -55,7 +55,7 @@ def settle_lines(
     shares : (core rows, classes), which the answers so far go by.
     """
     if not len(core):
-        return shares, 0, 0
+        return shares
     place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
     reach = round(1000 * params.reach)
     low, high = place[core, :2].min(axis=0), place[core, :2].max(axis=0)
@@ -64,7 +64,7 @@ def settle_lines(
     answered = shares.argmax(axis=1) == line
     asked = np.flatnonzero(answered | (own[core, line] >= params.least * WHOLE))
     if not len(sure) or not len(asked):
-        return shares, 0, 0
+        return shares
     judged = np.union1d(sure[near[sure]], core[asked])
     joining, staying = needed(place, table["echo_number"] == 1, judged, params)
     seen = _on_line(place, judged, staying, sure, params, True)
@@ -72,14 +72,20 @@ def settle_lines(
     at = np.searchsorted(judged, core[asked])
     joins = _on_line(place, core[asked], joining[at], support, params, False) & ~answered[asked]
     leaves = answered[asked] & ~seen[at]
-    return _exchanged(shares, asked, line, joins, leaves), int(joins.sum()), int(leaves.sum())
+    return _exchanged(shares, asked[joins | leaves], line)
 
 
-def line_remarks(counts: Iterable[Iterable[int]]) -> list[str]:
-    """What to say of the echoes that joined a line and left one, by part; nothing where none did."""
-    joined, left = (sum(numbers) for numbers in zip((0, 0), *counts, strict=True))
-    if not joined + left:
+def count_settled(before: NDArray[np.uint8], after: NDArray[np.uint8], codes: Iterable[int]) -> tuple[int, int]:
+    """How many echoes have got a class of `codes`, and how many have lost one; classes (echoes,) of both times."""
+    other = before != after
+    return int((other & np.isin(after, [*codes])).sum()), int((other & np.isin(before, [*codes])).sum())
+
+
+def line_remarks(counts: Sequence[Iterable[int]]) -> list[str]:
+    """What to say of `count_settled` by part; nothing without a part."""
+    if not counts:
         return []
+    joined, left = (sum(numbers) for numbers in zip(*counts, strict=True))
     return [
         f"{joined:,} echoes have got a wire's class as they lie in line with sure ones, and {left:,} have lost it as "
         "they lie in line with too few (classify.lines)"
@@ -151,16 +157,9 @@ def _one_a_voxel(place: NDArray[np.int64]) -> NDArray[np.int64]:
     return place[np.sort(first)]
 
 
-def _exchanged(
-    shares: NDArray[np.float64],
-    asked: NDArray[np.int64],
-    line: int,
-    joins: NDArray[np.bool_],
-    leaves: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """`shares` with that of `line` exchanged for the greatest other one in the `asked` rows that join or leave."""
+def _exchanged(shares: NDArray[np.float64], rows: NDArray[np.int64], line: int) -> NDArray[np.float64]:
+    """`shares` with that of `line` exchanged for the greatest other one in some `rows`."""
     after = shares.copy()
-    rows = asked[joins | leaves]
     others = after[rows]
     others[:, line] = -1.0
     other = others.argmax(axis=1)

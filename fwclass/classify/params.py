@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -161,6 +162,16 @@ class LineParams(Params):
     def halo(self) -> float:
         """Distance around an echo within which all lies that its answer depends on [m]."""
         return 2 * self.reach
+
+    def among(self, codes: Iterable[int]) -> tuple[int, ...]:
+        """Those of the class `codes` whose echoes lie on lines."""
+        return tuple(code for code in codes if code in self.codes)
+
+    @model_validator(mode="after")
+    def _sure_may_join(self) -> Self:
+        if self.least > self.sure:
+            raise ValueError("an echo that is sure may join: least is at most sure")
+        return self
 
 
 class ClassifyParams(Params):

@@ -75,11 +75,16 @@ def mapped(path: Path, least: int) -> NDArray[np.uint8]:
     size = path.stat().st_size
     data = np.asarray(np.memmap(path, np.uint8, "r")) if size else np.empty(0, np.uint8)
     if len(data) < least:
-        raise InputError(
-            "the file was changed while it was read",
-            where=path,
-            expected=f"at least {least} bytes, as when it was opened",
-            got=f"{len(data)} bytes",
-            do="run the same again when the file is whole",
-        )
+        raise cut_off(path, least, len(data))
     return data
+
+
+def cut_off(path: Path, least: int, size: int) -> InputError:
+    """What to raise where a file has fewer bytes than the `least` that it had when it was opened."""
+    return InputError(
+        "the file was changed while it was read",
+        where=path,
+        expected=f"at least {least} bytes, as when it was opened",
+        got=f"{size} bytes",
+        do="run the same again when the file is whole",
+    )

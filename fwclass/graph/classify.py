@@ -11,6 +11,7 @@ import numpy as np
 from fwclass.classify.kept import Kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.classify.unsure import Left
+from fwclass.conf import Config
 from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, source_classes, written
@@ -118,12 +119,16 @@ def regularizes(plan: Plan) -> bool:
     return plan.config.classify.regularize.strength > 0
 
 
-def line_codes(plan: Plan) -> tuple[int, ...]:
+def codes_on_lines(config: Config) -> tuple[int, ...]:
     """Codes of the classes whose echoes lie on lines; none where not all echoes are answered for at once."""
-    if thins(plan.config) or fine_layer(plan) is not None:
+    if thins(config) or config.classify.refine.between:
         return ()
-    codes = plan.config.classify.lines.codes
-    return tuple(c.code for c in plan.config.classes if c.code in codes)
+    return config.classify.lines.among(c.code for c in config.classes)
+
+
+def line_codes(plan: Plan) -> tuple[int, ...]:
+    """As `codes_on_lines`; none by a given model with a second layer of two classes either."""
+    return codes_on_lines(plan.config) if fine_layer(plan) is None else ()
 
 
 def settles(plan: Plan) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.kept import Kept
-from fwclass.classify.lines import LINES, settle_lines
+from fwclass.classify.lines import LINES, count_settled, settle_lines
 from fwclass.classify.mean_field import REGULARIZE, answers, model_share_columns, regularized, shares_of, whole_columns
 from fwclass.classify.params import LineParams, RegularizeParams
 from fwclass.classify.stage import CLASSIFY
@@ -46,19 +46,26 @@ def regularize_tile(
 ) -> Result:
     """Classes of a tile's echoes after the mean field and along `lines`; `kept` echoes have the class of their
     source, `left` ones none, and all are neighbours by what the model says of them."""
-    rows_of, parts, joined, gone = [], [], 0, 0
-    ways = [(codes.index(code), lines) for code in lines.codes] if lines else []
+    rows_of, parts, before = [], [], []
+    written_as = np.array(codes, np.uint8)
     for rows, chunk in here.chunks():
         own = shares_of(chunk.table, codes)
         shares = regularized(chunk.table, chunk.core, own, params)
-        for line, how in ways:
-            shares, more, fewer = settle_lines(chunk.table, chunk.core, own, shares, line, how)
-            joined, gone = joined + more, gone + fewer
+        before.append(written_as[shares.argmax(axis=1)])
+        if lines:
+            for code in lines.codes:
+                shares = settle_lines(chunk.table, chunk.core, own, shares, codes.index(code), lines)
         rows_of.append(rows)
-        parts.append(answers(shares, np.array(codes, np.uint8), probabilities))
-    answered = Table.concat(parts).take(np.argsort(np.concatenate(rows_of)))
+        parts.append(answers(shares, written_as, probabilities))
+    order = np.argsort(np.concatenate(rows_of))
+    answered = Table.concat(parts).take(order)
     table = written(answered, source_classes(here, kept), kept, left)
-    return table, {"codes": codes_of(table), **({"lines": [joined, gone]} if lines else {})}
+    facts: dict[str, Any] = {"codes": codes_of(table)}
+    if lines:
+        stands = np.isfinite(table["confidence"]) & (table["classification"] == answered["classification"])
+        both = np.concatenate(before)[order][stands], table["classification"][stands]
+        facts["lines"] = list(count_settled(*both, lines.codes))
+    return table, facts
 
 
 def _codes(plan: Plan) -> tuple[int, ...]:

@@ -16,6 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
+from fwclass.formats.checks import cut_off
 from fwclass.paths import open_regular
 from fwclass.schema import Table
 from fwclass.units import number_of
@@ -224,13 +225,7 @@ def _first_fields(path: Path, records: int) -> NDArray[np.float64]:
             count = min(AT_A_TIME, records - at)
             data = file.read(count * length)
             if len(data) < count * length:
-                raise InputError(
-                    "the file was changed while it was read",
-                    where=path,
-                    expected=f"{records * length} bytes, as when it was opened",
-                    got=f"{at * length + len(data)} bytes",
-                    do="run the same again when the file is whole",
-                )
+                raise cut_off(path, records * length, at * length + len(data))
             fields[:, at : at + count] = np.frombuffer(data, RECORD).reshape(count, FIELDS)[:, :4].T
     return fields
 

@@ -11,6 +11,7 @@ from fwclass.assess.remarks import Extent, remarks
 from fwclass.classify.context import halo_of
 from fwclass.conf import Config
 from fwclass.features.params import Asked, is_feature
+from fwclass.graph.classify import codes_on_lines
 
 OF_A_GIVEN_MODEL = (
     "The model, or its base, was given, and nothing here tells where it learned: if it was in this survey, the figure "
@@ -43,8 +44,7 @@ def accuracy_remarks(
     reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + halo_of(cells)
     field = config.classify.regularize
     reach += field.halo if field.strength > 0 else 0.0
-    lines = config.classify.lines
-    reach = max(reach, lines.halo) if any(c.code in lines.codes for c in config.classes) else reach
+    reach = max(reach, config.classify.lines.halo) if codes_on_lines(config) else reach
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
     learned_here = (config.survey.model or config.survey.base_model) and not config.areas.train
     return [

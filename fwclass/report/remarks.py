@@ -98,5 +98,5 @@ def remarks_of_parts(runner: Runner) -> list[str]:
     ]
     blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
     remarks += breakline_remarks(blocks)
-    remarks += line_remarks(r.meta["lines"] for r in receipts_of_run(runner, CLASSIFY.name) if "lines" in r.meta)
+    remarks += line_remarks([r.meta["lines"] for r in receipts_of_run(runner, CLASSIFY.name) if "lines" in r.meta])
     return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]

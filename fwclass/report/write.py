@@ -9,6 +9,7 @@ from fwclass import __version__
 from fwclass.classify.kept import Kept
 from fwclass.classify.params import RegularizeParams
 from fwclass.conf import Config
+from fwclass.graph.classify import codes_on_lines
 from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.model_fit import ground_notes
@@ -191,6 +192,7 @@ def _remarks(
         *remarks_of_parts(runner),
         *(class_remarks(source, known, keeps) if classified else ()),
         *(_on_neighbours(config.classify.regularize) if classified else ()),
+        *(_without_lines(config) if classified else ()),
     ]
 
 
@@ -200,6 +202,15 @@ def _on_neighbours(params: RegularizeParams) -> list[str]:
     return [
         f"neighbours agree by a mean field of strength {params.strength:g} (classify.regularize): classes and "
         "confidences are those after it"
+    ]
+
+
+def _without_lines(config: Config) -> list[str]:
+    if codes_on_lines(config) or not config.classify.lines.among(c.code for c in config.classes):
+        return []
+    return [
+        "wires are not looked for along lines (classify.lines): the run is thinned, or has a second layer of two "
+        "classes"
     ]
 
 

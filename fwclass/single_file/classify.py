@@ -180,7 +180,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
             *echoes.notes,
             *([crowd.text(conf.section("features", job.settings))] if crowd else []),
             *notes,
-            *line_remarks(one["lines"] for one in facts[walk[-1]] if "lines" in one),
+            *line_remarks([one["lines"] for one in facts[walk[-1]] if "lines" in one]),
             *_drift_notes(drifted),
             *(unsure or {}).get("remarks", ()),
             *class_remarks(by_code, known_codes(model.classes), kept, "points"),
@@ -281,8 +281,8 @@ def _classify(
         first, walk = model.coarse, (SHARE_FIRST, CLASSIFY_IN_CONTEXT)
     words = ["classes: tile", *["second layer: tile"] * (len(walk) - 1)]
     config = FileConfig(settings, classes=model.classes)
-    on_lines = {c.code for c in model.classes} & {*config.classify.lines.codes}
-    if config.classify.regularize.strength > 0 or (on_lines and not isinstance(model, TwoLayer)):
+    on_lines = config.classify.lines.among(c.code for c in model.classes) and not isinstance(model, TwoLayer)
+    if config.classify.regularize.strength > 0 or on_lines:
         own = SHARE_IN_CONTEXT if isinstance(model, Contextual) else SHARE_ECHOES
         walk, words = (*walk[:-1], own, CLASSIFY_REGULARIZED), [*words, "neighbours: tile"]
     tiles = FileTiles(

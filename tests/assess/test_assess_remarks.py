@@ -122,15 +122,18 @@ def test_blocks_of_one_class_are_pure_but_for_strays():
 
 @pytest.mark.parametrize(
     ("kappa", "spread", "folds", "refused"),
-    [(0.01, 0.02, 5, True), (0.1, 0.02, 5, False), (0.15, 0.2, 5, True), (0.25, 0.5, 5, False), (-0.1, 0.0, 3, True)],
+    [
+        (0.01, 0.02, 5, True),
+        (0.1, 0.02, 5, False),
+        (0.15, 0.2, 5, True),
+        (0.25, 0.5, 5, False),
+        (-0.1, 0.0, 3, True),
+        (None, None, 5, False),
+        (0.0, None, 1, False),
+    ],
 )
 def test_folds_that_agree_by_chance_are_refused(kappa, spread, folds, refused):
     validated = {"kappa": kappa, "kappa_std": spread, "folds": folds}
     judge_folds(validated, True, "here")
     with pytest.raises(QualityError, match="no better than chance") if refused else contextlib.nullcontext():
         judge_folds(validated, False, "here")
-
-
-def test_folds_without_kappa_are_not_judged():
-    judge_folds({"kappa": None, "kappa_std": None, "folds": 5}, False, "here")
-    judge_folds({"kappa": 0.0, "kappa_std": None, "folds": 1}, False, "here")

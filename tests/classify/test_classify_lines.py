@@ -5,7 +5,7 @@ import pytest
 
 from fwclass import conf
 from fwclass.classify.line_kernels import on_line
-from fwclass.classify.lines import needed, settle_lines
+from fwclass.classify.lines import count_settled, needed, settle_lines
 from fwclass.schema import Table
 
 WIRE = 1
@@ -44,8 +44,10 @@ def power_line(seed=1, spans=3, crowns=60, density=4.0):
 
 
 def settled(table, core, own, how=None):
+    """Shares afterwards, and how many have got the class and lost it."""
     shares = own[core] / 255.0
-    return settle_lines(table, core, own, shares, WIRE, how or params())
+    after = settle_lines(table, core, own, shares, WIRE, how or params())
+    return after, *count_settled(shares.argmax(axis=1), after.argmax(axis=1), [WIRE])
 
 
 def test_wires_among_leaves_join_and_leaves_that_look_like_wires_leave():

@@ -36,7 +36,9 @@ def test_classes_change_and_it_is_said(survey, lined, tmp_path):
     before, after = (delivered_echoes(root)["classification"] for root in (tmp_path / "without", lined))
     assert 0 < (before != after).mean() < 0.1
     joined, left = np.sum([r.meta["lines"] for r in Store(lined).receipts("classify")], axis=0)
-    assert left >= ((before == CODE) & (after != CODE)).sum() > 0
+    assert (
+        joined == ((before != CODE) & (after == CODE)).sum() and left == ((before == CODE) & (after != CODE)).sum() > 0
+    )
     (line,) = [t for t in json.loads((lined / "report.json").read_text())["remarks"] if "classify.lines" in t]
     assert line.startswith(f"{joined:,} echoes have got a wire's class") and f"and {left:,} have lost it" in line
     assert not list(Store(tmp_path / "without").receipts("model-shares"))
@@ -78,10 +80,23 @@ def test_behind_other_layers_a_file_is_answered_for_alike_in_tiles_of_any_size(s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", ["thin.rate=0.5", "classify.refine.between=[building, vegetation]"])
-def test_runs_that_ask_the_model_of_some_echoes_have_no_lines(survey, tmp_path, setting):
-    runner, _ = walk(survey, tmp_path, setting, *LINES)
+def test_runs_that_ask_the_model_of_some_echoes_have_no_lines_and_say_so(survey, tmp_path, setting):
+    runner, report = walk(survey, tmp_path, setting, *LINES)
     assert not runner.failures
     assert not list(Store(tmp_path).receipts("model-shares"))
+    assert any("not looked for along lines" in line for line in report["remarks"])
+
+
+@pytest.mark.slow
+def test_echoes_that_are_kept_are_not_counted(survey, tmp_path):
+    both = []
+    for name, more in (("without", AWAY), ("lined", LINES)):
+        runner, _ = walk(survey, tmp_path / name, *more, "classify.keep=[2]")
+        assert not runner.failures
+        both.append(delivered_echoes(tmp_path / name)["classification"])
+    before, after = both
+    counted = np.sum([r.meta["lines"] for r in Store(tmp_path / "lined").receipts("classify")], axis=0)
+    assert counted.tolist() == [((before != after) & (v == CODE)).sum() for v in (after, before)]
 
 
 @pytest.mark.slow

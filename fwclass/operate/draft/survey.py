@@ -207,7 +207,7 @@ def gap_of(features: str, classes: Iterable[Meaning]) -> float:
     layer nor a line looks at any of its echoes."""
     reach = Asked.of(n for n in feature_set(features).features if is_feature(n)).reach(conf.section("features"))
     ways = conf.section("classify")
-    lines = ways.lines.halo if any(code in ways.lines.codes for one in classes for code in one.codes) else 0.0
+    lines = ways.lines.halo if ways.lines.among(one.code for one in classes) else 0.0
     return float(math.ceil(max(2 * reach, reach + halo_of(ways.context.auto_cells), lines)))
 
 
