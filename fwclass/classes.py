@@ -15,6 +15,9 @@ from fwclass.errors import ConfigError, DamagedError
 UNCLASSIFIED, GROUND, BUILDING, LOW_NOISE, WATER, HIGH_NOISE = 1, 2, 6, 7, 9, 18
 """Class codes of LAS 1.4 that the program itself gives or looks for."""
 
+WIRES = (13, 14)
+"""Codes of guard wires and conductors."""
+
 MOST_LETTERS = 100
 """Of a class's name."""
 

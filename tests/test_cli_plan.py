@@ -88,7 +88,7 @@ def test_wrong_words_are_told(conf: Path, tmp_path: Path) -> None:
     gone = fwclass("plan", conf, "--set", "survey.sources=[b.las]", "--out", tmp_path / "r")
     assert gone.returncode == 1 and "no file matches" in gone.stderr and not (tmp_path / "r").exists()
     unknown = fwclass("plan", conf, "--set", "plan.stages.tile.eech=3")
-    assert unknown.returncode == 2 and "unknown key plan.stages.tile.eech" in unknown.stderr
+    assert unknown.returncode == 2 and "unknown key plan.stages.tile.eech (did you mean 'each'?)" in unknown.stderr
     for words, told in (
         ("survey.features=[foo]", "'foo' is not a feature"),
         ("areas.train=[[900,900,910,910]]", "no training area lies on the survey"),

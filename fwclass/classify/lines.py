@@ -18,7 +18,7 @@ from fwclass.model.contextual import WHOLE
 from fwclass.schema import Table
 from fwclass.stage import Computation
 
-LINES = Computation(name="lines", version=1, writes=())
+LINES = Computation(name="lines", version=2, writes=())
 
 SQUARE = 10.0
 """m, squares of the lattice whose first echoes are the density of pulses."""
@@ -37,15 +37,17 @@ def settle_lines(
     shares: NDArray[np.float64],
     line: int,
     params: LineParams,
-) -> NDArray[np.float64]:
-    """The `shares` after echoes have joined the class number `line` or left it.
+    learned: NDArray[np.bool_] | None = None,
+) -> tuple[NDArray[np.float64], int]:
+    """The `shares` after echoes have joined the class number `line` or left it, and how many might have joined but
+    for too few pulses.
 
     An echo is on a line where, along some direction through it, `needed` cells of a metre to both sides hold a sure
     echo of the class. Echoes that may be of the class and are on a line join it: its share and the greatest are
     exchanged. Those that were answered for with it and have not half as many cells leave it: its share and the next
     are exchanged. Sure echoes that would leave count for nobody. Where pulses are so few that a wire would hardly be
     seen none leaves, and where they are half as many none joins; where more than ``params.most`` sure echoes are in
-    reach neither.
+    reach neither. Nor do echoes that the model has `learned` from.
 
     Parameters
     ----------
@@ -53,18 +55,20 @@ def settle_lines(
     core : rows that are answered for.
     own : (rows, classes), the model's own shares [1/255].
     shares : (core rows, classes), which the answers so far go by.
+    learned : bool (core rows,): the model has seen their labels; None: no label of these echoes.
     """
     if not len(core):
-        return shares
+        return shares, 0
     place = np.stack([millimetres(table[n]) for n in ("x", "y", "z")], axis=1)
     reach = round(1000 * params.reach)
     low, high = place[core, :2].min(axis=0), place[core, :2].max(axis=0)
     near = ((place[:, :2] >= low - reach) & (place[:, :2] <= high + reach)).all(axis=1)
     sure = np.flatnonzero(own[:, line] >= params.sure * WHOLE)
     answered = shares.argmax(axis=1) == line
-    asked = np.flatnonzero(answered | (own[core, line] >= params.least * WHOLE))
-    if not len(sure) or not len(asked):
-        return shares
+    may = answered | (own[core, line] >= params.least * WHOLE)
+    asked = np.flatnonzero(may if learned is None else may & ~learned)
+    if not len(asked):
+        return shares, 0
     judged = np.union1d(sure[near[sure]], core[asked])
     joining, staying = needed(place, table["echo_number"] == 1, judged, params)
     seen = _on_line(place, judged, staying, sure, params, True)
@@ -72,7 +76,8 @@ def settle_lines(
     at = np.searchsorted(judged, core[asked])
     joins = _on_line(place, core[asked], joining[at], support, params, False) & ~answered[asked]
     leaves = answered[asked] & ~seen[at]
-    return _exchanged(shares, asked[joins | leaves], line)
+    sparse = np.isinf(joining[at]) & ~answered[asked]
+    return _exchanged(shares, asked[joins | leaves], line), int(sparse.sum())
 
 
 def count_settled(before: NDArray[np.uint8], after: NDArray[np.uint8], codes: Iterable[int]) -> tuple[int, int]:
@@ -82,13 +87,15 @@ def count_settled(before: NDArray[np.uint8], after: NDArray[np.uint8], codes: It
 
 
 def line_remarks(counts: Sequence[Iterable[int]]) -> list[str]:
-    """What to say of `count_settled` by part; nothing without a part."""
+    """What to say of echoes by part that have got a class and lost it, and that might have but for too few pulses;
+    nothing without a part."""
     if not counts:
         return []
-    joined, left = (sum(numbers) for numbers in zip(*counts, strict=True))
+    joined, left, sparse = (sum(numbers) for numbers in zip(*counts, strict=True))
+    few = f"; {sparse:,} may be of a wire where pulses are too few to tell a line" if sparse else ""
     return [
         f"{joined:,} echoes have got a wire's class as they lie in line with sure ones, and {left:,} have lost it as "
-        "they lie in line with too few (classify.lines)"
+        f"they lie in line with too few (classify.lines){few}"
     ]
 
 

@@ -22,7 +22,7 @@ from fwclass.neighbours import CELLS_PER_POINT, FEW_CELLS, sort_by_cell
 from fwclass.schema import Table
 from fwclass.stage import Computation
 
-REGULARIZE = Computation(name="regularize", version=1, writes=())
+REGULARIZE = Computation(name="regularize", version=2, writes=())
 
 UNIT = 256
 """Weights are whole numbers of this part, so that sums are exact, whatever their order."""
@@ -38,10 +38,14 @@ def model_share_columns(codes: Iterable[int], base: str = "model_share") -> tupl
 
 def whole_columns(answered: Table, codes: Iterable[int]) -> Table:
     """The shares of `answered` (as `classify` gives it, with probabilities) in 255ths, uint8, as `model_share_columns`
-    names them."""
+    names them. The class that was answered has one more where another, of fewer, is rounded to as much."""
     codes = tuple(codes)
-    names = zip(model_share_columns(codes), probability_columns(codes), strict=True)
-    return Table({name: np.rint(answered[of] * WHOLE).astype(np.uint8) for name, of in names})
+    shares = np.rint(np.stack([answered[n] for n in probability_columns(codes)], axis=1) * WHOLE).astype(np.uint8)
+    number = np.zeros(256, np.intp)
+    number[list(codes)] = np.arange(len(codes))
+    winner = number[answered["classification"]]
+    shares[np.arange(len(shares)), winner] += shares.argmax(axis=1) != winner
+    return Table(dict(zip(model_share_columns(codes), shares.T, strict=True)))
 
 
 def shares_of(table: Table, codes: Iterable[int]) -> NDArray[np.uint8]:

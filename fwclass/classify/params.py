@@ -133,7 +133,7 @@ class LineParams(Params):
 
     Attributes
     ----------
-    codes : class codes; those that no class has count for nothing.
+    codes : class codes.
     reach : along a line, to both sides of an echo [m].
     tolerance : echoes of a line are at most as far beside, above or below it [m].
     sag : what heights may differ besides, times the products of distances along the line [1/m].

@@ -5,10 +5,10 @@ Everything is checked before anything runs; an unknown key is an error that name
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -54,7 +54,8 @@ def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any]
     for text in settings:
         changes = merge(changes, setting(text))
     raw = _lay_over(merge(changes, dict(change or {})))
-    return _build(name, raw.get(name), _origin(path, settings))
+    where = " ".join(f"--set {redacted_setting(text)}" for text in settings) or path
+    return _build(name, raw.get(name), where)
 
 
 def check_settings(
@@ -175,7 +176,7 @@ def _apart(errors: Sequence[Any]) -> list[Any]:
 def _explain(name: str, model: type[BaseModel], error: Any) -> str:
     key = ".".join([name, *(str(p).removesuffix("_by") for p in error["loc"])])
     if error["type"] == "extra_forbidden":
-        fields = model.model_fields if len(error["loc"]) == 1 else {}
+        fields = _keys_at(model, error["loc"][:-1])
         return f"unknown key {key} ({nearest(str(error['loc'][-1]), fields)})" if fields else f"unknown key {key}"
     if error["type"] == "missing":
         return f"{key} is missing"
@@ -190,6 +191,21 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
     if name == "schedule" and error["loc"] and error["loc"][0] in SECRET:
         return f"{key}: {wanted}"
     return f"{key}: {wanted} (got {str(error['input'])[:80]!r})"
+
+
+def _keys_at(model: type[BaseModel], loc: Iterable[int | str]) -> Collection[str]:
+    """Keys of the mapping at `loc`, from the keys and places in lists that lead there; none where any key will do."""
+    of_any_key = False
+    for step in loc:
+        if of_any_key or isinstance(step, int):
+            of_any_key = False
+            continue
+        kind = model.model_fields[step].annotation if step in model.model_fields else None
+        inner = [t for t in (kind, *get_args(kind)) if isinstance(t, type) and issubclass(t, BaseModel)]
+        if not inner:
+            return ()
+        model, of_any_key = inner[0], get_origin(kind) in (dict, Mapping)
+    return () if of_any_key else model.model_fields
 
 
 _RULES = {

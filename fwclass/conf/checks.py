@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
+from fwclass.classes import WIRES
 from fwclass.conf.model import Config
 from fwclass.errors import ConfigError, nearest
 from fwclass.ground.methods.params import MAX_HALO
@@ -30,6 +31,15 @@ def _check_classes(config: Config) -> None:
             raise ConfigError(f"a class {what} is given twice", where=f"{where}: survey.classes", got=sorted(twice))
     if not all(0 < c <= 255 for c in codes + used):
         raise ConfigError("class codes lie in 1 to 255", where=f"{where}: survey.classes", got=codes + used)
+    strangers = sorted({*config.classify.lines.codes} - {*codes, *WIRES})
+    if strangers and names:
+        raise ConfigError(
+            "no class has a code whose echoes are to lie on lines",
+            where=f"{where}: classify.lines.codes",
+            expected=", ".join(f"{c.code} {c.name}" for c in config.survey.classes),
+            got=strangers,
+            do="one of these, or leave it out: codes 13 and 14 are looked for where a class has them",
+        )
     weights = config.train.class_weights
     weighted = weights if isinstance(weights, Mapping) else ()
     asked = (

@@ -120,10 +120,12 @@ def regularizes(plan: Plan) -> bool:
 
 
 def codes_on_lines(config: Config) -> tuple[int, ...]:
-    """Codes of the classes whose echoes lie on lines; none where not all echoes are answered for at once."""
+    """Codes of the classes whose echoes lie on lines, but for those that echoes of the source keep; none where not all
+    echoes are answered for at once."""
     if thins(config) or config.classify.refine.between:
         return ()
-    return config.classify.lines.among(c.code for c in config.classes)
+    kept = config.classify.keep
+    return tuple(code for code in config.classify.lines.among(c.code for c in config.classes) if code not in kept)
 
 
 def line_codes(plan: Plan) -> tuple[int, ...]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.classify.kept import Kept
 from fwclass.classify.lines import LINES, count_settled, settle_lines
@@ -14,6 +15,7 @@ from fwclass.classify.mean_field import REGULARIZE, answers, model_share_columns
 from fwclass.classify.params import LineParams, RegularizeParams
 from fwclass.classify.stage import CLASSIFY
 from fwclass.classify.unsure import Left
+from fwclass.graph.areas import has_reference, within
 from fwclass.graph.classify import CLASSIFY_ECHOES, classes_written, classify_tile, codes_of, line_codes, settles
 from fwclass.graph.context import CLASSIFY_IN_CONTEXT, classify_tile_in_context
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
@@ -21,6 +23,7 @@ from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import answer_arguments, deciding_column, source_classes, written
 from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.grid import Box
 from fwclass.schema import Table
 from fwclass.store.remote_file import local
 
@@ -43,18 +46,24 @@ def regularize_tile(
     probabilities: bool,
     kept: Kept | None = None,
     left: Left | None = None,
+    taught: tuple[tuple[Box, ...], tuple[int, ...]] | None = None,
 ) -> Result:
     """Classes of a tile's echoes after the mean field and along `lines`; `kept` echoes have the class of their
-    source, `left` ones none, and all are neighbours by what the model says of them."""
+    source, `left` ones none, and all are neighbours by what the model says of them. The model has learned from
+    echoes in the areas `taught` that are labelled with one of its codes: these stay off the lines."""
     rows_of, parts, before = [], [], []
     written_as = np.array(codes, np.uint8)
+    learned = _learned(here.own_rows(), *taught) if taught else None
+    sparse = 0
     for rows, chunk in here.chunks():
         own = shares_of(chunk.table, codes)
         shares = regularized(chunk.table, chunk.core, own, params)
         before.append(written_as[shares.argmax(axis=1)])
         if lines:
             for code in lines.codes:
-                shares = settle_lines(chunk.table, chunk.core, own, shares, codes.index(code), lines)
+                seen = None if learned is None else learned[rows]
+                shares, few = settle_lines(chunk.table, chunk.core, own, shares, codes.index(code), lines, seen)
+                sparse += few
         rows_of.append(rows)
         parts.append(answers(shares, written_as, probabilities))
     order = np.argsort(np.concatenate(rows_of))
@@ -64,8 +73,21 @@ def regularize_tile(
     if lines:
         stands = np.isfinite(table["confidence"]) & (table["classification"] == answered["classification"])
         both = np.concatenate(before)[order][stands], table["classification"][stands]
-        facts["lines"] = list(count_settled(*both, lines.codes))
+        facts["lines"] = [*count_settled(*both, lines.codes), sparse]
     return table, facts
+
+
+def _learned(table: Table, areas: tuple[Box, ...], codes: tuple[int, ...]) -> NDArray[np.bool_]:
+    """bool (rows,): echoes in training `areas` that are labelled with one of `codes`."""
+    return within(table, areas) & np.isin(table["reference"], [*codes])
+
+
+def _taught(plan: Plan) -> tuple[tuple[Box, ...], tuple[int, ...]] | None:
+    """Training areas of the run's own model, and the labels that it learns; None where lines ask for neither."""
+    areas = plan.config.areas.boxes("train")
+    if not areas or not line_codes(plan) or plan.model is not None or not has_reference(plan):
+        return None
+    return areas, tuple(code for c in plan.config.classes for code in c.codes)
 
 
 def _codes(plan: Plan) -> tuple[int, ...]:
@@ -126,13 +148,14 @@ CLASSIFY_REGULARIZED = Stage(
         "lines": _lines(plan),
         "probabilities": plan.config.classify.probabilities,
         **answer_arguments(plan),
+        **({"taught": _taught(plan)} if _taught(plan) else {}),
     },
     reads=lambda plan: (
         *("x", "y", "z"),
         *(("echo_number",) if line_codes(plan) else ()),
         *model_share_columns(_codes(plan)),
     ),
-    own=deciding_column,
+    own=lambda plan: (*deciding_column(plan), *(("x", "y", "reference") if _taught(plan) else ())),
     writes=classes_written,
     halo=settled_halo,
     after=(MODEL_SHARES,),

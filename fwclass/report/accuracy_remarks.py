@@ -11,7 +11,6 @@ from fwclass.assess.remarks import Extent, remarks
 from fwclass.classify.context import halo_of
 from fwclass.conf import Config
 from fwclass.features.params import Asked, is_feature
-from fwclass.graph.classify import codes_on_lines
 
 OF_A_GIVEN_MODEL = (
     "The model, or its base, was given, and nothing here tells where it learned: if it was in this survey, the figure "
@@ -32,11 +31,13 @@ def accuracy_remarks(
     others: Mapping[str, int] | None = None,
     nearest: float | None = None,
     cells: Iterable[float] = (),
+    lines: bool = False,
 ) -> list[str]:
     """Remarks on the accuracy of a classifier by the features `names` over a survey of so many `echoes`.
 
     `others`: echoes by codes that no class counts. `nearest`: distance of the nearest tested echo from a training area
-    [m], where it was measured; elsewhere it is `areas.gap`. `cells`: edges of those that a second layer decides by [m].
+    [m], where it was measured; elsewhere it is `areas.gap`. `cells`: edges of those that a second layer decides by [m];
+    `lines`: classes of echoes have changed along lines.
     A model that was given learned elsewhere.
     """
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
@@ -44,7 +45,7 @@ def accuracy_remarks(
     reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + halo_of(cells)
     field = config.classify.regularize
     reach += field.halo if field.strength > 0 else 0.0
-    reach = max(reach, config.classify.lines.halo) if codes_on_lines(config) else reach
+    reach = max(reach, config.classify.lines.halo) if lines else reach
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
     learned_here = (config.survey.model or config.survey.base_model) and not config.areas.train
     return [

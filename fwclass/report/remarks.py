@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,17 +37,20 @@ def remarks_on_accuracy(
     names: tuple[str, ...],
     survey: Survey,
     cells: Iterable[float],
+    lines: Sequence[Sequence[int]],
 ) -> list[str]:
     """Remarks on the accuracy; none where there is none. `counted`: labels, which only a run that trains counts;
-    `echoes` of the whole survey; `cells`: edges of those that a second layer decides by [m]."""
+    `echoes` of the whole survey; `cells`: edges of those that a second layer decides by [m];
+    `lines`: `lines_of_run`."""
     if accuracy is None:
         return []
-    own = _own_answers(survey)
+    own, changed = _own_answers(survey), any(joined or left for joined, left, _ in lines)
     if counted is None:
-        return own + accuracy_remarks(accuracy, config, names, echoes, cells=cells)
+        return own + accuracy_remarks(accuracy, config, names, echoes, cells=cells, lines=changed)
     nearest = counted["gap"]["found"]
     own += _corrected(accuracy, counted.get("corrections"))
-    return own + accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest, cells)
+    others = counted["other_codes"]
+    return own + accuracy_remarks(accuracy, config, names, counted["echoes"], others, nearest, cells, changed)
 
 
 def _own_answers(survey: Survey) -> list[str]:
@@ -90,6 +93,12 @@ def remarks_on_empty_files(files: Mapping[str, Any]) -> list[str]:
     return [f"files without any point: {first_few(names, SHOWN)}"] if names else []
 
 
+def lines_of_run(runner: Runner) -> list[tuple[int, int, int]]:
+    """Of every tile the echoes that joined a class along lines, left it, and might have joined but for too few pulses;
+    nothing where no class lies on lines."""
+    return [tuple(r.meta["lines"]) for r in receipts_of_run(runner, CLASSIFY.name) if "lines" in r.meta]
+
+
 def remarks_of_parts(runner: Runner) -> list[str]:
     """What the parts of water, contour lines, breaklines, wires and vectors say."""
     stages = (LEVELS, DELIVER_CONTOURS.name)
@@ -98,5 +107,5 @@ def remarks_of_parts(runner: Runner) -> list[str]:
     ]
     blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
     remarks += breakline_remarks(blocks)
-    remarks += line_remarks([r.meta["lines"] for r in receipts_of_run(runner, CLASSIFY.name) if "lines" in r.meta])
+    remarks += line_remarks(lines_of_run(runner))
     return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]

@@ -30,7 +30,13 @@ from fwclass.report.counts import (
 from fwclass.report.earlier import since_earlier
 from fwclass.report.facts import legacy_codes, metas_of_run, place_of, receipts_of_run, sureness, unsure_of_run
 from fwclass.report.figures import report_figures
-from fwclass.report.remarks import remarks_of_parts, remarks_on_accuracy, remarks_on_crowds, remarks_on_empty_files
+from fwclass.report.remarks import (
+    lines_of_run,
+    remarks_of_parts,
+    remarks_on_accuracy,
+    remarks_on_crowds,
+    remarks_on_empty_files,
+)
 from fwclass.report.repeated import repeated_facts
 from fwclass.report.sampling import sampling
 from fwclass.report.waveforms import plausibility_of_run, radiometry_of_run, some_waves, waveform_facts
@@ -77,7 +83,9 @@ def write_report(
     }
     if (accuracy := report["accuracy"]) is not None:
         echoes, cells = report["counts"]["echoes_in_tiles"], (report["training"] or {}).get("in_context") or ()
-        accuracy["remarks"] = remarks_on_accuracy(accuracy, report["sampling"], echoes, config, names, survey, cells)
+        accuracy["remarks"] = remarks_on_accuracy(
+            accuracy, report["sampling"], echoes, config, names, survey, cells, lines_of_run(runner)
+        )
     report["remarks"] = _remarks(report, config, runner, source, card)
     write_json(runner.pending / REPORT, report)
     render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
@@ -209,8 +217,8 @@ def _without_lines(config: Config) -> list[str]:
     if codes_on_lines(config) or not config.classify.lines.among(c.code for c in config.classes):
         return []
     return [
-        "wires are not looked for along lines (classify.lines): the run is thinned, or has a second layer of two "
-        "classes"
+        "wires are not looked for along lines (classify.lines): the run is thinned, has a second layer of two "
+        "classes, or keeps the source's wires"
     ]
 
 

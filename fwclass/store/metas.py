@@ -343,7 +343,7 @@ META: dict[str, Shape] = {
         "codes": {CODE: COUNT},
         "outside?": _OUTSIDE,
         "of_source?": {CODE: (COUNT, COUNT)},
-        "lines?": (COUNT, COUNT),
+        "lines?": (COUNT, COUNT, COUNT),
     },
     "confusion": Related(
         {"matrix": square(), "lost": [COUNT], "ground": _TWO, "sure": (_PERCENT, _PERCENT, _PERCENT), "kept?": COUNT},

@@ -43,10 +43,10 @@ def power_line(seed=1, spans=3, crowns=60, density=4.0):
     return table, own, true.astype(bool)
 
 
-def settled(table, core, own, how=None):
+def settled(table, core, own, how=None, learned=None):
     """Shares afterwards, and how many have got the class and lost it."""
     shares = own[core] / 255.0
-    after = settle_lines(table, core, own, shares, WIRE, how or params())
+    after, _ = settle_lines(table, core, own, shares, WIRE, how or params(), learned)
     return after, *count_settled(shares.argmax(axis=1), after.argmax(axis=1), [WIRE])
 
 
@@ -70,6 +70,16 @@ def test_shares_are_exchanged_and_nothing_else_changes():
     assert (after != before).any(axis=1).sum() == joined + left
 
 
+def test_echoes_that_the_model_learned_from_stay_and_say_where_lines_are():
+    table, own, _ = power_line()
+    every = np.arange(table.rows)
+    learned = np.random.default_rng(5).random(table.rows) < 0.5
+    whole, after = settled(table, every, own)[0], settled(table, every, own, learned=learned)[0]
+    assert (whole[learned] != own[learned] / 255.0).any()
+    np.testing.assert_array_equal(after[learned], own[learned] / 255.0)
+    np.testing.assert_array_equal(after[~learned], whole[~learned])
+
+
 def test_neither_order_nor_what_lies_beyond_the_halo_changes_an_answer():
     table, own, _ = power_line()
     every = np.arange(table.rows)
@@ -91,6 +101,9 @@ def test_where_pulses_are_few_nothing_changes():
     rows = np.flatnonzero(thin)
     _, joined, left = settled(table.take(rows), np.arange(len(rows)), own[rows])
     assert (joined, left) == (0, 0)
+    sparse = settle_lines(table.take(rows), np.arange(len(rows)), own[rows], own[rows] / 255.0, WIRE, params())[1]
+    may = (own[rows, WIRE] >= 0.1 * 255) & (own[rows].argmax(axis=1) != WIRE)
+    assert sparse == may.sum() > 0
     assert settled(table, np.arange(table.rows), own)[2] > 20, "dense enough, they leave"
 
 
@@ -146,10 +159,14 @@ def test_a_crowd_of_sure_echoes_tells_nothing():
         assert (answer == crowded).all()
 
 
-def test_without_a_sure_echo_nothing_is_looked_for():
+def test_without_a_sure_echo_none_joins_and_those_called_a_wire_leave_as_where_one_is_far():
     table, own, _ = power_line()
     own[:, WIRE] = np.minimum(own[:, WIRE], 60)
-    assert settled(table, np.arange(table.rows), own)[1:] == (0, 0)
+    alone = settled(table, np.arange(table.rows), own)
+    assert alone[1] == 0 and alone[2] > 0
+    far = Table({n: np.append(table[n], table[n][0] + (500.0 if n == "x" else 0)) for n in table})
+    more = np.append(own, [[0, 255, 0]], axis=0).astype(np.uint8)
+    np.testing.assert_array_equal(settled(far, np.arange(table.rows), more)[0], alone[0])
     assert settled(table, np.arange(0), own)[0].shape == (0, 3)
 
 

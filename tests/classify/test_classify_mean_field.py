@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from fwclass import conf
-from fwclass.classify.mean_field import agreed_shares, answers, model_share_columns, regularized, shares_of
+from fwclass.classify.mean_field import (
+    agreed_shares,
+    answers,
+    model_share_columns,
+    regularized,
+    shares_of,
+    whole_columns,
+)
 from fwclass.schema import Table
 
 CODES = np.array([2, 5, 6], np.uint8)
@@ -74,6 +81,18 @@ def test_a_halo_that_is_too_small_would_show():
     near = np.flatnonzero((np.abs(place[:, :2]) <= 6000 + 500 * p.reach).all(axis=1))
     some = agreed_shares(place[near], shares[near], np.searchsorted(near, core), p)
     assert (some != agreed_shares(place, shares, core, p)).any()
+
+
+def test_whole_shares_keep_the_class_that_was_answered():
+    shares = np.random.default_rng(4).dirichlet([1.0, 1.0, 1.0], 20_000)
+    shares[::3, 2] = shares[::3, :2].max(axis=1) + 1e-4  # rounded they are often equal
+    shares /= shares.sum(axis=1, keepdims=True)
+    codes = (5, 2, 14)
+    answered = answers(shares, np.array(codes, np.uint8), True)
+    whole = shares_of(whole_columns(answered, codes), codes)
+    np.testing.assert_array_equal(np.array(codes)[whole.argmax(axis=1)], answered["classification"])
+    rounded = np.rint(shares * 255)
+    assert 0 < (whole != rounded).any(axis=1).sum() < 10_000 and np.abs(whole - rounded).max() == 1
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])

@@ -5,9 +5,13 @@ import json
 import numpy as np
 import pytest
 from commandline import fwclass
-from runmaker import delivered, delivered_echoes, looked, walk
+from runmaker import SETTINGS, delivered, delivered_echoes, looked, walk
 
+from fwclass import conf
+from fwclass.graph.areas import within
 from fwclass.run.cluster import Cluster
+from fwclass.run.inputs import PartInputs
+from fwclass.schema import IDENTITY, Table
 from fwclass.store.run_store import Store
 
 CODE = 64
@@ -30,17 +34,28 @@ def same(before, after):
         np.testing.assert_array_equal(before[name], after[name], err_msg=name)
 
 
+def echoes_that_trained(root):
+    """Of all echoes, ordered as `delivered_echoes`, those in training areas that have a label."""
+    store, columns = Store(root), {**dict.fromkeys((*IDENTITY, "x", "y"), "tile"), "reference": "label"}
+    echoes = Table.concat([PartInputs(store).rows(part, columns) for stage, part in store.parts() if stage == "tile"])
+    order = np.lexsort((echoes["echo_number"], echoes["pulse"], echoes["strip"]))
+    areas = conf.load("demo", SETTINGS).areas.boxes("train")
+    return (within(echoes, areas) & (echoes["reference"] > 0))[order]
+
+
 def test_classes_change_and_it_is_said(survey, lined, tmp_path):
     runner, _ = walk(survey, tmp_path / "without", *AWAY)
     assert not runner.failures
     before, after = (delivered_echoes(root)["classification"] for root in (tmp_path / "without", lined))
     assert 0 < (before != after).mean() < 0.1
-    joined, left = np.sum([r.meta["lines"] for r in Store(lined).receipts("classify")], axis=0)
+    joined, left, _ = np.sum([r.meta["lines"] for r in Store(lined).receipts("classify")], axis=0)
     assert (
         joined == ((before != CODE) & (after == CODE)).sum() and left == ((before == CODE) & (after != CODE)).sum() > 0
     )
     (line,) = [t for t in json.loads((lined / "report.json").read_text())["remarks"] if "classify.lines" in t]
     assert line.startswith(f"{joined:,} echoes have got a wire's class") and f"and {left:,} have lost it" in line
+    trained = echoes_that_trained(lined)
+    assert (before == after)[trained].all() and trained.sum() > 10_000
     assert not list(Store(tmp_path / "without").receipts("model-shares"))
     assert "classify.lines" not in (tmp_path / "without" / "report.json").read_text().split('"remarks"')[1]
 
@@ -96,7 +111,15 @@ def test_echoes_that_are_kept_are_not_counted(survey, tmp_path):
         both.append(delivered_echoes(tmp_path / name)["classification"])
     before, after = both
     counted = np.sum([r.meta["lines"] for r in Store(tmp_path / "lined").receipts("classify")], axis=0)
-    assert counted.tolist() == [((before != after) & (v == CODE)).sum() for v in (after, before)]
+    assert counted[:2].tolist() == [((before != after) & (v == CODE)).sum() for v in (after, before)]
+
+
+@pytest.mark.slow
+def test_a_class_that_the_source_keeps_has_no_lines(survey, tmp_path):
+    runner, report = walk(survey, tmp_path, *LINES, f"classify.keep=[{CODE}]")
+    assert not runner.failures
+    assert not list(Store(tmp_path).receipts("model-shares"))
+    assert any("not looked for along lines" in line for line in report["remarks"])
 
 
 @pytest.mark.slow

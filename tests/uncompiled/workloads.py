@@ -499,7 +499,7 @@ def work_lines(_: Path) -> Any:
     table = Table(dict(zip("xyz", places, strict=True)) | {"echo_number": np.ones(places.shape[1], np.uint8)})
     own = rng.integers(0, 256, (table.rows, 2)).astype(np.uint8)
     lines = conf.section("classify", ("classify.lines.width=5",)).lines
-    return settle_lines(table, np.arange(table.rows), own, own / 255.0, 0, lines)
+    return settle_lines(table, np.arange(table.rows), own, own / 255.0, 0, lines)[0]
 
 
 def work_octree(_: Path) -> Any:
