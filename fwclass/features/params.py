@@ -63,6 +63,7 @@ class FeaturesParams(Params):
     optimal_radii : spheres that the optimal one is chosen from [m].
     nearest_reach : no nearest echo is looked for further away [m].
     pulse_reach : echoes of a pulse further apart in plan are not compared [m].
+    noise_counts : echoes that the noise filter takes out are neighbours like all others.
     dense_cell, dense_echoes, dense_step : cubes of this edge [m] with more echoes than this are dense: there one echo
         counts in every small cube of edge `dense_step` [m], which divides `dense_cell`.
     dense_column, dense_in_column : columns of this edge [m], a multiple of `dense_cell`, of which more echoes than this
@@ -77,6 +78,7 @@ class FeaturesParams(Params):
     optimal_radii: tuple[float, ...] = Field(min_length=2, max_length=100)
     nearest_reach: float = Field(gt=0, le=100)
     pulse_reach: float = Field(gt=0, le=1000)
+    noise_counts: bool
     dense_cell: float = Field(ge=0.001, le=10)
     dense_echoes: int = Field(ge=1, le=1_000_000)
     dense_step: float = Field(ge=0.001, le=10)
@@ -189,6 +191,10 @@ class Asked:
         """Columns that they are computed from."""
         more = (name for base in sorted(self.bases) for name in _READS.get(base, ()))
         return tuple(dict.fromkeys((*_PLACE, *more)))
+
+    def columns(self, params: FeaturesParams) -> tuple[str, ...]:
+        """As `reads`, and what tells which echoes are no neighbours."""
+        return self.reads if params.noise_counts else (*self.reads, "noise")
 
     def reach(self, params: FeaturesParams) -> float:
         """Distance around an echo that they are computed from, and the normals too [m]."""

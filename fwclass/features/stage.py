@@ -19,7 +19,7 @@ from fwclass.stage import Chunk, Computation
 
 
 def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Table:
-    """The features `names` of the core rows, and their normals; neighbours come from all rows.
+    """The features `names` of the core rows, and their normals; neighbours come from all rows but noise.
 
     What each is stands in `fwclass.columns.FEATURES`; names carry the scale. The echo itself and echoes at the same
     place count as neighbours; one at exactly the radius does. ``normal_x, normal_y, normal_z`` is the upward unit
@@ -29,7 +29,8 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     the inclination, the normal and what refers to the fitted plane are NaN. Heights and shares always have a value;
     skewness and kurtosis are 0 where all heights are equal. Means and deviations of what the echoes measured leave out
     those without a value, and are NaN without any. Deviations and variances divide by N. Where echoes are dense beyond
-    any survey, few of them count (`fwclass.features.dense`).
+    any survey, few of them count (`fwclass.features.dense`). An echo that is `noise` has all others as neighbours, and
+    is nobody's but other noise's; with ``params.noise_counts`` it is like any other.
 
     Raises
     ------
@@ -41,7 +42,20 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     Source: the columns' own; the shape of a neighbourhood is the same for every kind of it.
     """
     request = Asked.of(names)
-    require(chunk.table, request.reads, chunk.tile.key)
+    require(chunk.table, request.columns(params), chunk.tile.key)
+    if params.noise_counts or not chunk.table["noise"].any():
+        return _features(chunk, request, params)
+    noise = chunk.table["noise"]
+    sound, is_noise = np.flatnonzero(~noise), noise[chunk.core]
+    core = np.searchsorted(sound, chunk.core[~is_noise])
+    parts = [_features(Chunk(chunk.table.take(sound), core, chunk.tile), request, params)]
+    if is_noise.any():
+        parts.append(_features(Chunk(chunk.table, chunk.core[is_noise], chunk.tile), request, params))
+    return Table.concat(parts).take(np.argsort(np.argsort(is_noise, kind="stable")))
+
+
+def _features(chunk: Chunk, request: Asked, params: FeaturesParams) -> Table:
+    """As `features`, whoever is noise."""
     thin = thin_dense(chunk, params)
     columns = _of_neighbours(thin.chunk if thin else chunk, request, params)
     if thin:
@@ -104,5 +118,5 @@ def name_features(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDA
     return {f"{base}_{scale.suffix}": values for base, values in by_base.items()}
 
 
-FEATURE_COMPUTATION = Computation(name="features", version=7, writes=NORMAL)
-"""It reads and writes what a list of names asks for: `Asked.reads`, within `Asked.halo`."""
+FEATURE_COMPUTATION = Computation(name="features", version=8, writes=NORMAL)
+"""It reads and writes what a list of names asks for: `Asked.columns`, within `Asked.halo`."""

@@ -46,7 +46,7 @@ COMPUTE_FEATURES = Stage(
     compute_features,
     arguments=lambda plan: {"params": plan.config.features, "names": neighbourhood_features(plan).names},
     silent=frozenset({"also"}),
-    reads=lambda plan: neighbourhood_features(plan).reads,
+    reads=lambda plan: neighbourhood_features(plan).columns(plan.config.features),
     own=sampled_columns,
     writes=lambda plan: (*neighbourhood_features(plan).names, *NORMAL),
     halo=lambda plan: neighbourhood_features(plan).halo(plan.config.features),

@@ -11,6 +11,8 @@ from fwclass.ground.methods.params import NoiseParams
 from fwclass.schema import Table
 from fwclass.waveforms import IMPLAUSIBLE
 
+NOISE_READS = ("x", "y", "z", "fit_flags")
+
 
 def filter_noise(here: StageInputs, params: NoiseParams) -> Result:
     """Noise flags of a block's echoes, tile after tile: those of `ground.filter_block`."""
@@ -36,7 +38,7 @@ FILTER_NOISE = Stage(
     when=_noise_alone,
     edge=lambda plan: plan.config.ground.block,
     arguments=lambda plan: {"params": plan.config.ground.noise},
-    reads=("x", "y", "z", "fit_flags"),
+    reads=NOISE_READS,
     writes=("noise",),
     # the sigma rule looks at what the groups have left
     halo=lambda plan: plan.config.ground.noise.reach + plan.config.ground.noise.sigma_radius,

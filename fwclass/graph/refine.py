@@ -217,7 +217,8 @@ def _pair(plan: Plan, classes: tuple[ClassDef, ...] | None = None) -> tuple[Clas
 
 
 def _wide_reads(plan: Plan) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*_PLACE, COARSE[0], *Asked.of(_layer(plan).wide).reads)))
+    wide = Asked.of(_layer(plan).wide).columns(plan.config.features)
+    return tuple(dict.fromkeys((*_PLACE, COARSE[0], *wide)))
 
 
 def _drawing_arguments(plan: Plan) -> Mapping[str, Any]:

@@ -19,7 +19,7 @@ from fwclass.conf.checks import refuse_regularized
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd
 from fwclass.features.params import Asked, is_feature
-from fwclass.graph.classify import CLASSIFY_ECHOES, OUTSIDE
+from fwclass.graph.classify import CLASSIFY_ECHOES, OUTSIDE, codes_on_lines
 from fwclass.graph.context import CLASSIFY_IN_CONTEXT, SHARE_FIRST
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.kept import check_left, check_written, class_remarks, kept_codes, known_codes, other_names
@@ -45,6 +45,7 @@ from fwclass.single_file.features.echoes import (
     GroundChoice,
     read_echoes,
     with_heights,
+    with_noise,
     with_radiometry,
 )
 from fwclass.single_file.ground.output import LAS, check_output
@@ -263,6 +264,8 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
         if "height_above_ground" in model.features:
             notes = tuple(ground_notes(model.card, method, conf.section("terrain", job.settings).height))
+    if asked.names or wide.names:
+        echoes = with_noise(echoes, job.settings, tell)
     if any(n in RADIOMETRY.writes for n in needed):
         echoes = with_radiometry(echoes, job.flight, job.settings)
     check_names(model, echoes.table, job.source)
@@ -281,7 +284,7 @@ def _classify(
         first, walk = model.coarse, (SHARE_FIRST, CLASSIFY_IN_CONTEXT)
     words = ["classes: tile", *["second layer: tile"] * (len(walk) - 1)]
     config = FileConfig(settings, classes=model.classes)
-    on_lines = config.classify.lines.among(c.code for c in model.classes) and not isinstance(model, TwoLayer)
+    on_lines = codes_on_lines(config.whole) and not isinstance(model, TwoLayer)
     if config.classify.regularize.strength > 0 or on_lines:
         own = SHARE_IN_CONTEXT if isinstance(model, Contextual) else SHARE_ECHOES
         walk, words = (*walk[:-1], own, CLASSIFY_REGULARIZED), [*words, "neighbours: tile"]

@@ -33,7 +33,7 @@ from fwclass.read.stage import check_source
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
-from fwclass.single_file.tiles import FileConfig, FileTiles
+from fwclass.single_file.tiles import FileConfig, FileTiles, with_noise_flags
 from fwclass.stage import Chunk
 from fwclass.store.unchanged import unchanged
 from fwclass.survey.systems import given_crs
@@ -181,7 +181,8 @@ def add_radiometry(
     known = np.isfinite(table["beam_range"]).any()
     if flown is None and settings.platform_altitude is None and not known:
         return table, ["no radiometry: give --trajectory, or --set radiometry.platform_altitude=…, for ranges"], []
-    tiles = FileTiles(table, FileConfig((), features=params["features"]), (COMPUTE_FEATURES,), held=0)
+    config = FileConfig((), features=params["features"])
+    tiles = FileTiles(with_noise_flags(table, config), config, (COMPUTE_FEATURES,), held=0)
     whole = table.with_columns(tiles.columns(COMPUTE_FEATURES, NORMAL))
     chunk = Chunk(whole, np.arange(table.rows), Tile(0, 0, EVERYTHING))
     compared = [overlap(chunk, flown, settings)] if settings.target is not None else []

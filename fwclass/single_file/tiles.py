@@ -14,7 +14,8 @@ from fwclass import conf
 from fwclass.errors import FwclassError
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs, Work, names_under
+from fwclass.graph.noise import FILTER_NOISE, GATHER_NOISE, NOISE_READS
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs, Work, always, names_under
 from fwclass.grid import Box, TileGrid
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.run.in_memory import Held, PartsInMemory
@@ -190,3 +191,21 @@ def heights_of_block(here: StageInputs, params: TerrainParams) -> Result:
 
 MAKE_HEIGHTS = replace(MAKE_TERRAIN, function=heights_of_block, margin=0)
 """Of the blocks that own an echo alone: no other has a height."""
+
+FIND_NOISE, GIVE_NOISE = (replace(stage, when=always) for stage in (FILTER_NOISE, GATHER_NOISE))
+"""Also where a ground filter would find it: none is asked for."""
+
+
+def with_noise_flags(table: Table, config: FileConfig, tell: Tell = quiet) -> Table:
+    """`table` with `noise`, as in a run, unless it has it or noise counts as a neighbour."""
+    if "noise" in table or config.features.noise_counts:
+        return table
+    words = {FIND_NOISE.name: "noise: block"}
+    tiles = FileTiles(points_of(table, NOISE_READS), config, (FIND_NOISE, GIVE_NOISE), tell, words)
+    return table.with_columns(tiles.columns(GIVE_NOISE, ("noise",)))
+
+
+def points_of(table: Table, names: Iterable[str]) -> Table:
+    """Identity and columns `names` of echoes; those of a text are single ones without a fault."""
+    whole = {"number_of_echoes": table["echo_number"], "fit_flags": np.zeros(table.rows), **table}
+    return Table({n: whole[n] for n in dict.fromkeys((*IDENTITY, *names))})

@@ -22,7 +22,13 @@ NAMES = tuple(f"{c.name}_{end}" for c in FEATURES for kind in c.scales for end i
     c.name for c in FEATURES if not c.scales
 )
 PARAMS = conf.section("features").model_copy(
-    update={"optimal_radii": (0.5, 1.0), "nearest_reach": 3.0, "orientation_rounds": 2, "pulse_reach": 3.0}
+    update={
+        "noise_counts": True,
+        "optimal_radii": (0.5, 1.0),
+        "nearest_reach": 3.0,
+        "orientation_rounds": 2,
+        "pulse_reach": 3.0,
+    }
 )
 GROUND = conf.section("ground").model_dump()
 EAST, NORTH = 512_000.0, 5_403_200.0

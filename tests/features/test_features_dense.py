@@ -17,7 +17,7 @@ from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 
-PARAMS = conf.section("features").model_copy(
+PARAMS = conf.section("features", ("features.noise_counts=true",)).model_copy(
     update={"optimal_radii": (0.5, 1.0), "nearest_reach": 2.0, "orientation_rounds": 2, "pulse_reach": 3.0}
 )
 NAMES = (

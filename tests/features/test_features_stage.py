@@ -52,6 +52,7 @@ def cloud(side=40.0, per_m2=3.0, seed=1):
             "amplitude": amplitude,
             "width": rng.uniform(3, 7, n),
             "intensity": rng.integers(0, 65536, n),
+            "noise": rng.random(n) < 0.02,
         }
     )
 
@@ -191,7 +192,7 @@ def test_no_rows_no_core_rows_and_no_names():
         got = features(Chunk(table, np.empty(0, np.int64), Tile(0, 0, 100.0)), EVERY, PARAMS)
         assert tuple(got) == (*EVERY, *NORMAL)
         assert got.rows == 0
-    assert tuple(whole(CLOUD.take(np.arange(50)).select(("x", "y", "z")), ())) == NORMAL
+    assert tuple(whole(CLOUD.take(np.arange(50)).select(("x", "y", "z", "noise")), ())) == NORMAL
 
 
 @pytest.mark.parametrize(
@@ -260,3 +261,27 @@ def test_params_that_do_not_fit_are_refused(change):
 )
 def test_reach_holds_what_is_asked(names, reach):
     assert Asked.of(names).reach(PARAMS) == reach
+
+
+def test_noise_is_no_neighbour_and_has_all_as_neighbours(one):
+    noise = CLOUD["noise"]
+    names = (*EVERY, *SECOND)
+    sound = whole(CLOUD.take(np.flatnonzero(~noise)), names)
+    counting = whole(CLOUD, names, PARAMS.model_copy(update={"noise_counts": True}))
+    differ = 0
+    for name in names:
+        np.testing.assert_array_equal(one[name][~noise], sound[name], err_msg=name)
+        np.testing.assert_array_equal(one[name][noise], counting[name][noise], err_msg=name)
+        differ += not np.array_equal(one[name], counting[name], equal_nan=True)
+    assert differ > 0.9 * len(names)
+
+
+def test_where_noise_counts_nobody_asks_which_echo_it_is():
+    around = PARAMS.model_copy(update={"noise_counts": True})
+    without = CLOUD.select([n for n in CLOUD if n != "noise"])
+    some = np.arange(500)
+    np.testing.assert_array_equal(
+        whole(without.take(some), ("planarity_r150",), around)["planarity_r150"],
+        whole(CLOUD.take(some), ("planarity_r150",), around)["planarity_r150"],
+    )
+    assert "noise" in Asked.of(("planarity_r150",)).columns(PARAMS)

@@ -108,7 +108,7 @@ def fly(folder: Path, base: dict[str, Any], slope: float, sensor: dict[str, Any]
     table = Table.concat(tables)
     everything = np.arange(table.rows)
     tile = Tile(0, 0, 1e8)
-    around = FeaturesParams(**{**base["features"], "normal_radius": 2.0})
+    around = FeaturesParams(**{**base["features"], "normal_radius": 2.0, "noise_counts": True})
     shape = features(Chunk(table, everything, tile), (), around)
     table = table.with_columns({name: shape[name] for name in ("normal_x", "normal_y", "normal_z")})
     trajectory = read_trajectory(write_trajectory(settings, folder))

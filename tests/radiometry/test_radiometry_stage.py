@@ -193,7 +193,7 @@ def test_grazing_incidence_stays_finite_and_tells_its_angle() -> None:
 def test_a_single_scan_line_has_no_normals() -> None:
     """Neighbours of one line lie in one plane with the beam: over noisy flat ground, and over what stands up."""
     rng = np.random.default_rng(8)
-    params = FeaturesParams(**{**conf.section("features").model_dump(), "normal_radius": 1.5})
+    params = FeaturesParams(**{**conf.section("features").model_dump(), "normal_radius": 1.5, "noise_counts": True})
     tilt = np.repeat(np.linspace(-0.3, 0.3, 700), 2)
     n = len(tilt)
     for rough in (0.02, 4.0):

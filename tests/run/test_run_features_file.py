@@ -19,6 +19,7 @@ from fwclass.conf.sets import feature_set, shipped_sets
 from fwclass.errors import ConfigError, InputError
 from fwclass.features.stage import features
 from fwclass.grid import Tile
+from fwclass.ground.methods.noise import noise
 from fwclass.schema import Table
 from fwclass.single_file.features.file import FeaturesJob, features_file
 from fwclass.single_file.features.listing import describe
@@ -35,6 +36,7 @@ def cloud(rng, pulses=4000, side=30.0):
     x, y = (rng.uniform(0, side, (2, pulses))[:, pulse]).round(3)
     low = number == of[pulse]
     z = np.where(low, 0.1 * x, 0.1 * x + 9 - 2 * number).round(3)
+    z[~low & (pulse % 500 == 0)] += 60.0  # alone in the air
     return Table(
         {
             "strip": np.zeros(len(x)),
@@ -90,7 +92,10 @@ def test_every_echo_with_its_place_class_and_features(made, truth):
 def test_features_are_those_of_the_stage(made, truth):
     _, table = made
     own = [n for n in NAMES if n not in ("height_above_ground", "echo_number")]
-    expected = features(Chunk(truth, np.arange(truth.rows), Tile(0, 0, 1e7)), own, conf.section("features"))
+    alone = noise(truth["x"], truth["y"], truth["z"], conf.section("ground").noise)
+    assert 0 < alone.sum() < 20
+    echoes = Chunk(truth.with_columns({"noise": alone}), np.arange(truth.rows), Tile(0, 0, 1e7))
+    expected = features(echoes, own, conf.section("features"))
     order = np.lexsort((table["echo_number"], table["pulse"]))
     for name in own:
         np.testing.assert_array_equal(table[name].to_numpy()[order], expected[name], err_msg=name)

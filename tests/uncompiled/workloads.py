@@ -160,7 +160,13 @@ def work_neighbours(_: Path) -> Any:
 
 def work_features(_: Path) -> Any:
     params = conf.section("features").model_copy(
-        update={"optimal_radii": (0.5, 1.0), "nearest_reach": 3.0, "orientation_rounds": 2, "pulse_reach": 6.0}
+        update={
+            "noise_counts": True,
+            "optimal_radii": (0.5, 1.0),
+            "nearest_reach": 3.0,
+            "orientation_rounds": 2,
+            "pulse_reach": 6.0,
+        }
     )
     table = echoes()
     return features(Chunk(table, np.arange(0, table.rows, 3), Tile(0, 0, 1e7)), NAMES, params)
@@ -168,7 +174,10 @@ def work_features(_: Path) -> Any:
 
 def work_features_of_one_scale(_: Path) -> Any:
     """What is summed without gathering neighbours, and squares that pass 2^53."""
-    params, table = conf.section("features").model_copy(update={"orientation_rounds": 2}), echoes()
+    params, table = (
+        conf.section("features").model_copy(update={"noise_counts": True, "orientation_rounds": 2}),
+        echoes(),
+    )
     chunk = Chunk(table, np.arange(0, table.rows, 3), Tile(0, 0, 1e7))
     wide = Table({**{n: table[n] for n in table}, "amplitude": table["amplitude"] * 1e6, "width": table["width"] * 1e6})
     return (
@@ -180,7 +189,9 @@ def work_features_of_one_scale(_: Path) -> Any:
 
 
 def work_crowded_features(_: Path) -> Any:
-    params = conf.section("features").model_copy(update={"dense_echoes": 4, "orientation_rounds": 2})
+    params = conf.section("features").model_copy(
+        update={"noise_counts": True, "dense_echoes": 4, "orientation_rounds": 2}
+    )
     table = echoes(120, 0.6)
     names = ("planarity_r70", "height_above_p50_c100", "oriented_inclination_r50", "count_g100")
     return features(Chunk(table, np.arange(0, table.rows, 4), Tile(0, 0, 1e7)), names, params)

@@ -33,7 +33,7 @@ from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.strip import strip_of
-from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell
+from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, points_of, with_noise_flags
 from fwclass.waveforms import IMPLAUSIBLE
 
 PLACE = (*IDENTITY, "number_of_echoes", "x", "y", "z", "gps_time", "source_class")
@@ -185,8 +185,13 @@ class GroundChoice:
     optional: bool = False
 
 
+def with_noise(echoes: FileEchoes, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
+    """`echoes` with `noise`, which is no neighbour, where it is not known yet."""
+    return replace(echoes, table=with_noise_flags(echoes.table, FileConfig(settings), tell))
+
+
 def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
-    """`echoes` with `height_above_ground`: ground by a filter, or by class 2 of the file.
+    """`echoes` with `height_above_ground` and `noise`: ground by a filter, or by class 2 of the file.
 
     Raises
     ------
@@ -194,8 +199,7 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
         The file has no ground of its own.
     """
     table = echoes.table
-    whole = {"number_of_echoes": table["echo_number"], "fit_flags": np.zeros(table.rows), **table}
-    points = Table({n: whole[n] for n in GROUND_FILTER.reads})
+    points = points_of(table, GROUND_FILTER.reads)
     sound = (points["fit_flags"] & IMPLAUSIBLE) == 0
     stages, words, given = [MAKE_HEIGHTS, GATHER_HEIGHT], {MAKE_HEIGHTS.name: "terrain: block"}, dict[str, Any]()
     if not by.own:
@@ -227,13 +231,15 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
         note = "ground by class 2 of the file"
     tiles = FileTiles(points, FileConfig(settings, **given), stages, tell, words)
     heights = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)
-    ground = points["ground"] if by.own else tiles.columns(GATHER_GROUND, ("ground",))["ground"]
+    flags = points if by.own else Table(tiles.columns(GATHER_GROUND, ("ground", "noise")))
     without = int(np.isnan(heights["height_above_ground"]).sum())
-    note = f"{note}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
+    note = f"{note}: {int(flags['ground'].sum()):,} echoes" + (
+        f"; {without:,} echoes have no terrain below" if without else ""
+    )
     sunken = sunken_remarks(heights["height_above_ground"], codes) if by.own else []
     return replace(
         echoes,
-        table=table.with_columns(heights),
+        table=table.with_columns({**heights, "noise": flags["noise"]}),
         notes=(*echoes.notes, note, *sunken),
         judged={**echoes.judged, "ground": sunken},
     )

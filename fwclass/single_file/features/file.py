@@ -29,6 +29,7 @@ from fwclass.single_file.features.echoes import (
     ranges,
     read_echoes,
     with_heights,
+    with_noise,
     with_radiometry,
 )
 from fwclass.single_file.features.names import FeatureList, wanted
@@ -170,6 +171,9 @@ def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
     if "height_above_ground" in wanted.names:
         by = GroundChoice(job.method, job.preset, job.assignments, job.own_ground, job.auto, job.skip_missing)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
+    if wanted.around.names:
+        echoes = with_noise(echoes, job.settings, tell)
+        columns["noise"] = None
     if set(wanted.names) & set(RADIOMETRY.writes):
         echoes = with_radiometry(echoes, flight, job.settings)
     keep = [n for n in echoes.table if n in columns or n in PLACE]

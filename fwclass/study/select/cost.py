@@ -40,7 +40,7 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
     config = layout.config
     asked = Asked.of(n for s in wanted for n in s)
     halo = asked.halo(config.features)
-    columns = layout.columns(asked.reads)
+    columns = layout.columns(asked.columns(config.features))
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {
         **config.features.model_dump(mode="json", exclude={"also"}),

@@ -79,7 +79,7 @@ def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     names = computed_names(names)
     asked = Asked.of(names)
     halo = asked.halo(config.features)
-    columns = layout.columns(asked.reads)
+    columns = layout.columns(asked.columns(config.features))
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
     work = partial(_time_rates, tile, halo, columns, present, names, config.features, config.select)
