@@ -326,4 +326,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=10)
 PLACES = Computation(name="places", version=3)
-DECOMPOSE = Computation(name="decompose", version=13, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=14, writes=ECHO_COLUMNS)

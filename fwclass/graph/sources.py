@@ -24,6 +24,7 @@ from fwclass.decompose.water_column import water_counts
 from fwclass.decompose.width_walk import width_walk
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.read.beams import sensor_height
+from fwclass.read.return_counts import count_returns
 from fwclass.read.source import PulseSource, open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import READ, ReadParams, index_source, read_span, with_settings
@@ -140,6 +141,7 @@ def _facts(waves: Waveforms) -> dict[str, Any]:
         "waveforms": waves.pulses.rows,
         "returns_without_packet": int((~waves.returns["has_packet"]).sum()),
         "faults": {k: int(v) for k, v in sorted(waves.faults.items()) if v},
+        "values": count_returns(waves.returns),
     }
 
 

@@ -28,6 +28,7 @@ from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import PARQUET, is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
 from fwclass.read.quantities import quantities_of, words_of
+from fwclass.read.return_counts import MOST, coarse_steps, join_lattices, lattice_of, missing_returns
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
 
 MANY = 100
@@ -36,7 +37,6 @@ MANY = 100
 Z_MARGIN = 100.0
 """A point is a z outlier this far [m], plus the spread of the middle 98 %, beyond that middle."""
 
-_MAX_RETURN = 16
 
 _ENDINGS = {*WAVEFORM_ENDINGS, *PARQUET, *vector.FORMATS} - {".json"}
 
@@ -45,27 +45,31 @@ _ENDINGS = {*WAVEFORM_ENDINGS, *PARQUET, *vector.FORMATS} - {".json"}
 class _Tally:
     """What the pass over the points adds up."""
 
-    pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((_MAX_RETURN, _MAX_RETURN), np.int64))
+    pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((MOST, MOST), np.int64))
     classes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64))
     packets: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(FAULTS), np.int64))
     descriptors: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64))
     low: NDArray[np.float64] = field(default_factory=lambda: np.full(3, np.inf))
     high: NDArray[np.float64] = field(default_factory=lambda: np.full(3, -np.inf))
     gps: tuple[float, float] = (np.inf, -np.inf)
+    lattice: list[list[int]] = field(default_factory=lambda: [[], [], []])
     intensity: tuple[int, int] = (65535, 0)
     zero_intensity: int = 0
     flags: dict[str, int] = field(default_factory=lambda: {"withheld": 0, "synthetic": 0})
     heights: dict[int, int] = field(default_factory=dict)
 
     def add(self, source: LasSource, points: Any, step: float) -> None:
-        number = np.minimum(np.asarray(points["return_number"], np.int64), _MAX_RETURN - 1)
-        of = np.minimum(np.asarray(points["number_of_returns"], np.int64), _MAX_RETURN - 1)
-        pair = np.bincount(number * _MAX_RETURN + of, minlength=_MAX_RETURN**2)
-        self.pairs += pair.reshape(_MAX_RETURN, _MAX_RETURN)
+        number = np.minimum(np.asarray(points["return_number"], np.int64), MOST - 1)
+        of = np.minimum(np.asarray(points["number_of_returns"], np.int64), MOST - 1)
+        pair = np.bincount(number * MOST + of, minlength=MOST**2)
+        self.pairs += pair.reshape(MOST, MOST)
         self.classes += np.bincount(np.asarray(points["classification"], np.uint8), minlength=256)
         xyz = coordinates(source, points)
         self.low = np.minimum(self.low, [v.min() for v in xyz])
         self.high = np.maximum(self.high, [v.max() for v in xyz])
+        self.lattice = [
+            join_lattices([*([old] if old else []), lattice_of(v)]) for old, v in zip(self.lattice, xyz, strict=True)
+        ]
         time = gps_times(source, points)
         known = time[np.isfinite(time)]
         if len(known):
@@ -215,6 +219,10 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     outliers = _z_outliers(tally.heights, step)
     if outliers:
         faults.append(f"{outliers} z outliers: points far above or below all others")
+    if n >= MANY and (steps := coarse_steps(tally.lattice)):
+        faults.append(f"places lie on a lattice, as if they were rounded: {steps} m")
+    if n >= MANY and tally.gps[0] == tally.gps[1]:
+        faults.append(f"all GPS times are {_time_text(tally.gps[0])} s: lines and pulses cannot be told by them")
     if tally.zero_intensity:
         share = "all" if tally.zero_intensity == n else f"{tally.zero_intensity} of {n}"
         faults.append(f"{share} intensities are zero")
@@ -226,7 +234,7 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     above = int(np.tril(tally.pairs, -1).sum())
     if above:
         faults.append(f"{above} points have a return number above their number of returns")
-    missing = _missing_returns(tally.pairs)
+    missing = missing_returns(tally.pairs)
     if missing:
         faults.append(f"at least {missing} returns of pulses with several are missing (a cropped or filtered file)")
     if source.has_waves and tally.packets[0] < n:
@@ -257,15 +265,6 @@ def _z_outliers(heights: dict[int, int], step: float) -> int:
     margin = (high - low) + Z_MARGIN
     far = (bins * step < low - margin) | (bins * step > high + margin)
     return int(counts[far].sum())
-
-
-def _missing_returns(pairs: NDArray[np.int64]) -> int:
-    """Of pulses with m returns there must be as many of each return number 1 to m."""
-    missing = 0
-    for of in range(2, _MAX_RETURN - 1):
-        counts = pairs[1 : of + 1, of]
-        missing += int((counts.max() - counts).sum())
-    return missing
 
 
 def describe(info_: dict[str, Any]) -> str:

@@ -19,14 +19,16 @@ from fwclass.report.ground import judge_ground, judge_sunken
 from fwclass.report.plausibility import judge_plausibility
 from fwclass.report.radiometry import judge_radiometry
 from fwclass.report.repeated import judge_repeated
+from fwclass.report.returns import judge_returns
 
 
 def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
-    ``plausibility``, ``place``, ``ground`` (`sunken_remarks`) and ``radiometry``, each where it is known."""
+    ``plausibility``, ``place``, ``returns``, ``ground`` (`sunken_remarks`), ``radiometry``, each where it is known."""
     if judged.get("plausibility"):
         judge_plausibility([judged["plausibility"]], bounds)
     judge_place(judged.get("place"), bounds.accept, where)
+    judge_returns(judged.get("returns"), bounds, where)
     judge_sunken(judged.get("ground", ()), bounds.accept, where)
     judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
 
@@ -46,6 +48,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
         judge_ground(report["ground"], accepted, where)
     judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), accepted, where)
     judge_repeated(report.get("repeated"), config.plausibility)
+    judge_returns(report.get("returns"), config.plausibility, where)
     judge_drift(report.get("drift"), config.classify, model)
     judge_unsure(report.get("unsure"), config.classify, model)
     if report.get("quality"):

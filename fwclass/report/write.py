@@ -38,6 +38,7 @@ from fwclass.report.remarks import (
     remarks_on_empty_files,
 )
 from fwclass.report.repeated import repeated_facts
+from fwclass.report.returns import returns_facts
 from fwclass.report.sampling import sampling
 from fwclass.report.waveforms import plausibility_of_run, radiometry_of_run, some_waves, waveform_facts
 from fwclass.run.inputs import PartInputs
@@ -78,7 +79,7 @@ def write_report(
     tiles = receipts_of_run(runner, "publish-tile")
     report = {
         **_of_the_run(config, runner, graph, names),
-        **_of_the_survey(config, runner, survey, layout, tiles),
+        **_of_the_survey(config, runner, survey, layout, names, tiles),
         **_of_the_classes(config, runner, survey, names, tiles, source, card),
     }
     if (accuracy := report["accuracy"]) is not None:
@@ -123,7 +124,7 @@ def _of_the_run(
 
 
 def _of_the_survey(
-    config: Config, runner: Runner, survey: Survey, layout: Layout, tiles: Sequence[Receipt]
+    config: Config, runner: Runner, survey: Survey, layout: Layout, names: tuple[str, ...], tiles: Sequence[Receipt]
 ) -> dict[str, Any]:
     """The files, their waveforms, echoes and ground."""
     files, spacings = source_files(runner, survey), config.quality.void_spacings
@@ -141,6 +142,12 @@ def _of_the_survey(
         "plausibility": plausibility_of_run(runner, survey, config),
         "radiometry": radiometry_of_run(runner, survey, config),
         "repeated": repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips),
+        "returns": returns_facts(
+            [r for stage in ("read", "decompose") for r in receipts_of_run(runner, stage)],
+            survey.strips,
+            names if "classify" in runner.tallies else (),
+            config.plausibility,
+        ),
         "ground": ground_facts(runner, config, withheld_returns(runner)),
         "water": [body for bodies in metas_of_run(runner, LEVELS, "bodies") for body in bodies],
         "quality": next(iter(metas_of_run(runner, "publish-quality", "quality")), None),
@@ -193,7 +200,7 @@ def _remarks(
         *of("accuracy", "earlier", "place"),
         *(report["radiometry"] or {}).get("implausible", ()),
         *(unsound_strips(report["quality"]["strips"]) if report["quality"] else ()),
-        *of("repeated", "ground", "plausibility", "bathymetry", "drift", "unsure"),
+        *of("repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),
         *remarks_on_empty_files(report["input"]),

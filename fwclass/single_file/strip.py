@@ -24,6 +24,7 @@ from fwclass.graph.sources import (
 from fwclass.graph.stage import Plan, Stage
 from fwclass.read.source import Source
 from fwclass.report.plausibility import receiver_facts
+from fwclass.report.returns import returns_facts
 from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.part import Task
 from fwclass.schema import Table
@@ -127,6 +128,11 @@ class FileStrip:
             for name, count in receipt.meta["faults"].items():
                 faults[name] = faults.get(name, 0) + int(count)
         return faults
+
+    def returns(self) -> dict[str, Any] | None:
+        """What the returns say of themselves (`report.returns`)."""
+        receipts = [self._make(READ_SPAN, s) if s.waves else self._decomposed(s) for s in self.spans]
+        return returns_facts(receipts, (self._strip,), (), self.config.plausibility)
 
     def _decomposed(self, span: StripSpan) -> Receipt:
         if not span.waves:

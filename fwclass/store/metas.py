@@ -44,7 +44,19 @@ _TRIAL = {"rows": COUNT, "counts": [COUNT]}
 EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": _REMARKS}
 """Of any stage."""
 
-_READ = {"returns": COUNT, "withheld?": COUNT, "waveforms": COUNT, "returns_without_packet": COUNT, "faults": _FAULTS}
+_VALUES = {
+    "intensities": {TEXT: COUNT},
+    "intensity": Maybe((COUNT, COUNT)),
+    "times": Maybe(_TIMES),
+    "several": COUNT,
+    "missing": COUNT,
+    "lattice": ((WHOLE, COUNT),) * 3,
+}
+_READ = {
+    **dict.fromkeys(("returns", "withheld?", "waveforms", "returns_without_packet"), COUNT),
+    "faults": _FAULTS,
+    "values?": _VALUES,
+}
 _CUT = {"tiles": {TILE: (COUNT, COUNT)}, "rows": COUNT}
 _FIGURES = {
     "classes": [TEXT],

@@ -138,6 +138,7 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
         tables = list(strip.echoes(columns))
         links = strip.links() if tables else None
         counts, noise, faults, places = strip.counts(), strip.noise(), strip.faults(), strip.places()
+        returns = strip.returns()
     if not tables or not sum(t.rows for t in tables):
         raise InputError("the file has no points and no pulses", where=source.path, do="check the delivery")
     table = Table.concat(tables)
@@ -150,12 +151,13 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     notes += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
         notes.append("every intensity is 0: features of amplitude and intensity say nothing")
+    notes += (returns or {}).get("remarks", ())
     empty = [n for n in table if n not in PLACE and table[n].dtype.kind == "f" and np.isnan(table[n]).all()]
     return FileEchoes(
         table.select(n for n in table if n not in empty),
         crs,
         tuple(notes),
-        {"place": place, "plausibility": judged},
+        {"place": place, "plausibility": judged, "returns": returns},
         links,
     )
 

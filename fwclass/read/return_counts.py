@@ -1,0 +1,128 @@
+"""What returns say of themselves, counted so that the spans of a file add up: intensities, times, numbers, and the
+lattice that their places lie on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from math import gcd
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.grid import millimetres
+from fwclass.schema import Table
+
+COARSE = 50
+"""mm; no survey rounds its places to so much."""
+
+WIDEST = 1e12
+"""m; coordinates beyond are no places."""
+
+MOST = 16
+"""Return numbers that are told apart; LAS has no more than 15."""
+
+EDGES = np.unique(np.rint(2.0 ** (np.arange(65) / 4.0)).astype(np.int64))
+"""Where classes of intensities begin, a fourth of a doubling each; 0 has its own."""
+
+FIRST_LOOK = 1_000
+"""Places that are looked at first."""
+
+FINE = 20
+"""mm; a lattice of so few among the first places is looked into no further."""
+
+
+def count_returns(returns: Table) -> dict[str, Any]:
+    """Plain data of the returns of a span, as `join_counts` joins them.
+
+    ``intensities``: single returns by class of `EDGES` (the number of edges not above the value), where intensity is
+    what a return's amplitude is, else empty. ``intensity``: least and greatest. ``times``: first and last GPS time [s],
+    None without one. ``several``: returns of pulses with more than one. ``missing``: returns that such pulses lack at
+    least. ``lattice``: for x, y and z [mm] the least, and the greatest step of which all are multiples from there on; 0
+    where all are alike, and at most `FINE` where it need not be the greatest.
+    """
+    number, of = (np.minimum(returns[n].astype(np.int64), MOST - 1) for n in ("return_number", "number_of_returns"))
+    intensity, time = returns["intensity"], returns["gps_time"]
+    time = time[np.isfinite(time)]
+    singles = intensity[of <= 1] if np.isnan(returns["vendor_amplitude"]).all() else intensity[:0]
+    kinds, counts = np.unique(np.searchsorted(EDGES, singles, "right"), return_counts=True)
+    pairs = np.bincount(number * MOST + of, minlength=MOST**2).reshape(MOST, MOST)
+    return {
+        "intensities": {str(k): n for k, n in zip(kinds.tolist(), counts.tolist(), strict=True)},
+        "intensity": [int(f(intensity)) for f in (np.min, np.max)] if len(intensity) else None,
+        "times": [float(time.min()), float(time.max())] if len(time) else None,
+        "several": int((of > 1).sum()),
+        "missing": missing_returns(pairs),
+        "lattice": [lattice_of(returns[axis]) for axis in "xyz"],
+    }
+
+
+def join_counts(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """What `count_returns` says of all spans of a file together; spans without a return say nothing."""
+    parts = [p for p in parts if p["intensity"] is not None]
+    intensities: Counter[str] = Counter()
+    for part in parts:
+        intensities.update(part["intensities"])
+    times = [p["times"] for p in parts if p["times"]]
+    return {
+        "intensities": dict(intensities),
+        "intensity": _span(p["intensity"] for p in parts),
+        "times": _span(times),
+        "several": sum(p["several"] for p in parts),
+        "missing": sum(p["missing"] for p in parts),
+        "lattice": [join_lattices(p["lattice"][k] for p in parts) for k in range(3)] if parts else None,
+    }
+
+
+def coarse_steps(lattice: Iterable[list[int]]) -> str:
+    """Axes whose coordinates lie on a coarse lattice, with the step [m]; "" for none."""
+    steps = zip("xyz", (step for _, step in lattice), strict=True)
+    return ", ".join(f"{axis} {0.001 * step:g}" for axis, step in steps if step >= COARSE)
+
+
+def median_intensity(intensities: Mapping[str, int]) -> int:
+    """Where the class of `EDGES` begins that the median of so many intensities lies in; 0 without any."""
+    total, seen = sum(intensities.values()), 0
+    for kind in sorted(map(int, intensities)):
+        seen += intensities[str(kind)]
+        if 2 * seen >= total:
+            return int(EDGES[kind - 1]) if kind else 0
+    return 0
+
+
+def missing_returns(pairs: NDArray[np.int64]) -> int:
+    """How many returns are missing at least, by counts (return number, number of returns): of pulses with m returns
+    there must be as many of each return number 1 to m."""
+    missing = 0
+    for of in range(2, MOST - 1):
+        counts = pairs[1 : of + 1, of]
+        missing += int((counts.max() - counts).sum())
+    return missing
+
+
+def lattice_of(values: NDArray[np.float64]) -> list[int]:
+    """Least of some coordinates [m] in mm, and the step from there on, as `count_returns` says it."""
+    known = millimetres(values[np.abs(values) < WIDEST])
+    if not len(known):
+        return [0, 0]
+    least = int(known.min())
+    step = int(np.gcd.reduce(known[:FIRST_LOOK] - least))
+    if step == 0 or step > FINE:
+        step = int(np.gcd.reduce(known - least))
+    return [least, step]
+
+
+def join_lattices(lattices: Iterable[list[int]]) -> list[int]:
+    """What `lattice_of` says of all coordinates, by what it says of parts of them."""
+    first, *others = lattices
+    least, step = first
+    for other, its in others:
+        step = gcd(step, its, abs(other - least))
+        least = min(least, other)
+    return [least, step]
+
+
+def _span(pairs: Iterable[Any]) -> list[Any] | None:
+    pairs = list(pairs)
+    return [min(a for a, _ in pairs), max(b for _, b in pairs)] if pairs else None

@@ -1,0 +1,148 @@
+"""What the files' returns say of themselves: scales of intensity, coarse places, numbers and times that are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from fwclass.decompose.params import PlausibilityParams
+from fwclass.errors import first_few, refuse_unsound, visible
+from fwclass.graph.quantities import quantity_of_feature
+from fwclass.graph.sources import strip_of
+from fwclass.read.return_counts import coarse_steps, join_counts, median_intensity
+from fwclass.store.receipts import Receipt
+from fwclass.survey.layout import Strip
+
+FEW = 1_000
+"""Returns of a file below which nothing is said of them."""
+
+NAMED = 3
+"""Files that are named."""
+
+MISSING = 0.1
+"""Share of a file's returns of pulses with several that are missing at least before it is said."""
+
+SEVERAL = 0.05
+"""Share of another file's returns that are of pulses with several before a file without any is told."""
+
+ANOTHER_SCALE = 4.0
+"""Ratio of medians from which it is said; flight lines of one survey differ by 1.7."""
+
+OTHERWISE = "--accept-implausible (plausibility.accept=true) takes them as they are"
+
+
+def returns_facts(
+    receipts: Iterable[Receipt], strips: Iterable[Strip], names: Iterable[str], params: PlausibilityParams
+) -> dict[str, Any] | None:
+    """``remarks`` on the returns of the files, and what of them is not sound: ``coarse`` and ``scales``, of which each
+    is what `judge_returns` refuses, or ""; None where nothing was counted.
+
+    `receipts`: of the parts that counted returns; `names`: the features that decide.
+    """
+    by_strip: dict[int, list[Mapping[str, Any]]] = {}
+    points: dict[int, int] = {}
+    for receipt in receipts:
+        if "values" in receipt.meta:
+            strip = strip_of(receipt.part)
+            by_strip.setdefault(strip, []).append(receipt.meta["values"])
+            points[strip] = points.get(strip, 0) + receipt.meta["returns"]
+    files = {s.number: visible(s.path.name) for s in strips}
+    counted = {files[s]: join_counts(parts) for s, parts in sorted(by_strip.items()) if points[s] >= FEW}
+    if not counted:
+        return None
+    many = {files[s]: n for s, n in points.items() if n >= FEW}
+    by_intensity = any(quantity_of_feature(name) == "amplitude" for name in names)
+    coarse, step = _coarse(counted)
+    scales, ratio = _scales(counted) if by_intensity else ("", 0.0)
+    return {
+        "remarks": [t for t in (coarse, scales, *_numbers(counted, many), _times(counted)) if t],
+        "coarse": coarse if step >= params.coarse_places else "",
+        "scales": scales if ratio >= params.max_intensity_ratio else "",
+    }
+
+
+def judge_returns(facts: Mapping[str, Any] | None, params: PlausibilityParams, where: object) -> None:
+    """`QualityError` where places are coarse or intensities of several scales; nothing where the user accepts it."""
+    if facts and facts["coarse"]:
+        refuse_unsound(
+            [facts["coarse"]],
+            params.accept,
+            "places in the sources are coarse",
+            where=where,
+            expected=f"steps below {params.coarse_places:g} m (plausibility.coarse_places)",
+            do=f"export the files again with their decimals; {OTHERWISE}",
+        )
+    if facts and facts["scales"]:
+        refuse_unsound(
+            [facts["scales"]],
+            params.accept,
+            "intensities of the sources are not of one scale",
+            where=where,
+            expected=f"medians within a factor of {params.max_intensity_ratio:g} (plausibility.max_intensity_ratio)",
+            do="bring them to one scale, or decide by features without amplitude (`fwclass features --list`); "
+            f"{OTHERWISE}",
+        )
+
+
+def _coarse(counted: Mapping[str, Mapping[str, Any]]) -> tuple[str, float]:
+    """That places are whole multiples of a coarse step, and the greatest step [m]."""
+    steps: dict[str, list[str]] = {}
+    greatest = 0
+    for name, facts in counted.items():
+        if axes := coarse_steps(facts["lattice"]):
+            steps.setdefault(axes, []).append(name)
+            greatest = max(greatest, *(step for _, step in facts["lattice"]))
+    if not steps:
+        return "", 0.0
+    which = "; ".join(f"{first_few(names, NAMED)}: {axes} m" for axes, names in steps.items())
+    return f"places lie on a lattice, as if they were rounded ({which})", 0.001 * greatest
+
+
+def _scales(counted: Mapping[str, Mapping[str, Any]]) -> tuple[str, float]:
+    """That intensities of files are of several scales, and the ratio of the greatest median to the least."""
+    medians = {
+        n: median_intensity(f["intensities"]) for n, f in counted.items() if sum(f["intensities"].values()) >= FEW
+    }
+    if len(medians) < 2:
+        return "", 0.0
+    low, high = min(medians, key=lambda n: medians[n]), max(medians, key=lambda n: medians[n])
+    ratio = medians[high] / max(medians[low], 1)
+    if ratio < ANOTHER_SCALE:
+        return "", 0.0
+    return (
+        f"single returns of {high} have an intensity of some {medians[high]:,} in the median, those of {low} of "
+        f"{medians[low]:,}: features of amplitude do not mean the same in both",
+        ratio,
+    )
+
+
+def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int]) -> list[str]:
+    """That returns are missing, or their numbers are."""
+    remarks = []
+    cut = [
+        n for n, f in counted.items() if f["missing"] > MISSING * (f["several"] + f["missing"]) and f["missing"] >= FEW
+    ]
+    if cut:
+        remarks.append(
+            f"some returns of pulses with several are missing in {first_few(cut, NAMED)} (filtered, or first or last "
+            "returns alone): features of returns do not mean what they mean elsewhere"
+        )
+    alone = [n for n, f in counted.items() if f["several"] == 0]
+    others = [n for n, f in counted.items() if f["several"] > SEVERAL * points[n]]
+    if alone and others:
+        remarks.append(
+            f"every return of {first_few(alone, NAMED)} is numbered as its pulse's only one, those of "
+            f"{first_few(others, NAMED)} are not: features of returns do not mean the same in both"
+        )
+    return remarks
+
+
+def _times(counted: Mapping[str, Mapping[str, Any]]) -> str:
+    """That GPS times do not pass."""
+    still = [n for n, f in counted.items() if f["times"] and f["times"][0] == f["times"][1]]
+    if not still:
+        return ""
+    return (
+        f"all returns of {first_few(still, NAMED)} have one GPS time: lines, returns of a pulse and echoes that stand "
+        "twice cannot be told by it"
+    )

@@ -1,0 +1,79 @@
+"""What returns say of themselves, counted in spans that add up."""
+
+import numpy as np
+import pytest
+
+from fwclass.read.return_counts import (
+    EDGES,
+    coarse_steps,
+    count_returns,
+    join_counts,
+    join_lattices,
+    lattice_of,
+    median_intensity,
+    missing_returns,
+)
+from fwclass.schema import Table
+
+
+def returns(rows=4_000, seed=1, step=0.01):
+    r = np.random.default_rng(seed)
+    of = r.integers(1, 4, rows)
+    return Table(
+        {
+            **{axis: 5_400_000.0 + step * r.integers(0, 90_000, rows) for axis in "xyz"},
+            "gps_time": r.uniform(0, 50, rows),
+            "return_number": r.integers(1, of + 1),
+            "number_of_returns": of,
+            "intensity": r.integers(0, 3_000, rows),
+            "vendor_amplitude": np.full(rows, np.nan),
+        }
+    )
+
+
+@pytest.mark.parametrize("cuts", [1, 7, 400])
+@pytest.mark.parametrize("step", [0.01, 0.25, 1.0])
+def test_spans_add_up_to_their_file(cuts, step):
+    table = returns(step=step)
+    whole = join_counts([count_returns(table)])
+    ends = np.linspace(0, table.rows, cuts + 1).astype(int)
+    parts = [count_returns(table.take(np.arange(a, b))) for a, b in zip(ends, ends[1:], strict=False)]
+    joined = join_counts(np.random.default_rng(2).permutation(np.array(parts, object)))
+    assert {n: v for n, v in joined.items() if n != "missing"} == {n: v for n, v in whole.items() if n != "missing"}
+    assert joined["lattice"][0][1] == round(1000 * step)
+    assert sum(whole["intensities"].values()) == (table["number_of_returns"] == 1).sum()
+
+
+def test_nothing_says_nothing():
+    assert join_counts([]) == join_counts([count_returns(returns(0))])
+    assert count_returns(returns(0))["intensity"] is None
+
+
+def test_amplitudes_of_the_vendor_are_not_intensities():
+    table = returns().with_columns({"vendor_amplitude": np.full(4_000, 12.5)})
+    assert count_returns(table)["intensities"] == {}
+
+
+def test_the_median_lies_in_its_class():
+    for seed in range(20):
+        values = np.random.default_rng(seed).integers(0, 3 * 4**seed % 60_000 + 2, 999)
+        kinds, counts = np.unique(np.searchsorted(EDGES, values, "right"), return_counts=True)
+        got = median_intensity(dict(zip(map(str, kinds.tolist()), counts.tolist(), strict=True)))
+        median = int(np.median(values))
+        assert got <= median and (median <= 1.2 * got + 1)
+    assert median_intensity({}) == 0
+
+
+def test_lattices():
+    assert lattice_of(np.array([5.0, 7.5, 10.0]))[1] == 2500
+    assert lattice_of(np.array([5.0, 5.0])) == [5000, 0] and lattice_of(np.array([np.nan, 1e300])) == [0, 0]
+    assert join_lattices([[5000, 0], [6000, 0]]) == [5000, 1000]
+    assert coarse_steps([[0, 1000], [3, 10], [0, 250]]) == "x 1, z 0.25"
+    mixed = np.r_[np.arange(3_000) * 1.0, 0.5]  # one alone, behind the first look
+    assert lattice_of(mixed)[1] == 500
+
+
+def test_returns_that_are_missing():
+    pairs = np.zeros((16, 16), np.int64)
+    pairs[1, 2], pairs[2, 2], pairs[3, 3] = 5, 3, 4
+    assert missing_returns(pairs) == 2 + 8

@@ -1,0 +1,98 @@
+"""Files whose returns are not what others' are: rounded places, other scales of intensity, numbers and times lost."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from commandline import fwclass
+from smallsurvey import small_survey
+
+
+def two_files(place: Path, change) -> Path:
+    """The small survey as two files over the same ground, the second after `change`."""
+    path = small_survey(place)
+    whole = laspy.read(place / "a.las")
+    whole.gps_time = np.random.default_rng(1).uniform(0, 100, len(whole.points))
+    whole.intensity = np.random.default_rng(2).integers(40, 90, len(whole.points))
+    several = np.arange(len(whole.points)) % 8 < 4  # of rows 0, 2 of a, 1, 3 of b
+    whole.number_of_returns = np.where(several, 2, 1)
+    whole.return_number = np.where(np.arange(len(several)) % 8 // 2 == 1, 2, 1)
+    for name, first in (("a", 0), ("b", 1)):
+        part = laspy.LasData(whole.header, whole.points[np.arange(first, len(several), 2)])
+        if name == "b":
+            change(part)
+        part.write(place / f"{name}.las")
+    text = path.read_text().replace("[a.las]", "[a.las, b.las]")
+    path.write_text(text.replace("height_range_c100]", "height_range_c100, amplitude_mean_c200]"))
+    return path
+
+
+def rounded(part):
+    part.z = np.round(np.asarray(part.z))
+
+
+def stretched(part):
+    part.intensity = np.asarray(part.intensity).astype(int) * 256
+
+
+def doubled(part):
+    part.intensity = np.asarray(part.intensity) * 2
+
+
+def still(part):
+    part.gps_time = np.zeros(len(part.points))
+
+
+def unnumbered(part):
+    part.return_number[:], part.number_of_returns[:] = 1, 1
+
+
+def cut(part):
+    part.number_of_returns[:], part.return_number[:] = 2, 1
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        (rounded, 4, "places lie on a lattice, as if they were rounded (b.las: z 1 m)"),
+        (stretched, 4, "single returns of b.las have an intensity of some"),
+        (doubled, 0, ""),
+        (still, 0, "all returns of b.las have one GPS time"),
+        (unnumbered, 0, "every return of b.las is numbered as its pulse's only one"),
+        (cut, 0, "some returns of pulses with several are missing in b.las"),
+    ],
+)
+def test_it_is_told_and_refused_where_the_result_is_wrong(tmp_path, change, code, words):
+    path, root = two_files(tmp_path, change), tmp_path / "r"
+    line = ("run", path, "--out", root, "--workers", 0)
+    ended = fwclass(*line)
+    assert ended.returncode == code, ended.stderr
+    facts = json.loads((root / "report.json").read_text())["returns"]
+    assert words in "\n".join(facts["remarks"]) and (words != "" or facts["remarks"] == [])
+    assert words in ended.stderr
+    if code:
+        assert fwclass(*line, "--accept-implausible").returncode == 0
+
+
+def test_intensities_that_nothing_is_decided_by_are_nobodys_fault(tmp_path):
+    path = two_files(tmp_path, stretched)
+    path.write_text(path.read_text().replace(", amplitude_mean_c200", ""))
+    ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode == 0 and "an intensity of some" not in ended.stderr, ended.stderr
+
+
+def test_of_one_file_too(tmp_path):
+    path = two_files(tmp_path, rounded)
+    line = ("features", path.parent / "b.las", tmp_path / "f.parquet", "--features", "zc", "--crs", "EPSG:25832")
+    ended = fwclass(*line)
+    assert ended.returncode == 4 and "b.las: z 1 m" in ended.stderr, ended.stderr
+    assert (tmp_path / "f.parquet").exists()
+    assert fwclass(*line, "--overwrite", "--accept-implausible").returncode == 0
+    told = fwclass("info", path.parent / "b.las").stdout
+    assert "! places lie on a lattice, as if they were rounded: z 1 m" in told
+    two_files(tmp_path, still)
+    assert "! all GPS times are 0.000 s" in fwclass("info", path.parent / "b.las").stdout
