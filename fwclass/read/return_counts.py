@@ -4,7 +4,7 @@ lattice that their places lie on."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import gcd
 from typing import Any
 
@@ -16,6 +16,9 @@ from fwclass.schema import Table
 
 COARSE = 50
 """mm; no survey rounds its places to so much."""
+
+LEVELS = 5
+"""Steps from the least coordinate to the greatest; fewer are those of level surfaces."""
 
 WIDEST = 1e12
 """m; coordinates beyond are no places."""
@@ -39,8 +42,8 @@ def count_returns(returns: Table) -> dict[str, Any]:
     ``intensities``: single returns by class of `EDGES` (the number of edges not above the value), where intensity is
     what a return's amplitude is, else empty. ``intensity``: least and greatest. ``times``: first and last GPS time [s],
     None without one. ``several``: returns of pulses with more than one. ``missing``: returns that such pulses lack at
-    least. ``lattice``: for x, y and z [mm] the least, and the greatest step of which all are multiples from there on; 0
-    where all are alike, and at most `FINE` where it need not be the greatest.
+    least. ``lattice``: for x, y and z [mm] the least and the greatest, and the longest step of which all are multiples
+    from there on; 0 where all are alike, and at most `FINE` where it need not be the longest.
     """
     number, of = (np.minimum(returns[n].astype(np.int64), MOST - 1) for n in ("return_number", "number_of_returns"))
     intensity, time = returns["intensity"], returns["gps_time"]
@@ -77,8 +80,15 @@ def join_counts(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 def coarse_steps(lattice: Iterable[list[int]]) -> str:
     """Axes whose coordinates lie on a coarse lattice, with the step [m]; "" for none."""
-    steps = zip("xyz", (step for _, step in lattice), strict=True)
-    return ", ".join(f"{axis} {0.001 * step:g}" for axis, step in steps if step >= COARSE)
+    return ", ".join(
+        f"{axis} {0.001 * step:g}" for axis, step in zip("xyz", map(coarse_step, lattice), strict=True) if step
+    )
+
+
+def coarse_step(lattice: Sequence[int]) -> int:
+    """The step of a coarse lattice [mm], 0 for another one."""
+    least, greatest, step = lattice
+    return step if step >= COARSE and greatest - least >= LEVELS * step else 0
 
 
 def median_intensity(intensities: Mapping[str, int]) -> int:
@@ -102,25 +112,25 @@ def missing_returns(pairs: NDArray[np.int64]) -> int:
 
 
 def lattice_of(values: NDArray[np.float64]) -> list[int]:
-    """Least of some coordinates [m] in mm, and the step from there on, as `count_returns` says it."""
+    """Least and greatest of some coordinates [m] in mm, and the step from there on, as `count_returns` says it."""
     known = millimetres(values[np.abs(values) < WIDEST])
     if not len(known):
-        return [0, 0]
+        return [0, 0, 0]
     least = int(known.min())
     step = int(np.gcd.reduce(known[:FIRST_LOOK] - least))
     if step == 0 or step > FINE:
         step = int(np.gcd.reduce(known - least))
-    return [least, step]
+    return [least, int(known.max()), step]
 
 
 def join_lattices(lattices: Iterable[list[int]]) -> list[int]:
     """What `lattice_of` says of all coordinates, by what it says of parts of them."""
-    first, *others = lattices
-    least, step = first
-    for other, its in others:
-        step = gcd(step, its, abs(other - least))
-        least = min(least, other)
-    return [least, step]
+    known = [lattice for lattice in lattices if any(lattice)]
+    if not known:
+        return [0, 0, 0]
+    least = min(low for low, _, _ in known)
+    step = gcd(*(its for _, _, its in known), *(low - least for low, _, _ in known))
+    return [least, max(high for _, high, _ in known), step]
 
 
 def _span(pairs: Iterable[Any]) -> list[Any] | None:

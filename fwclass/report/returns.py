@@ -9,7 +9,7 @@ from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_unsound, visible
 from fwclass.graph.quantities import quantity_of_feature
 from fwclass.graph.sources import strip_of
-from fwclass.read.return_counts import coarse_steps, join_counts, median_intensity
+from fwclass.read.return_counts import coarse_step, coarse_steps, join_counts, median_intensity
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Strip
 
@@ -91,7 +91,7 @@ def _coarse(counted: Mapping[str, Mapping[str, Any]]) -> tuple[str, float]:
     for name, facts in counted.items():
         if axes := coarse_steps(facts["lattice"]):
             steps.setdefault(axes, []).append(name)
-            greatest = max(greatest, *(step for _, step in facts["lattice"]))
+            greatest = max(greatest, *map(coarse_step, facts["lattice"]))
     if not steps:
         return "", 0.0
     which = "; ".join(f"{first_few(names, NAMED)}: {axes} m" for axes, names in steps.items())

@@ -50,7 +50,7 @@ _VALUES = {
     "times": Maybe(_TIMES),
     "several": COUNT,
     "missing": COUNT,
-    "lattice": ((WHOLE, COUNT),) * 3,
+    "lattice": ((WHOLE, WHOLE, COUNT),) * 3,
 }
 _READ = {
     **dict.fromkeys(("returns", "withheld?", "waveforms", "returns_without_packet"), COUNT),

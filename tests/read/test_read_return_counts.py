@@ -40,7 +40,7 @@ def test_spans_add_up_to_their_file(cuts, step):
     parts = [count_returns(table.take(np.arange(a, b))) for a, b in zip(ends, ends[1:], strict=False)]
     joined = join_counts(np.random.default_rng(2).permutation(np.array(parts, object)))
     assert {n: v for n, v in joined.items() if n != "missing"} == {n: v for n, v in whole.items() if n != "missing"}
-    assert joined["lattice"][0][1] == round(1000 * step)
+    assert joined["lattice"][0][2] == round(1000 * step)
     assert sum(whole["intensities"].values()) == (table["number_of_returns"] == 1).sum()
 
 
@@ -65,12 +65,13 @@ def test_the_median_lies_in_its_class():
 
 
 def test_lattices():
-    assert lattice_of(np.array([5.0, 7.5, 10.0]))[1] == 2500
-    assert lattice_of(np.array([5.0, 5.0])) == [5000, 0] and lattice_of(np.array([np.nan, 1e300])) == [0, 0]
-    assert join_lattices([[5000, 0], [6000, 0]]) == [5000, 1000]
-    assert coarse_steps([[0, 1000], [3, 10], [0, 250]]) == "x 1, z 0.25"
+    assert lattice_of(np.array([5.0, 7.5, 10.0])) == [5000, 10_000, 2500]
+    assert lattice_of(np.array([5.0, 5.0])) == [5000, 5000, 0] and lattice_of(np.array([np.nan, 1e300])) == [0, 0, 0]
+    assert join_lattices([[5000, 5000, 0], [6000, 6000, 0]]) == [5000, 6000, 1000]
+    assert coarse_steps([[0, 20_000, 1000], [3, 20_003, 10], [0, 1250, 250]]) == "x 1, z 0.25"
+    assert coarse_steps([[0, 4000, 1000], [0, 0, 0], [0, 8000, 40]]) == "", "level surfaces, one height, fine ones"
     mixed = np.r_[np.arange(3_000) * 1.0, 0.5]  # one alone, behind the first look
-    assert lattice_of(mixed)[1] == 500
+    assert lattice_of(mixed)[2] == 500
 
 
 def test_returns_that_are_missing():
