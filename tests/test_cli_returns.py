@@ -96,3 +96,22 @@ def test_of_one_file_too(tmp_path):
     assert "! places lie on a lattice, as if they were rounded: z 1 m" in told
     two_files(tmp_path, still)
     assert "! all GPS times are 0.000 s" in fwclass("info", path.parent / "b.las").stdout
+
+
+def test_much_noise_is_told(tmp_path):
+    path = small_survey(tmp_path)
+    whole = laspy.read(tmp_path / "a.las")
+    z, far = np.array(whole.z), np.random.default_rng(4).random(len(whole.points)) < 0.25
+    whole.z = np.where(far, z + np.random.default_rng(5).uniform(300, 3_000, len(z)), z)
+    whole.write(tmp_path / "a.las")
+    ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0, "--accept-implausible")
+    assert ended.returncode == 0 and "the noise filter took out 1,4" in ended.stderr, ended.stderr
+
+
+def test_a_file_whose_points_are_all_flagged_says_why_nothing_is_labelled(tmp_path):
+    path = small_survey(tmp_path)
+    whole = laspy.read(tmp_path / "a.las")
+    whole.synthetic = np.ones(len(whole.points), bool)
+    whole.write(tmp_path / "a.las")
+    ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode == 2 and "flags as withheld or synthetic count for none" in ended.stderr

@@ -6,7 +6,8 @@ say where the others are. Over ten metres a wire is straight; its sag is a bound
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,9 +87,10 @@ def count_settled(before: NDArray[np.uint8], after: NDArray[np.uint8], codes: It
     return int((other & np.isin(after, [*codes])).sum()), int((other & np.isin(before, [*codes])).sum())
 
 
-def line_remarks(counts: Sequence[Iterable[int]]) -> list[str]:
-    """What to say of echoes by part that have got a class and lost it, and that might have but for too few pulses;
-    nothing without a part."""
+def line_remarks(parts: Iterable[Mapping[str, Any]]) -> list[str]:
+    """What to say of echoes that have got a class and lost it (``lines``), and that might have got it but for too few
+    pulses (``too_sparse``), by the facts of parts; nothing without a part that looked for lines."""
+    counts = [(*facts["lines"], facts.get("too_sparse", 0)) for facts in parts if "lines" in facts]
     if not counts:
         return []
     joined, left, sparse = (sum(numbers) for numbers in zip(*counts, strict=True))

@@ -73,7 +73,7 @@ def regularize_tile(
     if lines:
         stands = np.isfinite(table["confidence"]) & (table["classification"] == answered["classification"])
         both = np.concatenate(before)[order][stands], table["classification"][stands]
-        facts["lines"] = [*count_settled(*both, lines.codes), sparse]
+        facts |= {"lines": list(count_settled(*both, lines.codes)), "too_sparse": sparse}
     return table, facts
 
 

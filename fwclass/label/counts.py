@@ -166,7 +166,13 @@ def _about_codes(whole: Counts, classes: Sequence[ClassDef], others: frozenset[i
     wanted = ", ".join(f"{c.name!r} (codes {', '.join(map(str, c.codes))})" for c in lacking)
     there = ", ".join(f"{code} ({n} echoes)" for code, n in whole["other"].items())
     instead = f"; the reference also has the codes {there}, which no class counts" if there else ""
-    return [f"No echo is labelled {wanted}{instead}: check survey.classes and survey.reference."]
+    flagged = ""
+    if len(lacking) == len(classes):
+        flagged = (
+            " Echoes that their file flags as withheld or synthetic count for none (`fwclass info` counts them, "
+            "--set read.use_flagged=true takes them)."
+        )
+    return [f"No echo is labelled {wanted}{instead}: check survey.classes and survey.reference.{flagged}"]
 
 
 def lacking(

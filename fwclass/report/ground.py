@@ -19,6 +19,9 @@ FEW = 0.01
 WORTH = 1000
 """Echoes of a block that tell such a share."""
 
+NOISY = 0.005
+"""Share of a survey's echoes that are noise from which on it is told; up to 0.0016 in four sound ones."""
+
 SEEN_FROM = 0.001
 """Share of a survey's echoes in such blocks from which on it is told."""
 
@@ -75,7 +78,8 @@ def ground_remarks(
 
     Parameters
     ----------
-    blocks : receipts' facts of the blocks of the filter: ``seen`` echoes, ``last`` ones of their pulses among them.
+    blocks : receipts' facts of the blocks of the filter: ``rows``, ``noise`` of them; ``seen`` echoes, ``last`` ones
+        of their pulses among them.
     withheld : returns that their source flags as withheld or synthetic.
     by_source : of every tile [echoes, ground] by the class that their source has.
     accuracy : of the filter against the reference's class ground, where there is one.
@@ -85,6 +89,12 @@ def ground_remarks(
         remarks.append(
             f"the sources flag {withheld:,} returns as withheld or synthetic: no ground is made of them, and they "
             "neither train nor are tested; --set read.use_flagged=true takes them like all others"
+        )
+    noise, rows = (sum(b[name] for b in blocks) for name in ("noise", "rows"))
+    if noise >= WORTH and noise > NOISY * rows:
+        remarks.append(
+            f"the noise filter took out {noise:,} echoes ({100 * noise / rows:.1f} %): they are no ground and nobody's "
+            "neighbours; a classification gives them classes like all others, --workflow ground writes them as 7 and 18"
         )
     without = [b for b in blocks if b["seen"] >= WORTH and b["last"] < FEW * b["seen"]]
     echoes, whole = sum(b["seen"] for b in without), sum(b["seen"] for b in blocks)

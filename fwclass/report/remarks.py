@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,20 +37,20 @@ def remarks_on_accuracy(
     names: tuple[str, ...],
     survey: Survey,
     cells: Iterable[float],
-    lines: Sequence[Sequence[int]],
+    lines: bool,
 ) -> list[str]:
     """Remarks on the accuracy; none where there is none. `counted`: labels, which only a run that trains counts;
     `echoes` of the whole survey; `cells`: edges of those that a second layer decides by [m];
-    `lines`: `lines_of_run`."""
+    `lines`: `lines_changed`."""
     if accuracy is None:
         return []
-    own, changed = _own_answers(survey), any(joined or left for joined, left, _ in lines)
+    own = _own_answers(survey)
     if counted is None:
-        return own + accuracy_remarks(accuracy, config, names, echoes, cells=cells, lines=changed)
+        return own + accuracy_remarks(accuracy, config, names, echoes, cells=cells, lines=lines)
     nearest = counted["gap"]["found"]
     own += _corrected(accuracy, counted.get("corrections"))
     others = counted["other_codes"]
-    return own + accuracy_remarks(accuracy, config, names, counted["echoes"], others, nearest, cells, changed)
+    return own + accuracy_remarks(accuracy, config, names, counted["echoes"], others, nearest, cells, lines)
 
 
 def _own_answers(survey: Survey) -> list[str]:
@@ -93,10 +93,9 @@ def remarks_on_empty_files(files: Mapping[str, Any]) -> list[str]:
     return [f"files without any point: {first_few(names, SHOWN)}"] if names else []
 
 
-def lines_of_run(runner: Runner) -> list[tuple[int, int, int]]:
-    """Of every tile the echoes that joined a class along lines, left it, and might have joined but for too few pulses;
-    nothing where no class lies on lines."""
-    return [tuple(r.meta["lines"]) for r in receipts_of_run(runner, CLASSIFY.name) if "lines" in r.meta]
+def lines_changed(runner: Runner) -> bool:
+    """Whether the class of any echo has changed along lines."""
+    return any(any(r.meta.get("lines", ())) for r in receipts_of_run(runner, CLASSIFY.name))
 
 
 def remarks_of_parts(runner: Runner) -> list[str]:
@@ -107,5 +106,5 @@ def remarks_of_parts(runner: Runner) -> list[str]:
     ]
     blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
     remarks += breakline_remarks(blocks)
-    remarks += line_remarks(lines_of_run(runner))
+    remarks += line_remarks(r.meta for r in receipts_of_run(runner, CLASSIFY.name))
     return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]

@@ -31,7 +31,7 @@ from fwclass.report.earlier import since_earlier
 from fwclass.report.facts import legacy_codes, metas_of_run, place_of, receipts_of_run, sureness, unsure_of_run
 from fwclass.report.figures import report_figures
 from fwclass.report.remarks import (
-    lines_of_run,
+    lines_changed,
     remarks_of_parts,
     remarks_on_accuracy,
     remarks_on_crowds,
@@ -85,7 +85,7 @@ def write_report(
     if (accuracy := report["accuracy"]) is not None:
         echoes, cells = report["counts"]["echoes_in_tiles"], (report["training"] or {}).get("in_context") or ()
         accuracy["remarks"] = remarks_on_accuracy(
-            accuracy, report["sampling"], echoes, config, names, survey, cells, lines_of_run(runner)
+            accuracy, report["sampling"], echoes, config, names, survey, cells, lines_changed(runner)
         )
     report["remarks"] = _remarks(report, config, runner, source, card)
     write_json(runner.pending / REPORT, report)

@@ -181,7 +181,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
             *echoes.notes,
             *([crowd.text(conf.section("features", job.settings))] if crowd else []),
             *notes,
-            *line_remarks([one["lines"] for one in facts[walk[-1]] if "lines" in one]),
+            *line_remarks(facts[walk[-1]]),
             *_drift_notes(drifted),
             *(unsure or {}).get("remarks", ()),
             *class_remarks(by_code, known_codes(model.classes), kept, "points"),

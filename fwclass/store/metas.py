@@ -355,7 +355,8 @@ META: dict[str, Shape] = {
         "codes": {CODE: COUNT},
         "outside?": _OUTSIDE,
         "of_source?": {CODE: (COUNT, COUNT)},
-        "lines?": (COUNT, COUNT, COUNT),
+        "lines?": (COUNT, COUNT),
+        "too_sparse?": COUNT,
     },
     "confusion": Related(
         {"matrix": square(), "lost": [COUNT], "ground": _TWO, "sure": (_PERCENT, _PERCENT, _PERCENT), "kept?": COUNT},
