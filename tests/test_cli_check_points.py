@@ -13,6 +13,8 @@ from commandline import fwclass
 from pyproj import Transformer
 from stripmaker import ground, line, write_lines
 
+from fwclass.quality.judge import judge_check_points
+
 LIFT = 0.05
 """m, of the one line that was flown."""
 
@@ -142,3 +144,16 @@ def test_what_cannot_be_used_is_refused_before_anything_runs(survey: Path, text:
     out = f"refused{abs(hash(text))}"
     _, said = run(survey, "--set", "quality.check_points.file=c2.csv", expect=1, out=out)
     assert words in said and "Traceback" not in said, said
+
+
+def test_heights_of_another_system_are_said_and_end_with_4(survey: Path) -> None:
+    rows = points()
+    rows[:, 2] += 47.0
+    written(survey / "geoid.csv", rows)
+    words = ("--set", "quality.check_points.file=geoid.csv")
+    _, told = run(survey, *words, expect=4, out="geoid")
+    assert "the check points' heights are not the survey's" in told
+    assert "checked     40 of 40: RMSEz 46.9" in told and "remark      the survey lies 46.9" in told
+    run(survey, *words, "--accept-implausible", out="geoid")
+    for nothing in (None, {"all": None, "given": 3}):
+        judge_check_points(nothing, False, "s.yaml")

@@ -172,14 +172,37 @@ def check_remarks(facts: Mapping[str, Any], reach: float) -> list[str]:
             f"{facts['blunders']['count']} check points lie far off the others, as that of height {z:g} m at "
             f"{x:.3f}, {y:.3f} ({dz:+.2f} m): they are in all figures; look for wrong heights or codes of no data"
         )
-    mean, sd = figures["mean"], figures["sd"] or 0.0
-    if abs(mean) > max(SHIFTED * sd / math.sqrt(compared), 0.5 * figures["rmse"]) and compared > 2:
-        side = "above" if mean > 0.0 else "below"
-        lines.append(
-            f"the survey lies {abs(mean):.2f} m {side} the check points on average, more than chance explains"
-            + (": are both heights of one kind (geoid or ellipsoid, metres)?" if abs(mean) > ANOTHER_DATUM else "")
-        )
+    if shifted := _shifted(figures):
+        lines.append(shifted)
     return lines
+
+
+def of_another_datum(facts: Mapping[str, Any] | None) -> list[str]:
+    """That the heights of ``check_points`` are of another system than the survey's; nothing where they are not."""
+    figures = facts and facts["all"]
+    return [_shifted(figures)] if figures and abs(figures["mean"]) > ANOTHER_DATUM and _shifted(figures) else []
+
+
+def check_words(facts: Mapping[str, Any]) -> str:
+    """How many check points were compared, and how far the survey is off, in a line."""
+    figures = facts["all"]
+    if figures is None:
+        return f"none of {facts['given']:,} has ground echoes around it"
+    low, high = figures["rmse_interval"]
+    return (
+        f"{figures['count']:,} of {facts['given']:,}: RMSEz {figures['rmse']:.3f} m ({low:.3f} to {high:.3f}), "
+        f"mean {figures['mean']:+.3f} m"
+    )
+
+
+def _shifted(figures: Mapping[str, Any]) -> str:
+    """That the survey lies above or below the check points by more than chance explains; "" where it does not."""
+    mean, sd, compared = figures["mean"], figures["sd"] or 0.0, figures["count"]
+    if compared <= 2 or abs(mean) <= max(SHIFTED * sd / math.sqrt(compared), 0.5 * figures["rmse"]):
+        return ""
+    side = "above" if mean > 0.0 else "below"
+    kind = ": are both heights of one kind (geoid or ellipsoid, metres)?" if abs(mean) > ANOTHER_DATUM else ""
+    return f"the survey lies {abs(mean):.2f} m {side} the check points on average, more than chance explains{kind}"
 
 
 def compared_points(points: Mapping[str, NDArray]) -> dict[str, NDArray]:

@@ -5,8 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fwclass.errors import QualityError
+from fwclass.errors import QualityError, refuse_unsound
+from fwclass.quality.check_points import of_another_datum
 from fwclass.quality.params import QualityParams
+
+
+def judge_check_points(facts: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
+    """`QualityError` where check points have heights of another system (`of_another_datum`); nothing where the user
+    accepts it."""
+    refuse_unsound(
+        of_another_datum(facts),
+        accepted,
+        "the check points' heights are not the survey's",
+        where,
+        expected="differences of decimetres at most in the mean",
+        do="bring both into one vertical system and unit; --accept-implausible (plausibility.accept=true) takes them "
+        "as they are",
+    )
 
 
 def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:

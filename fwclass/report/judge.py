@@ -10,7 +10,7 @@ from fwclass.assess.stage import judge
 from fwclass.classify.unsure import judge_unsure
 from fwclass.conf import Config
 from fwclass.decompose.params import PlausibilityParams
-from fwclass.quality.judge import judge_quality
+from fwclass.quality.judge import judge_check_points, judge_quality
 from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
@@ -53,6 +53,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     judge_unsure(report.get("unsure"), config.classify, model)
     if report.get("quality"):
         judge_strips(report["quality"]["strips"], accepted, where)
+        judge_check_points(report["quality"]["check_points"], accepted, where)
         judge_quality(report["quality"], config.quality)
     if report["accuracy"]:
         judge_chance(report["accuracy"], accepted, where)

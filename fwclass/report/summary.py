@@ -8,6 +8,7 @@ from typing import Any
 
 from fwclass.decompose.water_column import water_words
 from fwclass.errors import first_few, several
+from fwclass.quality.check_points import check_words
 from fwclass.store.url import Url
 
 SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
@@ -84,6 +85,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         failed = any(f["stage"] in JUDGING for f in report["failed"])
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
+    if checked := (report.get("quality") or {}).get("check_points"):
+        rows.append(f"checked     {check_words(checked)}")
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
     if reliability := report.get("reliability"):
         rows.append(f"confidence  {describe_reliability(reliability)}")

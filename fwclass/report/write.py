@@ -16,6 +16,7 @@ from fwclass.graph.model_fit import ground_notes
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
+from fwclass.quality.check_points import check_remarks
 from fwclass.quality.covered import CoveredArea
 from fwclass.quality.strips import unsound_strips
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
@@ -200,6 +201,7 @@ def _remarks(
         *of("accuracy", "earlier", "place"),
         *(report["radiometry"] or {}).get("implausible", ()),
         *(unsound_strips(report["quality"]["strips"]) if report["quality"] else ()),
+        *(_of_check_points(report["quality"], config) if report["quality"] else ()),
         *of("repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),
@@ -209,6 +211,11 @@ def _remarks(
         *(_on_neighbours(config.classify.regularize) if classified else ()),
         *(_without_lines(config) if classified else ()),
     ]
+
+
+def _of_check_points(quality: Mapping[str, Any], config: Config) -> list[str]:
+    checked = quality["check_points"]
+    return check_remarks(checked, config.quality.check_points.reach) if checked else []
 
 
 def _on_neighbours(params: RegularizeParams) -> list[str]:
