@@ -51,6 +51,13 @@ def unnumbered(part):
     part.return_number[:], part.number_of_returns[:] = 1, 1
 
 
+def backward(part):
+    """Pulses of three returns, of which the first lies lowest."""
+    pulse, number = np.divmod(np.arange(len(part.points)), 3)
+    part.gps_time, part.return_number, part.number_of_returns = 0.1 * pulse, number + 1, np.full(len(pulse), 3)
+    part.z = np.asarray(part.z)[3 * pulse] + 0.3 * number
+
+
 def cut(part):
     part.number_of_returns[:], part.return_number[:] = 2, 1
 
@@ -60,6 +67,7 @@ def cut(part):
     [
         (rounded, 4, "places lie on a lattice, as if they were rounded (b.las: z 1 m)"),
         (stretched, 4, "single returns of b.las have an intensity of some"),
+        (backward, 4, "returns that follow another of their pulse"),
         (doubled, 0, ""),
         (still, 0, "all returns of b.las have one GPS time"),
         (unnumbered, 0, "every return of b.las is numbered as its pulse's only one"),

@@ -29,6 +29,9 @@ MOST = 16
 EDGES = np.unique(np.rint(2.0 ** (np.arange(65) / 4.0)).astype(np.int64))
 """Where classes of intensities begin, a fourth of a doubling each; 0 has its own."""
 
+PAIRED = 50_000
+"""Returns of pulses with several that are looked at in a span for how they follow each other."""
+
 FIRST_LOOK = 1_000
 """Places that are looked at first."""
 
@@ -42,8 +45,10 @@ def count_returns(returns: Table) -> dict[str, Any]:
     ``intensities``: single returns by class of `EDGES` (the number of edges not above the value), where intensity is
     what a return's amplitude is, else empty. ``intensity``: least and greatest. ``times``: first and last GPS time [s],
     None without one. ``several``: returns of pulses with more than one. ``missing``: returns that such pulses lack at
-    least. ``lattice``: for x, y and z [mm] the least and the greatest, and the longest step of which all are multiples
-    from there on; 0 where all are alike, and at most `FINE` where it need not be the longest.
+    least. ``following``: among the first `PAIRED` of them, those that follow another of their pulse by number, and of
+    these the ones that do not lie higher. ``lattice``: for x, y and z [mm] the least and the greatest, and the longest
+    step of which all are multiples from there on; 0 where all are alike, and at most `FINE` where it need not be the
+    longest.
     """
     number, of = (np.minimum(returns[n].astype(np.int64), MOST - 1) for n in ("return_number", "number_of_returns"))
     intensity, time = returns["intensity"], returns["gps_time"]
@@ -57,6 +62,7 @@ def count_returns(returns: Table) -> dict[str, Any]:
         "times": [float(time.min()), float(time.max())] if len(time) else None,
         "several": int((of > 1).sum()),
         "missing": missing_returns(pairs),
+        "following": _following(returns),
         "lattice": [lattice_of(returns[axis]) for axis in "xyz"],
     }
 
@@ -74,6 +80,7 @@ def join_counts(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         "times": _span(times),
         "several": sum(p["several"] for p in parts),
         "missing": sum(p["missing"] for p in parts),
+        "following": [sum(p.get("following", (0, 0))[k] for p in parts) for k in (0, 1)],
         "lattice": [join_lattices(p["lattice"][k] for p in parts) for k in range(3)] if parts else None,
     }
 
@@ -109,6 +116,16 @@ def missing_returns(pairs: NDArray[np.int64]) -> int:
         counts = pairs[1 : of + 1, of]
         missing += int((counts.max() - counts).sum())
     return missing
+
+
+def _following(returns: Table) -> list[int]:
+    """Pairs of returns of one time and neighbouring numbers, and those whose second does not lie higher."""
+    time, number, of, z = (returns[n] for n in ("gps_time", "return_number", "number_of_returns", "z"))
+    some = np.flatnonzero((of > 1) & np.isfinite(time) & np.isfinite(z))[:PAIRED]
+    some = some[np.lexsort((number[some], time[some]))]
+    first, second = some[:-1], some[1:]
+    pair = (time[first] == time[second]) & (number[first].astype(int) + 1 == number[second]) & (of[first] == of[second])
+    return [int(pair.sum()), int((pair & (z[second] <= z[first])).sum())]
 
 
 def lattice_of(values: NDArray[np.float64]) -> list[int]:

@@ -25,6 +25,9 @@ MISSING = 0.1
 SEVERAL = 0.05
 """Share of another file's returns that are of pulses with several before a file without any is told."""
 
+PAIRS = 100
+"""Returns of a file that follow another before they tell in which order they are numbered; all fall in nine files."""
+
 ANOTHER_SCALE = 4.0
 """Ratio of medians from which it is said; flight lines of one survey differ by 1.7."""
 
@@ -34,8 +37,8 @@ OTHERWISE = "--accept-implausible (plausibility.accept=true) takes them as they 
 def returns_facts(
     receipts: Iterable[Receipt], strips: Iterable[Strip], names: Iterable[str], params: PlausibilityParams
 ) -> dict[str, Any] | None:
-    """``remarks`` on the returns of the files, and what of them is not sound: ``coarse`` and ``scales``, of which each
-    is what `judge_returns` refuses, or ""; None where nothing was counted.
+    """``remarks`` on the returns of the files, and what of them is not sound: ``coarse``, ``scales`` and ``backward``,
+    of which each is what `judge_returns` refuses, or ""; None where nothing was counted.
 
     `receipts`: of the parts that counted returns; `names`: the features that decide.
     """
@@ -54,15 +57,18 @@ def returns_facts(
     by_intensity = any(quantity_of_feature(name) == "amplitude" for name in names)
     coarse, step = _coarse(counted)
     scales, ratio = _scales(counted) if by_intensity else ("", 0.0)
+    backward = _backward(counted)
     return {
-        "remarks": [t for t in (coarse, scales, *_numbers(counted, many), _times(counted)) if t],
+        "remarks": [t for t in (coarse, scales, backward, *_numbers(counted, many), _times(counted)) if t],
         "coarse": coarse if step >= params.coarse_places else "",
         "scales": scales if ratio >= params.max_intensity_ratio else "",
+        "backward": backward,
     }
 
 
 def judge_returns(facts: Mapping[str, Any] | None, params: PlausibilityParams, where: object) -> None:
-    """`QualityError` where places are coarse or intensities of several scales; nothing where the user accepts it."""
+    """`QualityError` where places are coarse, intensities of several scales, or returns numbered backwards; nothing
+    where the user accepts it."""
     if facts and facts["coarse"]:
         refuse_unsound(
             [facts["coarse"]],
@@ -81,6 +87,16 @@ def judge_returns(facts: Mapping[str, Any] | None, params: PlausibilityParams, w
             expected=f"medians within a factor of {params.max_intensity_ratio:g} (plausibility.max_intensity_ratio)",
             do="bring them to one scale, or decide by features without amplitude (`fwclass features --list`); "
             f"{OTHERWISE}",
+        )
+
+    if facts and facts["backward"]:
+        refuse_unsound(
+            [facts["backward"]],
+            params.accept,
+            "returns of the sources are numbered backwards",
+            where=where,
+            expected="returns of a pulse that lie lower one after the other",
+            do=f"mend the return numbers: ground is made of last returns; {OTHERWISE}",
         )
 
 
@@ -113,6 +129,18 @@ def _scales(counted: Mapping[str, Mapping[str, Any]]) -> tuple[str, float]:
         f"single returns of {high} have an intensity of some {medians[high]:,} in the median, those of {low} of "
         f"{medians[low]:,}: features of amplitude do not mean the same in both",
         ratio,
+    )
+
+
+def _backward(counted: Mapping[str, Mapping[str, Any]]) -> str:
+    """That later returns of a pulse lie higher."""
+    names = [n for n, f in counted.items() if f["following"][0] >= PAIRS and 2 * f["following"][1] < f["following"][0]]
+    if not names:
+        return ""
+    pairs, falling = (sum(counted[n]["following"][k] for n in names) for k in (0, 1))
+    return (
+        f"of {pairs:,} returns that follow another of their pulse {pairs - falling:,} lie higher "
+        f"({first_few(names, NAMED)}): they are numbered from the ground up"
     )
 
 

@@ -50,6 +50,7 @@ _VALUES = {
     "times": Maybe(_TIMES),
     "several": COUNT,
     "missing": COUNT,
+    "following?": (COUNT, COUNT),
     "lattice": ((WHOLE, WHOLE, COUNT),) * 3,
 }
 _READ = {

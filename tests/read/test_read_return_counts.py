@@ -36,9 +36,11 @@ def returns(rows=4_000, seed=1, step=0.01):
 def test_spans_add_up_to_their_file(cuts, step):
     table = returns(step=step)
     whole = join_counts([count_returns(table)])
+    whole["following"] = None  # times are all of their own, and cuts may part a pulse
     ends = np.linspace(0, table.rows, cuts + 1).astype(int)
     parts = [count_returns(table.take(np.arange(a, b))) for a, b in zip(ends, ends[1:], strict=False)]
     joined = join_counts(np.random.default_rng(2).permutation(np.array(parts, object)))
+    joined["following"] = None
     assert {n: v for n, v in joined.items() if n != "missing"} == {n: v for n, v in whole.items() if n != "missing"}
     assert joined["lattice"][0][2] == round(1000 * step)
     assert sum(whole["intensities"].values()) == (table["number_of_returns"] == 1).sum()
@@ -72,6 +74,25 @@ def test_lattices():
     assert coarse_steps([[0, 4000, 1000], [0, 0, 0], [0, 8000, 40]]) == "", "level surfaces, one height, fine ones"
     mixed = np.r_[np.arange(3_000) * 1.0, 0.5]  # one alone, behind the first look
     assert lattice_of(mixed)[2] == 500
+
+
+def test_returns_that_follow_each_other():
+    pulses = np.repeat(np.arange(500), 3)
+    table = Table(
+        {
+            **{axis: 100.0 - np.tile([0.0, 2.0, 2.0], 500) for axis in "xyz"},
+            "gps_time": pulses * 0.1,
+            "return_number": np.tile([1, 2, 3], 500),
+            "number_of_returns": np.full(1500, 3),
+            "intensity": np.ones(1500, int),
+            "vendor_amplitude": np.full(1500, np.nan),
+        }
+    )
+    assert count_returns(table)["following"] == [1000, 1000]
+    order = np.random.default_rng(1).permutation(1500)
+    assert count_returns(table.take(order))["following"] == [1000, 1000]
+    backward = table.with_columns({"return_number": np.tile([3, 2, 1], 500)})
+    assert count_returns(backward)["following"] == [1000, 500]
 
 
 def test_returns_that_are_missing():
