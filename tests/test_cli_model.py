@@ -2,13 +2,16 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commandline import fwclass
 from pyproj import CRS
+from smallsurvey import small_survey
 from tolerances import FLOAT32_UNIT
 
 from fwclass.cli import cli
@@ -321,3 +324,18 @@ def test_train_compare_and_classify_a_simulated_survey(tmp_path):
     assert (tmp_path / "out.wdp").exists() and len(laspy.read(tmp_path / "out.laz").points) == len(
         laspy.read(strip).points
     )
+
+
+def test_a_model_that_learned_with_noise_among_neighbours_says_so(tmp_path: Path) -> None:
+    survey, model = small_survey(tmp_path), tmp_path / "m"
+    words = ("--set", "features.noise_counts=true", "--workers", "0")
+    assert fwclass("train", survey, "--model", model, "--out", tmp_path / "t", *words).returncode == 0
+    line = ("classify", tmp_path / "a.las", tmp_path / "out.las", "--model", model, "--crs", "EPSG:25832")
+    refused = fwclass(*line)
+    assert refused.returncode == 2 and "--set features.noise_counts=True" in refused.stderr, refused.stderr
+    assert fwclass(*line, *words[:2]).returncode == 0
+    loaded = load_model(model)
+    computed = {n: v for n, v in loaded.card["computed"].items() if n != "noise_counts"}
+    save_model(tmp_path / "older", replace(loaded, card={**loaded.card, "computed": computed}))
+    older = fwclass(*line[:4], tmp_path / "older", *line[5:], "--overwrite")
+    assert older.returncode == 0, older.stderr

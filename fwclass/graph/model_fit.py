@@ -38,6 +38,7 @@ def feature_parameters(
         "optimal_radii": "o" in kinds or "optimal_radius" in request.plain,
         "orientation_rounds": "oriented_inclination" in request.bases,
         "normal_radius": any(n in RADIOMETRY.writes for n in names),
+        "noise_counts": bool(kinds),
     }
     plain = params.model_dump(mode="json")
     parameters = {name: plain[name] for name, yes in needed.items() if yes}
@@ -52,6 +53,8 @@ def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
     ours = feature_parameters(model.features, params)
     theirs = model.card.get("computed", {})
     for name, value in ours.items():
+        if name == "noise_counts" and name not in theirs:
+            continue  # an older card does not say
         if name not in theirs or theirs[name] != value:
             setting = shlex.quote(f"features.{name}={theirs.get(name)}".replace(" ", ""))
             raise ConfigError(
