@@ -15,6 +15,8 @@ from fwclass.errors import ConfigError, DamagedError
 UNCLASSIFIED, GROUND, BUILDING, LOW_NOISE, WATER, HIGH_NOISE = 1, 2, 6, 7, 9, 18
 """Class codes of LAS 1.4 that the program itself gives or looks for."""
 
+NOISE_CODES = (LOW_NOISE, HIGH_NOISE)
+
 WIRES = (13, 14)
 """Codes of guard wires and conductors."""
 

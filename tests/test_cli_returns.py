@@ -114,6 +114,20 @@ def test_much_noise_is_told(tmp_path):
     whole.write(tmp_path / "a.las")
     ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0, "--accept-implausible")
     assert ended.returncode == 0 and "the noise filter took out 1,4" in ended.stderr, ended.stderr
+    ways = {"r": (), "small": ("--set", "tile.size=20"), "lined": ("--set", "classify.regularize.strength=0.1")}
+    for name, more in ways.items():
+        words = ("--workers", 0, "--accept-implausible", "--set", "classify.noise=true", *more)
+        assert fwclass("run", path, "--out", tmp_path / name, *words).returncode == 0
+    first, small, lined = (
+        np.asarray(laspy.read(tmp_path / name / "laz" / "strips" / "a.laz").classification) for name in ways
+    )
+    assert (first == 18).sum() > 1_400 and not (first[~far] == 18).any()
+    assert (first == small).all() and (lined == 18)[first == 18].all()
+    out = tmp_path / "o.las"
+    line = ("classify", tmp_path / "a.las", out, "--model", tmp_path / "r" / "model", "--crs", "EPSG:25832")
+    one = fwclass(*line, "--set", "classify.noise=true", "--accept-implausible", "--accept-drift")
+    assert one.returncode == 0, one.stderr
+    assert (np.asarray(laspy.read(out).classification) == first).all()
 
 
 def test_a_file_whose_points_are_all_flagged_says_why_nothing_is_labelled(tmp_path):

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from fwclass.classes import NOISE_CODES
 from fwclass.model import ClassifierMethod
 from fwclass.model.contextual import MOST_CELLS, WIDEST
 from fwclass.params import Params
@@ -183,7 +184,7 @@ class ClassifyParams(Params):
     has seen, above which a command ends with exit code 4, unless `accept_drift`; `unsure`: confidence below which an
     echo is unsure; `max_unsure`: share of unsure echoes above which it does so too, by a given model. None of these
     changes a class; `leave` does: the code that echoes with a confidence below `leave_below` get instead of one, None:
-    they have their class.
+    they have their class; and `noise`: echoes that the noise filter takes out are written as 7 and 18.
     """
 
     only: tuple[Code, ...] = Field(max_length=256)
@@ -195,6 +196,7 @@ class ClassifyParams(Params):
     leave: Code | None
     leave_below: float = Field(gt=0.0, le=1.0)
     accept_drift: bool
+    noise: bool
     refine: RefineParams
     context: ContextParams
     regularize: RegularizeParams
@@ -205,4 +207,6 @@ class ClassifyParams(Params):
         both = sorted({*self.only} & {*self.keep})
         if both:
             raise ValueError(f"code {both[0]} is to be classified (only) and to be kept (keep)")
+        if self.noise and self.leave in NOISE_CODES:
+            raise ValueError(f"unsure echoes (leave) would get code {self.leave}, which noise is written as")
         return self

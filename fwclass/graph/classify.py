@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classify.kept import Kept
+from fwclass.classify.exempt import Exempt
 from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
-from fwclass.classify.unsure import Left
 from fwclass.conf import Config
 from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, source_classes, written
+from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.loaded_models import used_model
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import thins
@@ -33,34 +32,29 @@ OUTSIDE = "outside"
 
 
 def classify_tile(
-    here: StageInputs, probabilities: bool, model: str | None, kept: Kept | None = None, left: Left | None = None
+    here: StageInputs, probabilities: bool, model: str | None, exempt: Exempt | None = None
 ) -> tuple[Table, dict[str, Any]]:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
 
-    `model`: digest of a given one, None for the run's own; `kept`: which echoes
-    have the class of their source instead, `left`: which have none.
+    `model`: digest of a given one, None for the run's own; `exempt`: which echoes
+    do not get the class that it says.
     """
     used = used_model(here, model)
     tables, missing = [], 0
     outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
-        source = rows["source_class"] if kept else NO_SOURCE
         if outside is not None:
-            outside.add(X[~kept.rows(source)] if kept else X)
-        tables.append(written(classify(X, used, probabilities), source, kept, left))
+            outside.add(X[~exempt.rows_kept(rows)] if exempt else X)
+        answered = classify(X, used, probabilities)
+        tables.append(exempt.written(answered, rows) if exempt else answered)
         missing += count_filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing, **outside_facts(outside)}
 
 
 def classify_thinned_tile(
-    here: StageInputs,
-    probabilities: bool,
-    model: str | None,
-    reach: float,
-    kept: Kept | None = None,
-    left: Left | None = None,
+    here: StageInputs, probabilities: bool, model: str | None, reach: float, exempt: Exempt | None = None
 ) -> Result:
     """As `classify_tile`, for a thinned run: the model is asked about sampled echoes,
     in the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
@@ -78,7 +72,8 @@ def classify_thinned_tile(
     near = np.searchsorted(rows, chunk.core)
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
-    table = written(answer.take(near), source_classes(here, kept), kept, left)
+    answered = answer.take(near)
+    table = exempt.written(answered, here.own_rows()) if exempt else answered
     facts = {"codes": codes_of(table), "filled": count_filled(X, used), "asked": int(own.sum())}
     return table, facts | outside_facts(outside)
 
@@ -96,7 +91,7 @@ def codes_of(table: Table) -> dict[str, int]:
 
 def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
-    return {"probabilities": shares, "model": plan.model[1] if plan.model else None, **answer_arguments(plan)}
+    return {"probabilities": shares, "model": plan.model[1] if plan.model else None, **exempt_argument(plan)}
 
 
 def names_that_decide(plan: Plan) -> Mapping[str, Any]:
@@ -155,7 +150,7 @@ CLASSIFY_ECHOES = Stage(
     ),
     arguments=_arguments,
     keyed=names_that_decide,
-    own=lambda plan: (*plan.names, *deciding_column(plan)),
+    own=lambda plan: (*plan.names, *exempt_columns(plan)),
     writes=classes_written,
     after=("train",),
     needs=own_model,
@@ -168,6 +163,6 @@ CLASSIFY_THINNED = replace(
     arguments=lambda plan: {**_arguments(plan), "reach": plan.config.thin.reach},
     keyed=lambda plan: {**names_that_decide(plan), "thin": THIN.version},
     reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
-    own=deciding_column,
+    own=exempt_columns,
     halo=lambda plan: plan.config.thin.reach,
 )

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.context import CONTEXT, context_of, whole_shares, with_context
-from fwclass.classify.kept import Kept
+from fwclass.classify.exempt import Exempt
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
-from fwclass.classify.unsure import Left
 from fwclass.errors import InputError
 from fwclass.graph.classify import (
     classes_written,
@@ -22,7 +21,7 @@ from fwclass.graph.classify import (
     settles,
 )
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
-from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
+from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.loaded_models import used_model
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.model import Contextual, sample_matrix
@@ -52,19 +51,14 @@ def share_first(here: StageInputs, layer: ContextLayer, model: str | None) -> Re
 
 
 def classify_tile_in_context(
-    here: StageInputs,
-    layer: ContextLayer,
-    probabilities: bool,
-    model: str | None,
-    kept: Kept | None = None,
-    left: Left | None = None,
+    here: StageInputs, layer: ContextLayer, probabilities: bool, model: str | None, exempt: Exempt | None = None
 ) -> tuple[Table, dict[str, Any]]:
-    """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none.
+    """Answers of both layers for a tile; `exempt` echoes do not get the class that they say.
     Where the run found that a second layer does not pay, those of the first one."""
     used = used_model(here, model)
     if not isinstance(used, Contextual):
         _check_own(here, model)
-        return classify_tile(here, probabilities, model, kept, left)
+        return classify_tile(here, probabilities, model, exempt)
     rows_of, parts = [], []
     for these, chunk in here.chunks():
         rows_of.append(these)
@@ -74,7 +68,7 @@ def classify_tile_in_context(
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
         answers = classify(with_context(X, context[first : first + rows.rows]), used, probabilities)
-        tables.append(written(answers, rows["source_class"] if kept else NO_SOURCE, kept, left))
+        tables.append(exempt.written(answers, rows) if exempt else answers)
         missing += count_filled(X, used.coarse)
         first += rows.rows
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
@@ -114,11 +108,11 @@ CLASSIFY_IN_CONTEXT = Stage(
         "layer": layer_of(plan),
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
-        **answer_arguments(plan),
+        **exempt_argument(plan),
     },
     keyed=names_that_decide,
     reads=lambda plan: (*_PLACE, *layer_of(plan).columns()),
-    own=lambda plan: (*plan.names, *deciding_column(plan)),
+    own=lambda plan: (*plan.names, *exempt_columns(plan)),
     writes=classes_written,
     halo=lambda plan: layer_of(plan).halo,
     after=("train", FIRST),

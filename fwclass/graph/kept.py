@@ -5,29 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fwclass.classes import HIGH_NOISE, LOW_NOISE, STANDARD, UNCLASSIFIED, ClassDef, standard_name
-from fwclass.classify.kept import Kept, with_kept
+from fwclass.classes import NOISE_CODES, STANDARD, UNCLASSIFIED, ClassDef, standard_name
+from fwclass.classify.exempt import Exempt
+from fwclass.classify.kept import Kept
 from fwclass.classify.params import ClassifyParams
-from fwclass.classify.unsure import Left, with_left
 from fwclass.errors import ConfigError, first_few
-from fwclass.graph.stage import Plan, StageInputs
+from fwclass.graph.stage import Plan
 from fwclass.publish.strips import LEGACY_MAX
-from fwclass.schema import Table
 
 UNNAMED = frozenset({0, UNCLASSIFIED})
 """Codes that say nothing: never classified, unclassified."""
-
-NOISE = (LOW_NOISE, HIGH_NOISE)
 
 SHOWN = 6
 """Codes that are named."""
 
 UNSURE_ECHOES = "unsure echoes (classify.leave)"
-
-NO_SOURCE = np.empty(0, np.uint8)
 
 
 def kept_argument(plan: Plan) -> Mapping[str, Any]:
@@ -36,10 +28,16 @@ def kept_argument(plan: Plan) -> Mapping[str, Any]:
     return {"kept": kept} if kept else {}
 
 
-def answer_arguments(plan: Plan) -> Mapping[str, Any]:
-    """Which echoes do not get the class that the model says, for a stage that writes classes."""
-    left = Left.of(plan.config.classify)
-    return {**kept_argument(plan), **({"left": left} if left else {})}
+def exempt_argument(plan: Plan) -> Mapping[str, Any]:
+    """Which echoes do not get the class that the model says, for a stage that writes classes; nothing where all do."""
+    exempt = Exempt.of(plan.config.classify)
+    return {"exempt": exempt} if exempt else {}
+
+
+def exempt_columns(plan: Plan) -> tuple[str, ...]:
+    """The columns that tell which echoes do not get the class that the model says."""
+    exempt = Exempt.of(plan.config.classify)
+    return exempt.columns if exempt else ()
 
 
 def check_left(code: int | None, classes: Iterable[ClassDef], where: str) -> None:
@@ -88,15 +86,10 @@ def check_written(written: Mapping[str, int], leave: int | None, legacy: bool, w
             )
 
 
-def written(answered: Table, source: NDArray[np.uint8], kept: Kept | None, left: Left | None) -> Table:
-    """What is written of the model's answers: unsure echoes are `left`, and those of a `source` that is `kept` stay."""
-    return with_kept(with_left(answered, left), source, kept)
-
-
 def kept_noise(plan: Plan) -> Mapping[str, Any]:
     """The noise classes of the sources that stay, for the stage that hides them from the ground filter."""
     kept = Kept.of(plan.config.classify)
-    codes = tuple(code for code in NOISE if kept and kept.codes[code])
+    codes = tuple(code for code in NOISE_CODES if kept and kept.codes[code])
     return {"kept_noise": codes} if codes else {}
 
 
@@ -105,20 +98,16 @@ def deciding_column(plan: Plan) -> tuple[str, ...]:
     return ("source_class",) if Kept.of(plan.config.classify) else ()
 
 
-def source_classes(here: StageInputs, kept: Kept | None) -> NDArray[np.uint8]:
-    """The class of the source of every echo of the tile, where any stays."""
-    return here.own_rows()["source_class"] if kept else NO_SOURCE
-
-
 def kept_codes(by_code: Mapping[int, int], kept: Kept | None) -> dict[int, int]:
     """Of the echoes by the class of their source those that stay."""
     return {code: by_code[code] for code in sorted(by_code) if kept and kept.codes[code]}
 
 
 def other_names(by_code: Mapping[int, int], params: ClassifyParams, own: Iterable[int]) -> dict[int, str]:
-    """What the standard calls the codes that stay, and that of echoes left without a class, but for those of a class
-    (`own`)."""
-    codes = [*kept_codes(by_code, Kept.of(params)), *([] if params.leave is None else [params.leave])]
+    """What the standard calls the codes that stay, those of noise, and that of echoes left without a class, but for
+    those of a class (`own`)."""
+    left = [] if params.leave is None else [params.leave]
+    codes = [*kept_codes(by_code, Kept.of(params)), *left, *(NOISE_CODES if params.noise else ())]
     return {code: standard_name(code) for code in dict.fromkeys(codes) if code not in frozenset(own)}
 
 
@@ -149,7 +138,7 @@ def class_remarks(
         )
     elif kept:
         sentences.append(f"none of the {what} has a class that is to be kept (classify.only, classify.keep)")
-    noise = {c: by_code[c] for c in NOISE if by_code.get(c) and c not in stay}
+    noise = {c: by_code[c] for c in NOISE_CODES if by_code.get(c) and c not in stay}
     if noise:
         codes = ",".join(map(str, noise))
         sentences.append(

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classify.kept import Kept
+from fwclass.classify.exempt import Exempt
 from fwclass.classify.params import RefineParams
 from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refine_boundary
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
-from fwclass.classify.unsure import Left
 from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
@@ -22,7 +21,7 @@ from fwclass.graph.classify import classes_written, codes_of, given_model, names
 from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.kept import NO_SOURCE, answer_arguments, deciding_column, written
+from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
 from fwclass.graph.loaded_models import MODEL, used_model
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -178,10 +177,8 @@ def _with_values(sample: Sample) -> tuple[Sample, list[str]]:
     return Sample(names, *columns), [n for n in sample.features if n not in names]
 
 
-def classify_refined(
-    here: StageInputs, probabilities: bool, model: str | None, kept: Kept | None = None, left: Left | None = None
-) -> Result:
-    """Answers of both layers for a tile; `kept` echoes have the class of their source, `left` ones none."""
+def classify_refined(here: StageInputs, probabilities: bool, model: str | None, exempt: Exempt | None = None) -> Result:
+    """Answers of both layers for a tile; `exempt` echoes do not get the class that they say."""
     used = used_model(here, model)
     if not isinstance(used, TwoLayer):
         raise InputError("the model has one layer", where=here.part, do="run the same again: it was changed")
@@ -189,8 +186,8 @@ def classify_refined(
     for rows in here.cuts():
         X = sample_matrix(rows.take(np.flatnonzero(rows[BOUNDARY])), used.fine.features, here.part)
         coarse = classify(sample_matrix(rows, used.features, here.part), used.coarse, True) if probabilities else None
-        source = rows["source_class"] if kept else NO_SOURCE
-        tables.append(written(refine_boundary(rows, X, used, coarse), source, kept, left))
+        answered = refine_boundary(rows, X, used, coarse)
+        tables.append(exempt.written(answered, rows) if exempt else answered)
         missing += count_filled(X, used.fine)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing}
@@ -329,11 +326,11 @@ CLASSIFY_REFINED = Stage(
     arguments=lambda plan: {
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
-        **answer_arguments(plan),
+        **exempt_argument(plan),
     },
     keyed=lambda plan: {"layer": _layer(plan), **names_that_decide(plan)},
     own=lambda plan: (
-        *deciding_column(plan),
+        *exempt_columns(plan),
         *COARSE,
         BOUNDARY,
         *_layer(plan).names,

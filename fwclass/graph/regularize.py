@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classify.kept import Kept
+from fwclass.classify.exempt import Exempt
 from fwclass.classify.lines import LINES, count_settled, settle_lines
 from fwclass.classify.mean_field import REGULARIZE, answers, model_share_columns, regularized, shares_of, whole_columns
 from fwclass.classify.params import LineParams, RegularizeParams
 from fwclass.classify.stage import CLASSIFY
-from fwclass.classify.unsure import Left
 from fwclass.graph.areas import has_reference, within
 from fwclass.graph.classify import CLASSIFY_ECHOES, classes_written, classify_tile, codes_of, line_codes, settles
 from fwclass.graph.context import CLASSIFY_IN_CONTEXT, classify_tile_in_context
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.kept import answer_arguments, deciding_column, source_classes, written
+from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box
@@ -44,12 +43,11 @@ def regularize_tile(
     params: RegularizeParams,
     lines: LineParams | None,
     probabilities: bool,
-    kept: Kept | None = None,
-    left: Left | None = None,
+    exempt: Exempt | None = None,
     taught: tuple[tuple[Box, ...], tuple[int, ...]] | None = None,
 ) -> Result:
-    """Classes of a tile's echoes after the mean field and along `lines`; `kept` echoes have the class of their
-    source, `left` ones none, and all are neighbours by what the model says of them. The model has learned from
+    """Classes of a tile's echoes after the mean field and along `lines`; `exempt` echoes do not get
+    them, and all are neighbours by what the model says of them. The model has learned from
     echoes in the areas `taught` that are labelled with one of its codes: these stay off the lines."""
     rows_of, parts, before = [], [], []
     written_as = np.array(codes, np.uint8)
@@ -68,7 +66,7 @@ def regularize_tile(
         parts.append(answers(shares, written_as, probabilities))
     order = np.argsort(np.concatenate(rows_of))
     answered = Table.concat(parts).take(order)
-    table = written(answered, source_classes(here, kept), kept, left)
+    table = exempt.written(answered, here.own_rows()) if exempt else answered
     facts: dict[str, Any] = {"codes": codes_of(table)}
     if lines:
         stands = np.isfinite(table["confidence"]) & (table["classification"] == answered["classification"])
@@ -147,7 +145,7 @@ CLASSIFY_REGULARIZED = Stage(
         "params": plan.config.classify.regularize,
         "lines": _lines(plan),
         "probabilities": plan.config.classify.probabilities,
-        **answer_arguments(plan),
+        **exempt_argument(plan),
         **({"taught": _taught(plan)} if _taught(plan) else {}),
     },
     reads=lambda plan: (
@@ -155,7 +153,7 @@ CLASSIFY_REGULARIZED = Stage(
         *(("echo_number",) if line_codes(plan) else ()),
         *model_share_columns(_codes(plan)),
     ),
-    own=lambda plan: (*deciding_column(plan), *(("x", "y", "reference") if _taught(plan) else ())),
+    own=lambda plan: (*exempt_columns(plan), *(("x", "y", "reference") if _taught(plan) else ())),
     writes=classes_written,
     halo=settled_halo,
     after=(MODEL_SHARES,),

@@ -94,7 +94,7 @@ def ground_remarks(
     if noise >= WORTH and noise > NOISY * rows:
         remarks.append(
             f"the noise filter took out {noise:,} echoes ({100 * noise / rows:.1f} %): they are no ground and nobody's "
-            "neighbours; a classification gives them classes like all others, --workflow ground writes them as 7 and 18"
+            "neighbours; classify.noise=true, or --workflow ground, writes them as 7 and 18"
         )
     without = [b for b in blocks if b["seen"] >= WORTH and b["last"] < FEW * b["seen"]]
     echoes, whole = sum(b["seen"] for b in without), sum(b["seen"] for b in blocks)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.classify.exempt import Exempt
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.lines import line_remarks
 from fwclass.classify.unsure import by_percent, unsure_facts
@@ -253,7 +254,8 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     tell("reading")
     fine = model.fine.features if isinstance(model, TwoLayer) else ()
     wide = Asked.of(n for n in fine if is_feature(n))
-    needed = (*model.features, *fine, *asked.reads, *wide.reads)
+    exempt = Exempt.of(conf.section("classify", job.settings))
+    needed = (*model.features, *fine, *asked.reads, *wide.reads, *(exempt.columns if exempt else ()))
     notes: tuple[str, ...] = ()
     echoes = read_echoes(job.source, needed, job.settings, given_crs(job.crs, "--crs"), tell)
     if "height_above_ground" in needed:
@@ -264,7 +266,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
         if "height_above_ground" in model.features:
             notes = tuple(ground_notes(model.card, method, conf.section("terrain", job.settings).height))
-    if asked.names or wide.names:
+    if asked.names or wide.names or "noise" in needed:
         echoes = with_noise(echoes, job.settings, tell)
     if any(n in RADIOMETRY.writes for n in needed):
         echoes = with_radiometry(echoes, job.flight, job.settings)
