@@ -39,11 +39,12 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
     wanted = tuple(dict.fromkeys(computed_names(s) for s in sets))
     config = layout.config
     asked = Asked.of(n for s in wanted for n in s)
-    halo = asked.halo(config.features)
-    columns = layout.columns(asked.columns(config.features))
+    around = config.features.model_copy(update={"noise_counts": True})  # candidates may need no filter of it
+    halo = asked.halo(around)
+    columns = layout.columns(asked.columns(around))
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {
-        **config.features.model_dump(mode="json", exclude={"also"}),
+        **around.model_dump(mode="json", exclude={"also"}),
         "tile": tile.key,
         "sets": [list(s) for s in wanted],
         "repeats": config.select.timing_repeats,
@@ -56,7 +57,7 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
         columns,
         present,
         wanted,
-        config.features,
+        around,
         config.select.timing_repeats,
         config.select.timing_echoes,
     )

@@ -78,11 +78,12 @@ def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     config = layout.config
     names = computed_names(names)
     asked = Asked.of(names)
-    halo = asked.halo(config.features)
-    columns = layout.columns(asked.columns(config.features))
+    around = config.features.model_copy(update={"noise_counts": True})  # candidates may need no filter of it
+    halo = asked.halo(around)
+    columns = layout.columns(asked.columns(around))
     present = layout.around(tile.box.grown(halo), layout.keys)
-    params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
-    work = partial(_time_rates, tile, halo, columns, present, names, config.features, config.select)
+    params = {**around.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
+    work = partial(_time_rates, tile, halo, columns, present, names, around, config.select)
     return Task(
         RATE_COST, digest_of(params)[:16], FEATURE_COMPUTATION.version, params, work, needs=needs_of(columns, present)
     )
