@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 
@@ -67,16 +66,6 @@ def first_hole(path: Path, begin: int, end: int, least: int = 7) -> int | None:
                 return int(at + SECTOR * (starts[long[0]] - before))
             run = int(lengths[-1]) if len(ends) and ends[-1] == len(whole) else 0
     return None
-
-
-def mapped(path: Path, least: int) -> NDArray[np.uint8]:
-    """The bytes of a file, mapped, not read; `InputError` where they are fewer than the `least` that it had when places
-    in it were checked: kernels would read behind its end."""
-    size = path.stat().st_size
-    data = np.asarray(np.memmap(path, np.uint8, "r")) if size else np.empty(0, np.uint8)
-    if len(data) < least:
-        raise cut_off(path, least, len(data))
-    return data
 
 
 def cut_off(path: Path, least: int, size: int) -> InputError:

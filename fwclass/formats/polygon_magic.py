@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
-import mmap
+import os
 import re
 import sqlite3
 from functools import lru_cache
@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError, visible
+from fwclass.formats.checks import cut_off
+from fwclass.formats.extents import read_extents
 from fwclass.formats.grid_files import names_file, paths_named
 from fwclass.formats.sqlite_files import SIGNATURE, open_sqlite, page_fault, schema_fault
 from fwclass.paths import open_regular, strange_kind
@@ -129,22 +131,26 @@ def _json_fault(head: bytes) -> str:
 
 def _check_system(path: Path) -> None:
     """`InputError` where the coordinate system is an address, which GDAL would fetch; without it, it takes degrees."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-        plain = _PLAIN.match(text)
-        if plain is not None and plain.end() < len(text):
-            raise _other(path, f'what JSON has not at byte {plain.end()}: a comment, or a text in other quotes than "')
-        for key_of_system in _SYSTEM.finditer(text):
-            for key, value in _members(
-                path, text[key_of_system.end() : key_of_system.end() + HEAD].decode("utf-8", "replace")
-            ):
-                if key in ("href", "url") or (key == "type" and value in ("link", "url")):
-                    raise _other(
-                        path,
-                        "a coordinate system that is to be fetched from an address",
-                        "export it with a coordinate system that is named, such as EPSG:25832",
-                    )
-                named = names_file(value) if key == "name" else next(iter(paths_named(value)), "")
-                _refuse_file(path, named)
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        text = file.read(size)  # not mapped: where it is cut off meanwhile, the process would end by a signal
+    if len(text) < size:
+        raise cut_off(path, size, len(text))
+    plain = _PLAIN.match(text)
+    if plain is not None and plain.end() < len(text):
+        raise _other(path, f'what JSON has not at byte {plain.end()}: a comment, or a text in other quotes than "')
+    for key_of_system in _SYSTEM.finditer(text):
+        for key, value in _members(
+            path, text[key_of_system.end() : key_of_system.end() + HEAD].decode("utf-8", "replace")
+        ):
+            if key in ("href", "url") or (key == "type" and value in ("link", "url")):
+                raise _other(
+                    path,
+                    "a coordinate system that is to be fetched from an address",
+                    "export it with a coordinate system that is named, such as EPSG:25832",
+                )
+            named = names_file(value) if key == "name" else next(iter(paths_named(value)), "")
+            _refuse_file(path, named)
 
 
 def _members(path: Path, text: str) -> list[tuple[str, str]]:
@@ -185,13 +191,12 @@ def _check_index(path: Path, index: Path) -> None:
     with open_regular(index) as file:
         entries = file.read()[100:]
     places = 2 * np.frombuffer(entries, ">i4", len(entries) // 8 * 2)[::2].astype(np.int64)
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as records:
-        whole = np.frombuffer(records, np.uint8)
-        inside = places[(places >= 0) & (places + 8 <= len(whole))]
-        words = whole[inside[:, None] + np.arange(4, 8)].copy().view(">i4").astype(np.int64)
-        del whole  # the map cannot be closed before
+    size = path.stat().st_size
+    inside = places[(places >= 0) & (places + 8 <= size)]
+    lengths = read_extents(path, inside + 4, inside + 8, size)
+    words = lengths.data[lengths.place[:, None] + np.arange(4)].view(">i4").astype(np.int64)
     total = int(2 * words.clip(0).sum()) + 8 * len(inside)
-    if total > path.stat().st_size:
+    if total > size:
         raise _other(path, f"an index of {total} bytes of records, {index.name}", "export the polygons again")
 
 

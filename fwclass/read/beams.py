@@ -19,7 +19,7 @@ from fwclass.errors import InputError
 from fwclass.formats.projected import project_beams
 from fwclass.read.beam_source import turn_beams
 from fwclass.read.packets import References, judge
-from fwclass.read.pls_waves import Samplings, find, read_records, waves_of
+from fwclass.read.pls_waves import Samplings, find, read_records
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.pulsewaves import RETURNING
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
@@ -264,7 +264,7 @@ def _first_samples(source: Source) -> FirstSamples:
     last, untimed, speed, way = min(source.n_records, LOOKED_AT), False, np.empty(0), np.empty(0)
     if isinstance(source, PulseSource):
         kinds = Samplings.of(source)
-        waves = find(source, read_records(source, 0, last), kinds, waves_of(source))
+        waves = find(source, read_records(source, 0, last), kinds)
         parts = waves.segments.take(np.flatnonzero(kinds.kind[waves.segments.sampling] == RETURNING))
         row, first = np.unique(parts.pulse, return_index=True)
         step, time = waves.step[row], waves.time[row]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.checks import mapped
+from fwclass.formats.extents import read_extents
 from fwclass.formats.las_header import EVLR_HEADER
 from fwclass.read.compressed_packets import SHORTEST, decompress
 from fwclass.read.las import LASZIP, PLAIN, LasSource
@@ -320,11 +320,11 @@ def _stored(source: LasSource, refs: References, table: _Lookup, anchor: NDArray
         _refuse_swollen(source, int(table.bytes[index].sum()))
     if len(anchor) == 0 or source.waves.path is None:
         return _Stored(np.empty(0, np.uint8), np.empty(0, np.int64), wide[:0], none[:0])
-    data = mapped(source.waves.path, source.waves.base + source.waves.available)
-    start = refs.offset[anchor].astype(np.int64) + source.waves.base
+    begin = refs.offset[anchor].astype(np.int64) + source.waves.base
+    read = read_extents(source.waves.path, begin, begin + size, source.waves.base + source.waves.available)
     if not packed.any():
-        return _Stored(data, start, wide, none)
-    samples, ends, sound = decompress(data, start, size, wide, packed, table.samples[index])
+        return _Stored(read.data, read.place, wide, none)
+    samples, ends, sound = decompress(read.data, read.place, size, wide, packed, table.samples[index])
     all_wide = np.ones(int(sound.sum()), np.bool_)
     return _Stored(samples.astype("<u2", copy=False).view(np.uint8), 2 * ends[:-1][sound], all_wide, ~sound)
 

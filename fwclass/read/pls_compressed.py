@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.checks import mapped
+from fwclass.formats.extents import Extents, read_extent
 from fwclass.read.plz_kernels import (
     BITS,
     EXTRA_BYTES,
@@ -30,6 +30,7 @@ from fwclass.read.plz_kernels import (
     unpack_waves,
 )
 from fwclass.read.range_coder import decoder_of
+from fwclass.read.wave_extents import read_waves
 from fwclass.read.wave_kernels import SOUND
 
 RECORD_NUMBER = 5
@@ -81,14 +82,13 @@ def read_chunks(path: Path, size: int, start: int, pulses: int, pulse_size: int,
     chunk, items = _items(path, record, pulse_size)
     if pulses * pulse_size > EXPANSION * size:
         raise _damaged(path, f"at most {EXPANSION} times its bytes of pulses", f"{pulses} of {pulse_size} bytes")
-    data = mapped(path, size)
     if start + 8 > size:
         raise _damaged(path, "a table of chunks", "the end of the file")
-    at = _whole(data, start)
+    at = _whole(path, start, size)
     wanted = -(-pulses // chunk) if chunk != VARIABLE else None
     if at == -1:  # written to a pipe: the place stands at the end, before the library's last record
-        ends = (_whole(data, k) for k in (size - RECORD_HEADER - 8, size - 8) if k >= start + 8)
-        at = next((e for e in ends if start + 8 <= e <= size - 8 and _head(data, e)[0] == 0), -1)
+        ends = (_whole(path, k, size) for k in (size - RECORD_HEADER - 8, size - 8) if k >= start + 8)
+        at = next((e for e in ends if start + 8 <= e <= size - 8 and _head(path, e, size)[0] == 0), -1)
     if at == start:
         raise InputError(
             "the pulses were never finished: there is no table of chunks",
@@ -99,7 +99,7 @@ def read_chunks(path: Path, size: int, start: int, pulses: int, pulse_size: int,
         )
     if not start + 8 <= at <= size - 8:
         raise _damaged(path, f"a table of chunks between byte {start + 8} and the end", f"byte {at}")
-    version, count = _head(data, at)
+    version, count = _head(path, at, size)
     if version or count > pulses or wanted not in (None, count):
         raise _damaged(
             path,
@@ -108,7 +108,8 @@ def read_chunks(path: Path, size: int, start: int, pulses: int, pulse_size: int,
         )
     sizes, lengths = np.zeros(count, np.int64), np.zeros(count, np.int64)
     if count:
-        unpack_table(*decoder_of(data, TABLE_MODELS, 1), at + 8, size, chunk == VARIABLE, sizes, lengths)
+        table = read_extent(path, at + 8, size, size)
+        unpack_table(*decoder_of(table, TABLE_MODELS, 1), 0, len(table), chunk == VARIABLE, sizes, lengths)
     if chunk != VARIABLE:
         sizes[:] = chunk
         sizes[-1:] = pulses - chunk * (count - 1)
@@ -118,13 +119,13 @@ def read_chunks(path: Path, size: int, start: int, pulses: int, pulse_size: int,
     return Chunks(np.r_[0, np.cumsum(sizes)].astype(np.int64), starts.astype(np.int64), items)
 
 
-def _whole(data: NDArray[np.uint8], at: int) -> int:
-    return int.from_bytes(bytes(data[at : at + 8]), "little", signed=True)
+def _whole(path: Path, at: int, size: int) -> int:
+    return int.from_bytes(read_extent(path, at, at + 8, size).tobytes(), "little", signed=True)
 
 
-def _head(data: NDArray[np.uint8], at: int) -> tuple[int, int]:
+def _head(path: Path, at: int, size: int) -> tuple[int, int]:
     """Version of a table of chunks, and their number."""
-    version, count = struct.unpack("<II", bytes(data[at : at + 8]))
+    version, count = struct.unpack("<II", read_extent(path, at, at + 8, size).tobytes())
     return version, count
 
 
@@ -161,24 +162,29 @@ def unpacked_pulses(path: Path, chunks: Chunks, first: int, last: int) -> NDArra
     InputError
         A chunk ends before its pulses do.
     """
-    data, length = mapped(path, int(chunks.start[-1])), int(chunks.items[:, 1].sum())
+    length = int(chunks.items[:, 1].sum())
+    every = range(
+        int(np.searchsorted(chunks.first, first, "right")) - 1, int(np.searchsorted(chunks.first, last, "left"))
+    )
+    if first >= last:
+        return np.zeros((0, length), np.uint8)
+    places = chunks.start - chunks.start[every.start]
+    data = read_extent(path, int(chunks.start[every.start]), int(chunks.start[every.stop]), int(chunks.start[-1]))
     decoder = decoder_of(data, MODELS + int(chunks.items[1:, 1].sum()), BITS)
     rows = []
-    for c in range(
-        int(np.searchsorted(chunks.first, first, "right")) - 1, int(np.searchsorted(chunks.first, last, "left"))
-    ):
+    for c in every:
         begins, count = int(chunks.first[c]), int(min(last, chunks.first[c + 1]) - chunks.first[c])
         out = np.zeros((count, length), np.uint8)
-        whole = unpack_pulses(*decoder, chunks.start[c], chunks.start[c + 1], chunks.items, out)
+        whole = unpack_pulses(*decoder, places[c], places[c + 1], chunks.items, out)
         if whole < count:
             raise _damaged(path, f"{count} pulses from pulse {begins} on", f"the end of their chunk after {whole}")
         rows.append(out[max(first - begins, 0) :])
-    return np.concatenate(rows) if rows else np.zeros((0, length), np.uint8)
+    return np.concatenate(rows)
 
 
 def unpacked_waves(
     path: Path,
-    data: NDArray[np.uint8],
+    size: int,
     offset: NDArray[np.int64],
     descriptor: NDArray[np.int64],
     described: NDArray[np.int64],
@@ -186,13 +192,13 @@ def unpacked_waves(
     returning: NDArray[np.bool_],
     header: int,
     most: int,
-) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The waves of pulses as a .wvs has them: its bytes, where those of each pulse begin, what reading them ended in
-    (`wave_kernels`), and the byte of the .wvz where each ends.
+) -> tuple[Extents, NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """What was read of the .wvz, and the waves of pulses as a .wvs has them: its bytes, where those of each pulse
+    begin, what reading them ended in (`wave_kernels`), and the byte of the .wvz where each ends.
 
     Parameters
     ----------
-    data : bytes of the .wvz.
+    size : bytes of the .wvz.
     offset, descriptor : of every pulse; descriptor -1 for none.
     described, samplings : as `wave_kernels.walk` has them; `returning` (m,) tells which samplings are of what returns.
     header, most : bytes of a Waves file's header, and segments that a pulse may have.
@@ -200,21 +206,28 @@ def unpacked_waves(
     Raises
     ------
     InputError
-        They are more than `EXPANSION` times the file.
+        They are more than `EXPANSION` times the file; as `read_extents`.
+    OSError
+        As `open`.
     """
-    limit = EXPANSION * len(data)
+    limit = EXPANSION * size
     ends, start, stop = (np.zeros(len(offset), np.int64) for _ in range(3))
-    places = np.ascontiguousarray(offset)
+    none, places, total = np.zeros(len(offset), np.int64), np.ascontiguousarray(offset), 0
     out = np.empty(min(limit, header + LIKELY * len(places)), np.uint8)
-    decoder = decoder_of(data, WAVE_MODELS, WAVE_BITS)
-    arguments = (places, descriptor, described, samplings, returning, header, most, limit, ends, start, stop)
-    total = int(unpack_waves(*decoder, *arguments, out))
-    if total > limit:
-        raise _damaged(path, f"waves of at most {EXPANSION} times its bytes", "more")
+    arguments = (places, size, descriptor, described, samplings, returning, header, most, limit, ends, start, stop)
+
+    def look(read: Extents) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        nonlocal total
+        total = int(unpack_waves(*decoder_of(read.data, WAVE_MODELS, WAVE_BITS), read.place, read.end, *arguments, out))
+        if total > limit:
+            raise _damaged(path, f"waves of at most {EXPANSION} times its bytes", "more")
+        return ends, none
+
+    read = read_waves(path, size, places, descriptor >= 0, look)
     if total > len(out):
         out = np.empty(total, np.uint8)
-        unpack_waves(*decoder, *arguments, out)
-    return out[:total], np.where(ends == SOUND, start, 0), ends, stop
+        look(read)
+    return read, out[:total], np.where(ends == SOUND, start, 0), ends, stop
 
 
 def _damaged(path: Path, expected: str, got: Any) -> InputError:

@@ -28,7 +28,6 @@ from fwclass.read.pls_waves import (
     read_records,
     refuse_overlap,
     waves_fault,
-    waves_of,
 )
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseSource
 from fwclass.read.spans import Span, spans_by_points
@@ -109,8 +108,8 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
     P(t) = P_anchor + (anchor_time - t) step holds as everywhere; `anchor_range` is the distance from the optical
     centre to the anchor, 0 where they coincide. Of several channels the first that has samples counts.
     """
-    kinds, data = Samplings.of(source), waves_of(source)
-    pulses = find(source, read_records(source, span.first_point, span.last_point), kinds, data)
+    kinds = Samplings.of(source)
+    pulses = find(source, read_records(source, span.first_point, span.last_point), kinds)
     counts = np.bincount(pulses.fault, minlength=len(FAULTS))
     faults = {name: int(n) for name, n in zip(FAULTS[:SILENT], counts, strict=False) if n and name}
     segments, lost = _returning(pulses.segments, kinds)
@@ -215,7 +214,7 @@ class _Asked:
 def _runs_together(asked: _Asked) -> bool:
     """Whether the first pulses of the file are stored so; asked once for all spans of a file."""
     source, kinds = asked.source, Samplings.of(asked.source)
-    tried = find(source, read_records(source, 0, min(TRIED, source.n_records)), kinds, waves_of(source))
+    tried = find(source, read_records(source, 0, min(TRIED, source.n_records)), kinds)
     return _runs_on(tried, kinds)
 
 

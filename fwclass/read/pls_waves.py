@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.checks import mapped
+from fwclass.formats.extents import Extents
 from fwclass.read import wave_kernels
 from fwclass.read.packets import VECTOR_RANGE
 from fwclass.read.pls_compressed import PULSE, unpacked_pulses, unpacked_waves
 from fwclass.read.points import ZEROS
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, WAVES_HEADER, PulseSource, Sampling
+from fwclass.read.wave_extents import read_waves
 from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, walk
 from fwclass.units import METRES_PER_NS
 
@@ -194,8 +196,8 @@ class Pulses:
     stop: NDArray[np.int64]
 
 
-def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDArray[np.uint8] | None) -> Pulses:
-    """Look at pulses and walk through their waves (`data`: the bytes of the Waves file)."""
+def find(source: PulseSource, records: NDArray[Any], kinds: Samplings) -> Pulses:
+    """Look at pulses, read their waves and walk through them."""
     index = (records["bits"] & 0xFF).astype(np.int64)
     scales, offsets = np.array(source.scales), np.array(source.offsets)
     anchor = records["anchor"] * scales + offsets
@@ -207,12 +209,13 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     fault = kinds.state[index].copy()
     sane = (length >= VECTOR_RANGE[0] * METRES_PER_NS) & (length <= VECTOR_RANGE[1] * METRES_PER_NS)
     fault[(fault == 0) & ~sane] = FAULTS.index("no sane beam vector")
-    if data is None:
+    if source.waves.path is None:
         fault[fault == 0] = FAULTS.index("waveforms missing")
         table, ends = np.empty((0, SEGMENT_COLUMNS), np.int64), np.zeros(len(index), np.int64)
-        samples, stop = None, np.zeros(len(index), np.int64)
+        read, samples, stop = None, None, np.zeros(len(index), np.int64)
     else:
-        samples, table, ends, stop = _walk(source, data, records["waves"], np.where(fault == 0, index, -1), kinds)
+        known = np.where(fault == 0, index, -1)
+        read, samples, table, ends, stop = _walk(source, source.waves.path, records["waves"], known, kinds)
     codes = np.array([_BY_WALK[k] for k in range(len(_BY_WALK))], np.uint8)
     fault = np.where(fault == 0, codes[ends], fault)
     sampling = table[:, 1]
@@ -225,53 +228,56 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     heard[segments.pulse[kinds.kind[segments.sampling] == RETURNING]] = True
     fault[(fault == 0) & ~heard] = SILENT
     rows = np.flatnonzero((fault == SILENT) & kinds.sends[index])
-    fault[rows[_in_hole(data, records["waves"][rows])]] = SILENT - 1
+    fault[rows[_in_hole(read, rows)]] = SILENT - 1
     time = records["time"] * source.header.time_scale + source.header.time_offset
     return Pulses(time, anchor, step, kinds.centre[index] * kinds.unit[index] * length, fault, segments, samples, stop)
 
 
-def _in_hole(data: NDArray[np.uint8] | None, offset: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether nothing but zeros stands at the offsets of pulses: a sound file has an outgoing pulse there."""
-    if data is None or len(data) < HOLE:
-        return np.zeros(len(offset), np.bool_)
-    runs = np.lib.stride_tricks.sliding_window_view(data, HOLE)
-    inside = offset < len(runs)
-    inside[inside] = ~runs[offset[inside]].any(axis=1)
+def _in_hole(read: Extents | None, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether nothing but zeros stands where the waves of pulses begin: a sound file has an outgoing pulse there."""
+    if read is None or len(read.data) < HOLE:
+        return np.zeros(len(rows), np.bool_)
+    runs = np.lib.stride_tricks.sliding_window_view(read.data, HOLE)
+    inside = read.place[rows] + HOLE <= read.end[rows]
+    inside[inside] = ~runs[read.place[rows[inside]]].any(axis=1)
     return inside
 
 
 def _walk(
-    source: PulseSource,
-    data: NDArray[np.uint8],
-    offset: NDArray[np.int64],
-    descriptor: NDArray[np.int64],
-    kinds: Samplings,
-) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The bytes that hold the samples, the segments in them, what every pulse ended in, where compressed waves end."""
-    unpacking, stop = np.zeros(len(offset), np.int64), np.zeros(len(offset), np.int64)
+    source: PulseSource, path: Path, offset: NDArray[np.int64], descriptor: NDArray[np.int64], kinds: Samplings
+) -> tuple[Extents, NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """What was read, the bytes that hold the samples, the segments in them, what every pulse ended in, where compressed
+    waves end."""
+    size, count, offset = source.waves.available, 0, np.ascontiguousarray(offset)
+    ends, reach, stop = (np.zeros(len(offset), np.int64) for _ in range(3))
+    table = np.empty((2 * len(offset), SEGMENT_COLUMNS), np.int64)
+
+    def look(waves: Extents) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        nonlocal count
+        held = (waves.data, waves.place, waves.end, offset, size)
+        count = int(
+            walk(*held, descriptor, kinds.described, kinds.table, WAVES_HEADER, MAX_SEGMENTS, ends, reach, table)
+        )
+        if count > OVERLAP * size:  # every segment found has samples
+            refuse_overlap(source, f"{count} segments")
+        return ends, reach
+
     if source.packed:
         returning = kinds.kind == RETURNING
-        data, offset, unpacking, stop = unpacked_waves(
-            source.waves.path or source.path,
-            data,
-            offset,
-            descriptor,
-            kinds.described,
-            kinds.table,
-            returning,
-            WAVES_HEADER,
-            MAX_SEGMENTS,
+        unpacked = unpacked_waves(
+            path, size, offset, descriptor, kinds.described, kinds.table, returning, WAVES_HEADER, MAX_SEGMENTS
         )
-    ends = np.empty(len(offset), np.int64)
-    table = np.empty((2 * len(offset), SEGMENT_COLUMNS), np.int64)
-    arguments = (data, np.ascontiguousarray(offset), descriptor, kinds.described, kinds.table, WAVES_HEADER)
-    count = int(walk(*arguments, MAX_SEGMENTS, ends, table))
-    if count > OVERLAP * len(data):  # every segment found has samples
-        refuse_overlap(source, f"{count} segments")
+        read, data, offset, unpacking, stop = unpacked
+        size = len(data)
+        waves = Extents(data, offset, np.full(len(offset), size))
+        look(waves)
+    else:
+        waves = read = read_waves(path, size, offset, (descriptor >= 0) & (offset >= WAVES_HEADER), look)
+        data, unpacking = read.data, np.zeros(len(offset), np.int64)
     if count > len(table):
         table = np.empty((count, SEGMENT_COLUMNS), np.int64)
-        walk(*arguments, MAX_SEGMENTS, ends, table)
-    return data, table[:count], np.where(unpacking == SOUND, ends, unpacking), stop
+        look(waves)
+    return read, data, table[:count], np.where(unpacking == SOUND, ends, unpacking), stop
 
 
 def waves_fault(source: PulseSource, begins: NDArray[np.int64], pulses: Pulses) -> str:
@@ -289,17 +295,12 @@ def waves_fault(source: PulseSource, begins: NDArray[np.int64], pulses: Pulses) 
     return f"compressed waves of {count} of {int(tried.sum())} pulses are damaged or run into others': another file's"
 
 
-def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:
-    """The bytes of the Waves file, mapped, not read; None without one."""
-    return None if source.waves.path is None else mapped(source.waves.path, source.waves.available)
-
-
 def blocks_of(source: PulseSource) -> Iterator[tuple[NDArray[Any], Pulses]]:
     """(records, what they hold) of consecutive runs over the whole file."""
-    kinds, data = Samplings.of(source), waves_of(source)
+    kinds = Samplings.of(source)
     for first in range(0, source.n_records, BLOCK):
         records = read_records(source, first, min(first + BLOCK, source.n_records))
-        yield records, find(source, records, kinds, data)
+        yield records, find(source, records, kinds)
 
 
 def reach(pulses: Pulses, kinds: Samplings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -26,6 +26,7 @@ from fwclass.read.wave_kernels import (
     SEGMENTS,
     SOUND,
     TOO_MANY,
+    UNREAD,
     whole_number,
 )
 
@@ -298,7 +299,10 @@ def unpack_waves(  # type: ignore[no-untyped-def]
     below,
     models,
     bits,
+    place,
+    end,
     offset,
+    size,
     descriptor,
     described,
     samplings,
@@ -313,26 +317,28 @@ def unpack_waves(  # type: ignore[no-untyped-def]
 ):
     """Unpack the waves of every pulse into `out`, laid out as in a Waves file from byte `header` on.
 
-    ``start[i]`` becomes the byte where those of pulse i begin, ``ends[i]`` what reading them ended in, ``stop[i]`` the
-    byte of `data` behind them. Gives the bytes that all need, whether or not `out` holds them; ``limit + 1`` where that
-    is more than `limit`, and nothing else is right then.
+    `offset` (n,): byte of the pulse's waves in the file of `size` bytes; they are ``data[place[i]:end[i]]`` as far as
+    they were read. ``start[i]`` becomes the byte where those of pulse i begin, ``ends[i]`` what reading them ended in,
+    ``stop[i]`` the byte of the file behind them. Gives the bytes that all need, whether or not `out` holds them;
+    ``limit + 1`` where that is more than `limit`, and nothing else is right then.
     """
-    size, total = len(data), header
+    total = header
     for i in range(len(offset)):
         start[i], stop[i], ends[i] = total, 0, NO_WAVES
         d = descriptor[i]
         if d < 0 or offset[i] < header:
             continue
-        at = offset[i] + described[d, EXTRA]
-        if offset[i] >= size or at + 4 > size:
-            ends[i] = PAST_END if offset[i] >= size else CUT_SHORT
+        at, last = place[i] + described[d, EXTRA], size - offset[i] + place[i]
+        short = CUT_SHORT if end[i] == last else UNREAD
+        if offset[i] >= size or at + 4 > end[i]:
+            ends[i] = PAST_END if offset[i] >= size else short
             continue
         to = total
         for k in range(described[d, EXTRA]):
-            _put(out, to, 1, data[offset[i] + k])
+            _put(out, to, 1, data[place[i] + k])
             to += 1
         forget(models[:_EIGHT], bits[:1])
-        begin(data, state, at, size)
+        begin(data, state, at, end[i])
         ends[i] = SOUND
         duration = length = seen = 0
         for m in range(described[d, FIRST], described[d, FIRST] + described[d, COUNT]):
@@ -363,19 +369,22 @@ def unpack_waves(  # type: ignore[no-untyped-def]
                     _put(out, to, samplings[m, LENGTH_BYTES], n)
                     to += samplings[m, LENGTH_BYTES]
                 if to + n * samplings[m, SAMPLE_BYTES] > limit:
+                    if passed(state) and short == UNREAD:
+                        ends[i] = UNREAD
+                        break
                     return limit + 1
                 to = _unpack_samples(
                     data, state, counts, below, models, bits, n, samplings[m, SAMPLE_BYTES], returning[m], to, out
                 )
                 if passed(state):
-                    ends[i] = CUT_SHORT
+                    ends[i] = short
                     break
             if ends[i] != SOUND:
                 break
         if passed(state):
-            ends[i] = CUT_SHORT
+            ends[i] = short
         if ends[i] == SOUND:
-            total, stop[i] = to, position(state)
+            total, stop[i] = to, position(state) - place[i] + offset[i]
     return total
 
 

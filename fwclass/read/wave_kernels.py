@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from fwclass.kernel import inlined, kernel
 
-SOUND, NO_WAVES, PAST_END, CUT_SHORT, TOO_MANY, DAMAGED = 0, 1, 2, 3, 4, 5
-"""What walking the waves of a pulse ended in."""
+SOUND, NO_WAVES, PAST_END, CUT_SHORT, TOO_MANY, DAMAGED, UNREAD = 0, 1, 2, 3, 4, 5, 6
+"""What walking the waves of a pulse ended in; `UNREAD`: more of the file is to be read first."""
 
 EXTRA, FIRST, COUNT = 0, 1, 2
 """Columns of the descriptor table: extra bytes, first sampling, samplings."""
@@ -26,20 +26,28 @@ def whole_number(data, at, length):  # type: ignore[no-untyped-def]
     return value
 
 
+@inlined
+def _short(to, end, size):  # type: ignore[no-untyped-def]
+    """Whether what goes up to byte `to` ends behind the file's last, or what was read of it."""
+    return CUT_SHORT if to > size else UNREAD if to > end else SOUND
+
+
 @kernel
-def walk(data, offset, descriptor, described, samplings, header, most, ends, table):  # type: ignore[no-untyped-def]
+def walk(  # type: ignore[no-untyped-def]
+    data, place, end, offset, size, descriptor, described, samplings, header, most, ends, reach, table
+):
     """Find the segments of every pulse that have samples.
 
-    `offset`, `descriptor` (n,): byte of the pulse's waves in `data`, and its row in `described` (-1: none). `header`
-    is the length of the file's header, `most` the segments a pulse may have. ``ends[i]`` becomes what the walk of
-    pulse i ended in. `table` (m, 5) receives the segments of the pulses that ended well; gives their number, whether
-    or not they fit into `table`.
+    `offset`, `descriptor` (n,): byte of the pulse's waves in the file of `size` bytes, and its row in `described` (-1:
+    none). They are ``data[place[i]:end[i]]`` as far as they were read. `header` is the length of the file's header,
+    `most` the segments a pulse may have. ``ends[i]`` becomes what the walk of pulse i ended in, ``reach[i]`` the byte
+    of the file up to which it has to be read. `table` (m, 5) receives the segments of the pulses that ended well; gives
+    their number, whether or not they fit into `table`.
     """
-    size = len(data)
     count = 0
     for i in range(len(offset)):
         before = count
-        ends[i] = NO_WAVES
+        ends[i], reach[i] = NO_WAVES, 0
         d = descriptor[i]
         if d < 0 or offset[i] < header:
             continue
@@ -47,13 +55,14 @@ def walk(data, offset, descriptor, described, samplings, header, most, ends, tab
             ends[i] = PAST_END
             continue
         ends[i] = SOUND
-        at = offset[i] + described[d, EXTRA]
-        seen = 0
+        at, last = place[i] + described[d, EXTRA], size - offset[i] + place[i]
+        to, seen = at, 0
         for m in range(described[d, FIRST], described[d, FIRST] + described[d, COUNT]):
             segments = samplings[m, SEGMENTS]
             if samplings[m, SEGMENT_BYTES] > 0:
-                if at + samplings[m, SEGMENT_BYTES] > size:
-                    ends[i] = CUT_SHORT
+                to = at + samplings[m, SEGMENT_BYTES]
+                ends[i] = _short(to, end[i], last)
+                if ends[i] != SOUND:
                     break
                 segments = whole_number(data, at, samplings[m, SEGMENT_BYTES])
                 at += samplings[m, SEGMENT_BYTES]
@@ -62,8 +71,9 @@ def walk(data, offset, descriptor, described, samplings, header, most, ends, tab
                 ends[i] = TOO_MANY
                 break
             for _ in range(segments):
-                if at + samplings[m, DURATION_BYTES] + samplings[m, LENGTH_BYTES] > size:
-                    ends[i] = CUT_SHORT
+                to = at + samplings[m, DURATION_BYTES] + samplings[m, LENGTH_BYTES]
+                ends[i] = _short(to, end[i], last)
+                if ends[i] != SOUND:
                     break
                 duration, wide = 0, samplings[m, DURATION_BYTES]
                 if wide > 0:
@@ -75,8 +85,9 @@ def walk(data, offset, descriptor, described, samplings, header, most, ends, tab
                 if samplings[m, LENGTH_BYTES] > 0:
                     length = whole_number(data, at, samplings[m, LENGTH_BYTES])
                     at += samplings[m, LENGTH_BYTES]
-                if length * samplings[m, SAMPLE_BYTES] > size - at:
-                    ends[i] = CUT_SHORT
+                to = at + length * samplings[m, SAMPLE_BYTES]
+                ends[i] = _short(to, end[i], last)
+                if ends[i] != SOUND:
                     break
                 if length > 0:
                     if count < len(table):
@@ -86,6 +97,7 @@ def walk(data, offset, descriptor, described, samplings, header, most, ends, tab
                 at += length * samplings[m, SAMPLE_BYTES]
             if ends[i] != SOUND:
                 break
+        reach[i] = to - place[i] + offset[i]
         if ends[i] != SOUND:
             count = before
     return count

@@ -42,9 +42,13 @@ def drive_pulses(rng: np.random.Generator, packet: np.ndarray) -> None:
     described = np.array([[rng.integers(0, 9), 0, 2]])
     ends, start, stop = (np.zeros(3, np.int64) for _ in range(3))
     offset = rng.integers(-9, end + 9, 3)
+    first, size = np.clip(offset, 0, end), end + int(rng.integers(0, 99))  # the rest of the file is not read
     unpack_waves(
         *decoder_of(packet, WAVE_MODELS, WAVE_BITS),
+        first,
+        np.maximum(first, rng.integers(0, end + 1, 3)),
         offset,
+        size,
         np.array([0, -1, 0]),
         described,
         samplings,

@@ -21,7 +21,7 @@ from fwclass.operate.schedule.places import WAVES
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read import pls_compressed, pls_read
 from fwclass.read.info import describe, files_in, info
-from fwclass.read.pls_waves import Samplings, find, read_records, waves_fault, waves_of
+from fwclass.read.pls_waves import Samplings, find, read_records, waves_fault
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
 from fwclass.waveforms import Waveforms
 
@@ -350,7 +350,7 @@ def test_pulses_in_any_order_and_selection_fit_their_waves(tmp_path, params, whi
     assert not [f for f in info(path)["faults"] if "another file" in f]
     for first in range(0, len(chosen), 20):  # however few of the others are seen
         records = read_records(source, first, min(first + 20, len(chosen)))
-        pulses = find(source, records, Samplings.of(source), waves_of(source))
+        pulses = find(source, records, Samplings.of(source))
         assert waves_fault(source, records["waves"], pulses) == ""
 
 

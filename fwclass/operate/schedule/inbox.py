@@ -217,11 +217,11 @@ def _surplus(header: Header) -> list[str]:
 
 def _short_pulses(source: PulseSource) -> str:
     """The last pulses' waves lie behind the end of a Waves file that is still being written; they state no length."""
-    from fwclass.read.pls_waves import FAULTS, Samplings, find, read_records, waves_of
+    from fwclass.read.pls_waves import FAULTS, Samplings, find, read_records
 
     last = max(0, source.n_records - LAST)
     records = read_records(source, last, source.n_records)
-    fault = find(source, records, Samplings.of(source), waves_of(source)).fault
+    fault = find(source, records, Samplings.of(source)).fault
     short = sum(FAULTS[code] in ("waves past the end", "waves cut short") for code in fault)
     if not short or source.waves.path is None:
         return ""
