@@ -115,7 +115,14 @@ def _write_group(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
     codec = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
     for name, array in arrays.items():
         chunks, shards = _layout(array)
-        group.create_array(name, data=np.ascontiguousarray(array), chunks=chunks, shards=shards, compressors=codec)
+        group.create_array(
+            name,
+            data=np.ascontiguousarray(array),
+            chunks=chunks,
+            shards=shards,
+            compressors=codec,
+            config={"write_empty_chunks": True},  # or what is all zeros holds nothing that tells how much it may be
+        )
     for name, content in files.items():
         file = path / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -237,9 +244,10 @@ def _check_own(about: Mapping[str, Any], name: str) -> None:
 
 def _held(array: Any, directory: Path) -> NDArray:
     """The values; `ValueError` for more chunks than its shards have room to list, or longer ones than are written: zarr
-    sets aside and fills whatever the array's description says. Of zeros alone there is no shard."""
+    sets aside and fills whatever the array's description says. Runs of before have no shard of zeros alone: as many of
+    these are taken as a small part has."""
     held = sum(p.stat().st_size for p in (directory / "c").rglob("*") if p.is_file())
-    if not held and not array.fill_value:
+    if not held and not array.fill_value and array.nbytes <= SMALL:
         return np.zeros(array.shape, array.dtype)
     edge = CHUNK if array.ndim < 2 else RASTER_CHUNK
     for cells in (array.shape, array.shards or array.chunks):

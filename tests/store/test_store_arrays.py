@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,21 @@ def test_a_group_that_says_more_than_its_files_hold_is_refused(what: str, tmp_pa
     if what == "chunks":
         about["codecs"][0]["configuration"]["chunk_shape"] = many
     document.write_text(json.dumps(about))
+    with pytest.raises(StoreError, match="do not hold"):
+        read_arrays(tmp_path / "a.zarr")
+
+
+@pytest.mark.parametrize(("values", "fits"), [(3, True), (SMALL // 2, True), (SMALL // 2 + 1, False), (1 << 30, False)])
+def test_zeros_without_a_file_are_no_more_than_a_small_part_has(values: int, fits: bool, tmp_path: Path) -> None:
+    """Runs of before kept no file of zeros alone; a description of 2 GB of them was believed."""
+    _write_group(tmp_path / "a.zarr", {"samples": np.zeros(3, np.uint16)}, {})
+    assert (tmp_path / "a.zarr" / "samples" / "c" / "0").is_file()
+    shutil.rmtree(tmp_path / "a.zarr" / "samples" / "c")
+    document = tmp_path / "a.zarr" / "samples" / "zarr.json"
+    document.write_text(json.dumps({**json.loads(document.read_text()), "shape": [values]}))
+    if fits:
+        assert read_arrays(tmp_path / "a.zarr")[0]["samples"].shape == (values,)
+        return
     with pytest.raises(StoreError, match="do not hold"):
         read_arrays(tmp_path / "a.zarr")
 
