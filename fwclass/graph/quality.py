@@ -27,14 +27,16 @@ from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
-from fwclass.quality.block import BORDERS, READS, block_quality, pairs_from, pieces_from
+from fwclass.quality.block import BORDERS, LOWS, READS, block_quality, pairs_from, pieces_from
 from fwclass.quality.check_points import CHECKED, check_remarks, compared_points
 from fwclass.quality.density import Density, density_remarks
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.strips import (
+    By,
     Comparison,
     largest_differences,
+    lifted_strips,
     numbers_of,
     stepped_borders,
     strip_remarks,
@@ -177,15 +179,18 @@ def _strips(
     by = strips_by(params.strips, *(sum(int(m[n]) for m in metas) for n in ("between_files", "between_lines")))
     numbers = numbers_of(pieces, by)
     strips = strips_of(pieces, [(b.box.xmin, b.box.ymin) for b in blocks], numbers, params.line_gap)
-    compared, borders = Comparison(params.planes, sum(int(m["pairs"]) for m in metas)), []
+    compared, borders, lows = Comparison(params.planes, sum(int(m["pairs"]) for m in metas)), [], []
     for b, number in zip(blocks, numbers, strict=True):
         window = Window.covering(b.box, params.planes.cell)
         arrays = inputs.arrays(stage, b.key, COMPARED)[0]
         compared.add(pairs_from(arrays), number, (window.col, window.row))
         borders.append([arrays[name] for name in BORDERS])
+        lows.append((arrays[LOWS[0]], arrays[LOWS[1]], arrays[LOWS[2]]))
     first, second, step = (np.concatenate(some) for some in zip(*borders, strict=True))
     stepped = stepped_borders(first, second, step, files, params.planes.max_step)
-    facts = compared.facts(strips, files, by) | {"borders": stepped}
+    ways: tuple[By, ...] = ("files", "times")
+    lifted = [{"by": way, **one} for way in ways for one in lifted_strips(lows, numbers_of(pieces, way))]
+    facts = compared.facts(strips, files, by) | {"borders": stepped, "lifted": lifted}
     return facts, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
 
 
@@ -246,7 +251,7 @@ def _style(path: Path, spread: Spread, unit: str) -> None:
 
 MEASURE_QUALITY = Stage(
     "quality-block",
-    2,
+    3,
     "block",
     "echo",
     measure_quality,
@@ -258,7 +263,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    6,
+    7,
     "survey",
     "cell",
     deliver_quality,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fwclass.grid import Box, Window, millimetres, whole_millimetres
 from fwclass.quality.params import QualityParams
 from fwclass.quality.pieces import Pieces, pieces_of
-from fwclass.quality.planes import PlanePairs, border_steps, plane_pairs, planes_of
+from fwclass.quality.planes import PlanePairs, border_steps, low_steps, plane_pairs, planes_of
 from fwclass.schema import Table
 
 READS = ("x", "y", "z", "strip", "gps_time", "echo_number", "number_of_echoes", "noise")
@@ -20,6 +20,9 @@ READS = ("x", "y", "z", "strip", "gps_time", "echo_number", "number_of_echoes", 
 
 BORDERS = ("border_first", "border_second", "border_step")
 """Arrays of `border_steps`."""
+
+LOWS = ("low_first", "low_second", "low_step")
+"""Arrays of `low_steps`."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ class BlockQuality:
     noise : echoes that are noise.
     pieces, pairs : of its strips.
     borders : files beside each other, and the steps between them (`planes.border_steps`).
+    lows : pieces in one cell, and the steps between their lowest echoes (`planes.low_steps`).
     """
 
     echoes: NDArray[np.uint32]
@@ -41,13 +45,14 @@ class BlockQuality:
     pieces: Pieces
     pairs: PlanePairs
     borders: tuple[NDArray, NDArray, NDArray]
+    lows: tuple[NDArray, NDArray, NDArray]
 
     def arrays(self) -> dict[str, NDArray]:
         """Pieces, (pieces,) each, pairs, (pairs,) each, and steps, (steps,) each, by name as a store keeps them."""
         return {
             **vars(self.pieces),
             **{f"pair_{name}": values for name, values in vars(self.pairs).items()},
-            **dict(zip(BORDERS, self.borders, strict=True)),
+            **dict(zip((*BORDERS, *LOWS), (*self.borders, *self.lows), strict=True)),
         }
 
     def between(self) -> tuple[int, int]:
@@ -85,4 +90,5 @@ def block_quality(table: Table, box: Box, params: QualityParams) -> BlockQuality
     cells = Window.covering(box, params.planes.cell)
     planes = planes_of(x[alone], y[alone], sound["z"][alone], number[alone], cells, params.planes)
     steps = border_steps(planes, pieces.file)
-    return BlockQuality(echoes, pulses, table.rows - sound.rows, pieces, plane_pairs(planes), steps)
+    lows = low_steps(x, y, sound["z"], number, cells, params.planes.least)
+    return BlockQuality(echoes, pulses, table.rows - sound.rows, pieces, plane_pairs(planes), steps, lows)

@@ -116,9 +116,15 @@ def planes_of(
 
 def plane_pairs(planes: Planes) -> PlanePairs:
     """Pairs of planes in one cell, which two pieces see."""
-    cells = (planes.row << 32) + planes.col
+    i, j, of = _in_one_cell((planes.row << 32) + planes.col)
+    of_both = (planes.row[i], planes.col[i], planes.piece[i], planes.piece[j])
+    row, col, one, other = (n.astype(np.int32) for n in of_both)
+    return PlanePairs(row, col, one, other, planes.steps(i, j), 2.0 / of[i])
+
+
+def _in_one_cell(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of every two that have the same of the `cells`, which are sorted, and how many rows each row's cell has."""
     shared = np.bincount(np.unique(cells, return_inverse=True)[1])
-    of = np.repeat(shared, shared)  # the keys are sorted by cell
     first, second = [], []
     for ahead in range(1, int(shared.max(initial=1))):
         i = np.flatnonzero(cells[ahead:] == cells[:-ahead])
@@ -126,10 +132,32 @@ def plane_pairs(planes: Planes) -> PlanePairs:
         second.append(i + ahead)
     i, j = (np.concatenate([np.empty(0, np.int64), *some]) for some in (first, second))
     order = np.lexsort((j, i))
-    i, j = i[order], j[order]
-    of_both = (planes.row[i], planes.col[i], planes.piece[i], planes.piece[j])
-    row, col, one, other = (n.astype(np.int32) for n in of_both)
-    return PlanePairs(row, col, one, other, planes.steps(i, j), 2.0 / of[i])
+    return i[order], j[order], np.repeat(shared, shared)
+
+
+def low_steps(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    piece: NDArray[np.int64],
+    window: Window,
+    least: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """How much higher the lowest echo of one piece is than that of another, in cells of `window` that hold `least`
+    echoes of both: numbers of the pieces, the lower one first, int64 (steps,), and the step [m], float64 (steps,).
+
+    Echoes (x, y, z) [m] of the `piece` with that number, (n,) each. Unlike planes it needs nothing flat.
+    """
+    mm = whole_millimetres(window.cell, "quality.planes.cell")
+    pieces = int(piece.max(initial=0)) + 1
+    cell = (millimetres(y) // mm - window.row) * window.ncols + (millimetres(x) // mm - window.col)
+    key, at, count = np.unique(cell * pieces + piece, return_inverse=True, return_counts=True)
+    low = np.full(len(key), np.inf)
+    np.minimum.at(low, at, z)
+    many = np.flatnonzero(count >= least)
+    cells, number = np.divmod(key[many], pieces)
+    i, j, _ = _in_one_cell(cells)
+    return number[i], number[j], low[many[i]] - low[many[j]]
 
 
 def border_steps(

@@ -29,6 +29,12 @@ way, from which the files have other heights: a wall or a bank that follows the 
 borders of public tiles none has a median above 0.26 m."""
 
 
+LIFTED = (20, 0.75, 5.0)
+"""Cells that two strips see, and the share of them where one's lowest echo is so far [m] above the other's, from which
+one has heights of another unit or zero: where crowns let nothing through, both see their tops, and neither all the
+higher. Nothing flat is needed: in feet even roofs are rougher than `max_residual`."""
+
+
 def strips_by(wanted: str, between_files: int, between_lines: int) -> By:
     """What strips are told by: as `wanted`, or where that is auto by files, unless pairs of planes between lines inside
     one file outnumber those between files."""
@@ -143,6 +149,31 @@ def stepped_borders(
     return {"places": len(step), "borders": len(pairs), "stepped": stepped}
 
 
+def lifted_strips(
+    lows: Sequence[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]],
+    numbers: Sequence[NDArray[np.int64]],
+) -> list[dict[str, Any]]:
+    """Strips all of which lies above another, as `LIFTED` has it: the `first` and the ``second``, by the strip's number
+    of every block's pieces (`numbers`), the ``places`` that both see and the median ``step`` [m].
+
+    `lows`: of every block as `planes.low_steps` gives them.
+    """
+    first, second = (np.concatenate([n[block[k]] for n, block in zip(numbers, lows, strict=True)]) for k in range(2))
+    step = np.concatenate([block[2] for block in lows])
+    step = np.where(first > second, -step, step)
+    both = np.minimum(first, second) << 32 | np.maximum(first, second)
+    order = np.argsort(both, kind="stable")
+    order = order[(first != second)[order]]
+    keys, begin = np.unique(both[order], return_index=True)
+    lifted = []
+    for key, values in zip(keys.tolist(), np.split(step[order], begin[1:]), strict=bool(len(keys))):
+        share = max((values > LIFTED[2]).mean(), (values < -LIFTED[2]).mean())
+        if len(values) >= LIFTED[0] and share >= LIFTED[1]:
+            a, b = key >> 32, key & 0xFFFFFFFF
+            lifted.append({"first": a, "second": b, "places": len(values), "step": float(np.median(values))})
+    return lifted
+
+
 def _draw(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDArray[np.bool_]:
     """About `share` of the cells, by their place, the same whatever the blocks and their order."""
     if share >= 1:
@@ -188,6 +219,14 @@ def unsound_strips(facts: Mapping[str, Any]) -> list[str]:
             f"{apart:,} of {every:,} places where two strips see something flat are further apart than one surface can "
             "be (quality.planes.max_step): beams, times, units or the trajectory of a strip are wrong, or the area is "
             "all roofs and walls"
+        )
+    lifted = facts.get("lifted", ())
+    if lifted and not out:
+        worst = max(lifted, key=lambda s: abs(s["step"]))
+        out.append(
+            f"the lowest echoes of two {'files' if worst['by'] == 'files' else 'flight lines'} lie "
+            f"{abs(worst['step']):.1f} m apart (median of {worst['places']:,} places that both see): heights of one of "
+            "them are in another unit or from another zero"
         )
     stepped = facts.get("borders", {}).get("stepped", ())
     if stepped:

@@ -176,6 +176,7 @@ _QUALITY = {
         **dict.fromkeys(("rms", "left", "sigma"), _FIGURE),
         "strips": [_STRIP],
         "between": [{"first": COUNT, "second": COUNT, "pairs": COUNT, "mean": NUMBER, "rms": NUMBER}],
+        "lifted?": [{"by": TEXT, "first": COUNT, "second": COUNT, "places": COUNT, "step": NUMBER}],
         "borders?": {
             **dict.fromkeys(("places", "borders"), COUNT),
             "stepped": [{"first": TEXT, "second": TEXT, "places": COUNT, "step": NUMBER}],

@@ -9,8 +9,8 @@ import pytest
 
 from fwclass.grid import Box, Window
 from fwclass.quality.params import PlaneParams
-from fwclass.quality.planes import PlanePairs, border_steps, plane_pairs, planes_of
-from fwclass.quality.strips import stepped_borders
+from fwclass.quality.planes import PlanePairs, border_steps, low_steps, plane_pairs, planes_of
+from fwclass.quality.strips import lifted_strips, stepped_borders
 
 EAST, NORTH = 512_000.0, 5_403_008.0
 
@@ -122,3 +122,38 @@ def test_a_border_that_is_a_wall_in_part_is_no_step() -> None:
     assert not stepped_borders(first, second, np.array([3.0, -3.0] * 4), {}, 1.0)["stepped"]
     none = np.zeros(0, np.int64)
     assert stepped_borders(none, none, np.zeros(0), {}, 1.0) == {"places": 0, "borders": 0, "stepped": []}
+
+
+def lows(parts: list[Any], order: np.ndarray | None = None) -> Any:
+    x, y, z = (np.concatenate(c) for c in zip(*parts, strict=True))
+    piece = np.repeat(np.arange(len(parts)), [len(p[0]) for p in parts])
+    window = Window.covering(Box(EAST, NORTH, EAST + 64, NORTH + 64), 4.0)
+    some = slice(None) if order is None else order
+    return low_steps(x[some], y[some], z[some], piece[some], window, 6)
+
+
+def test_a_strip_in_feet_shows_though_nothing_in_it_is_flat(params: PlaneParams) -> None:
+    rng = np.random.default_rng(5)
+    a, b = echoes(rng, 16_384, noise=0.03), echoes(rng, 16_384, noise=0.03)
+    feet = (b[0], b[1], b[2] / 0.3048)
+    assert not len(pairs([a, feet], params).dz), "roughness in feet is above max_residual: no planes"
+    steps = lows([a, feet])
+    (one,) = lifted_strips([steps], [np.array([4, 2])])
+    assert (one["first"], one["second"], one["places"]) == (2, 4, 256) and 220 < one["step"] < 240
+    assert not lifted_strips([lows([a, b])], [np.array([0, 1])])
+    assert not lifted_strips([steps], [np.array([3, 3])]), "pieces of one strip"
+    order = rng.permutation(2 * 16_384)
+    assert all((p == q).all() for p, q in zip(steps, lows([a, feet], order), strict=True))
+
+
+def test_crowns_that_hide_the_ground_are_no_step() -> None:
+    rng = np.random.default_rng(6)
+    parts = []
+    for _ in range(2):
+        x, y, z = echoes(rng, 3000)
+        parts.append((x, y, z + rng.uniform(5, 25, len(z)) * (rng.random(len(z)) < 0.95)))
+    steps = lows(parts)
+    assert (np.abs(steps[2]) > 5).mean() > 0.1, "some cells are far apart"
+    assert not lifted_strips([steps], [np.array([0, 1])])
+    none = np.zeros(0, np.int64)
+    assert not lifted_strips([(none, none, np.zeros(0))], [none])
