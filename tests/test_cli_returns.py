@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import lasmaker
 import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
+from stripmaker import line
 
 
 def two_files(place: Path, change) -> Path:
@@ -104,6 +106,37 @@ def test_of_one_file_too(tmp_path):
     assert "! places lie on a lattice, as if they were rounded: z 1 m" in told
     two_files(tmp_path, still)
     assert "! all GPS times are 0.000 s" in fwclass("info", path.parent / "b.las").stdout
+
+
+def test_a_survey_without_several_returns_says_so(tmp_path):
+    path = small_survey(tmp_path)
+    whole = laspy.read(tmp_path / "a.las")
+    whole.return_number[:], whole.number_of_returns[:] = 1, 1
+    whole.write(tmp_path / "a.las")
+    ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode == 0 and "no pulse has several returns" in ended.stderr, ended.stderr
+
+
+def test_the_quality_of_a_survey_with_x_and_y_exchanged_ends_with_4(tmp_path):
+    one = line(0)
+    place = np.stack([one["y"], one["x"], one["z"]], axis=1)
+    lasmaker.write_las(tmp_path / "s.las", place, point_format=6, gps_time=one["t"])
+    (tmp_path / "s.yaml").write_text("survey: {name: swapped, sources: [s.las]}\n")
+    words = ("run", tmp_path / "s.yaml", "--out", tmp_path / "r", "--workflow", "quality", "--workers", 0)
+    words += ("--set", "terrain.block=128", "--set", "ground.block=128")
+    ended = fwclass(*words)
+    assert ended.returncode == 4 and "are x and y swapped" in ended.stderr, ended.stderr
+    assert "are x and y swapped" in (tmp_path / "r" / "report.html").read_text()
+    assert fwclass(*words, "--accept-implausible").returncode == 0
+
+
+@pytest.mark.parametrize("command", ["ground", "normalize"])
+def test_terrain_of_coarse_places_ends_with_4(tmp_path, command):
+    path = two_files(tmp_path, rounded)
+    more = ("--method", "smrf") if command == "normalize" else ()
+    ended = fwclass(command, path.parent / "b.las", tmp_path / "o.las", "--crs", "EPSG:25832", *more)
+    assert ended.returncode == 4 and "b.las: z 1 m" in ended.stderr, ended.stderr
+    assert (tmp_path / "o.las").exists()
 
 
 def test_much_noise_is_told(tmp_path):

@@ -68,8 +68,9 @@ def ground(
 
 
 def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]) -> None:
-    from fwclass.report.facts import judge_place
+    from fwclass import conf
     from fwclass.report.ground import judge_ground
+    from fwclass.report.judge import judge_echoes
     from fwclass.single_file.ground.file import GroundJob, ground_file
     from fwclass.single_file.ground.steps import Steps
     from fwclass.single_file.ground.text import describe
@@ -88,7 +89,8 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
-    judge_place(summary["judged"]["place"], accepted, source)
+    bounds = conf.section("plausibility").model_copy(update={"accept": accepted})
+    judge_echoes(summary["judged"], bounds, source)
     judge_ground({"echoes": summary["shown"], "ground": summary["ground"]}, accepted, source)
 
 
@@ -151,8 +153,8 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
 
     The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
     """
-    from fwclass.report.facts import judge_place
-    from fwclass.report.ground import judge_sunken
+    from fwclass import conf
+    from fwclass.report.judge import judge_echoes
     from fwclass.single_file.ground.normalize import NormalizeJob, normalize_file
     from fwclass.single_file.ground.steps import Steps
     from fwclass.single_file.ground.text import describe_heights
@@ -162,5 +164,5 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
     click.echo(describe_heights(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
-    judge_place(summary["judged"]["place"], accept_implausible, source)
-    judge_sunken(summary["judged"]["ground"], accept_implausible, source)
+    bounds = conf.section("plausibility").model_copy(update={"accept": accept_implausible})
+    judge_echoes(summary["judged"], bounds, source)

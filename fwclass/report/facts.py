@@ -14,6 +14,7 @@ from fwclass.conf import Config
 from fwclass.errors import refuse_unsound
 from fwclass.formats.area_of_use import place_facts, time_faults
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
+from fwclass.grid import Box
 from fwclass.publish.tile_facts import WORTH, least_sure_first
 from fwclass.quality.covered import CoveredArea
 from fwclass.run.runner import Runner
@@ -33,6 +34,15 @@ def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
 def metas_of_run(runner: Runner, stage: str, name: str) -> list[Any]:
     """What the receipts of a stage's parts that are done in this run say of `name`."""
     return [r.meta[name] for r in receipts_of_run(runner, stage)]
+
+
+def place_without_tiles(crs: str | None, box: Box, heights: tuple[float, float] | None) -> dict[str, Any] | None:
+    """What is odd about where the sources lie (``remarks``), and whether none can lie there (``elsewhere``), by the
+    `box` and the `heights` [m] that all returns lie in: of a run that delivers no tiles."""
+    if heights is None:
+        return None
+    system = CRS.from_user_input(crs) if crs else None
+    return place_facts(system, [box.xmin, box.ymin, heights[0]], [box.xmax, box.ymax, heights[1]])
 
 
 def place_of(

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_unsound, visible
 from fwclass.graph.quantities import quantity_of_feature
 from fwclass.graph.sources import strip_of
-from fwclass.read.return_counts import coarse_step, coarse_steps, join_counts, median_intensity
+from fwclass.read.return_counts import coarse_step, coarse_steps, join_counts, lattice_of, median_intensity
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Strip
 
@@ -44,8 +47,10 @@ def returns_facts(
     """
     by_strip: dict[int, list[Mapping[str, Any]]] = {}
     points: dict[int, int] = {}
+    waves = False
     for receipt in receipts:
         if "values" in receipt.meta:
+            waves |= receipt.meta["waveforms"] > 0
             strip = strip_of(receipt.part)
             by_strip.setdefault(strip, []).append(receipt.meta["values"])
             points[strip] = points.get(strip, 0) + receipt.meta["returns"]
@@ -59,11 +64,28 @@ def returns_facts(
     scales, ratio = _scales(counted) if by_intensity else ("", 0.0)
     backward = _backward(counted)
     return {
-        "remarks": [t for t in (coarse, scales, backward, *_numbers(counted, many), _times(counted)) if t],
+        "remarks": [t for t in (coarse, scales, backward, *_numbers(counted, many, waves), _times(counted)) if t],
         "coarse": coarse if step >= params.coarse_places else "",
         "scales": scales if ratio >= params.max_intensity_ratio else "",
         "backward": backward,
     }
+
+
+def heights_of_returns(receipts: Iterable[Receipt]) -> tuple[float, float] | None:
+    """Least and greatest height [m] of the returns of parts that counted them; None without one."""
+    counted = join_counts(r.meta["values"] for r in receipts if "values" in r.meta)
+    if counted["lattice"] is None or not any(counted["lattice"][2]):
+        return None
+    low, high, _ = counted["lattice"][2]
+    return 0.001 * low, 0.001 * high
+
+
+def coarse_places(places: Iterable[NDArray[np.float64]], name: str, params: PlausibilityParams) -> dict[str, Any]:
+    """As `returns_facts`, of x, y and z [m] of one file's points alone."""
+    lattice = [lattice_of(values) for values in places]
+    coarse, step = _coarse({visible(name): {"lattice": lattice}})
+    refused = coarse if step >= params.coarse_places else ""
+    return {"remarks": [coarse] if coarse else [], "coarse": refused, "scales": "", "backward": ""}
 
 
 def judge_returns(facts: Mapping[str, Any] | None, params: PlausibilityParams, where: object) -> None:
@@ -144,8 +166,8 @@ def _backward(counted: Mapping[str, Mapping[str, Any]]) -> str:
     )
 
 
-def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int]) -> list[str]:
-    """That returns are missing, or their numbers are."""
+def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int], waves: bool) -> list[str]:
+    """That returns are missing, or their numbers are; where there are waveforms (`waves`) these show several echoes."""
     remarks = []
     cut = [
         n for n, f in counted.items() if f["missing"] > MISSING * (f["several"] + f["missing"]) and f["missing"] >= FEW
@@ -156,6 +178,11 @@ def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int]
             "returns alone): features of returns do not mean what they mean elsewhere"
         )
     alone = [n for n, f in counted.items() if f["several"] == 0]
+    if len(alone) == len(counted) and not waves:
+        remarks.append(
+            "no pulse has several returns: they, or their numbers, were left out; features of returns say nothing, and "
+            "a model that learned by them takes plants for something else"
+        )
     others = [n for n, f in counted.items() if f["several"] > SEVERAL * points[n]]
     if alone and others:
         remarks.append(

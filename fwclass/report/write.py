@@ -29,7 +29,15 @@ from fwclass.report.counts import (
     withheld_returns,
 )
 from fwclass.report.earlier import since_earlier
-from fwclass.report.facts import legacy_codes, metas_of_run, place_of, receipts_of_run, sureness, unsure_of_run
+from fwclass.report.facts import (
+    legacy_codes,
+    metas_of_run,
+    place_of,
+    place_without_tiles,
+    receipts_of_run,
+    sureness,
+    unsure_of_run,
+)
 from fwclass.report.figures import report_figures
 from fwclass.report.remarks import (
     lines_changed,
@@ -39,7 +47,7 @@ from fwclass.report.remarks import (
     remarks_on_empty_files,
 )
 from fwclass.report.repeated import repeated_facts
-from fwclass.report.returns import returns_facts
+from fwclass.report.returns import heights_of_returns, returns_facts
 from fwclass.report.sampling import sampling
 from fwclass.report.waveforms import plausibility_of_run, radiometry_of_run, some_waves, waveform_facts
 from fwclass.run.inputs import PartInputs
@@ -130,9 +138,11 @@ def _of_the_survey(
     """The files, their waveforms, echoes and ground."""
     files, spacings = source_files(runner, survey), config.quality.void_spacings
     covered = CoveredArea.joined(config.publish.class_cell, metas_of_run(runner, "publish-rasters", "covered"))
-    decomposed = {r.part for r in receipts_of_run(runner, "decompose")}
+    read = [r for stage in ("read", "decompose") for r in receipts_of_run(runner, stage)]
+    decomposed = {r.part for r in read if r.stage == "decompose"}
+    unplaced = None if tiles else place_without_tiles(survey.crs, layout.box, heights_of_returns(read))
     return {
-        "input": files,
+        "input": {**files, "place": unplaced},
         "counts": echo_counts(runner),
         "bathymetry": bathymetry_facts(runner),
         "earlier": since_earlier(runner, REPORT, config.survey.name, files["files"]),
@@ -144,10 +154,7 @@ def _of_the_survey(
         "radiometry": radiometry_of_run(runner, survey, config),
         "repeated": repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips),
         "returns": returns_facts(
-            [r for stage in ("read", "decompose") for r in receipts_of_run(runner, stage)],
-            survey.strips,
-            names if "classify" in runner.tallies else (),
-            config.plausibility,
+            read, survey.strips, names if "classify" in runner.tallies else (), config.plausibility
         ),
         "ground": ground_facts(runner, config, withheld_returns(runner)),
         "water": [body for bodies in metas_of_run(runner, LEVELS, "bodies") for body in bodies],
@@ -199,6 +206,7 @@ def _remarks(
     classified, known, keeps = "classify" in runner.tallies, known_codes(config.classes), Kept.of(config.classify)
     return [
         *of("accuracy", "earlier", "place"),
+        *(report["input"]["place"] or {}).get("remarks", ()),
         *(report["radiometry"] or {}).get("implausible", ()),
         *(unsound_strips(report["quality"]["strips"]) if report["quality"] else ()),
         *(_of_check_points(report["quality"], config) if report["quality"] else ()),

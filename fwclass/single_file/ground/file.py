@@ -23,6 +23,7 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
+from fwclass.report.returns import coarse_places
 from fwclass.schema import Table
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
@@ -112,7 +113,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     written = write_points(cloud, job.output, classes, publish)
     rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
-    stray, place = stray_points(cloud, shown), place_of_cloud(cloud)
+    stray, place, returns = stray_points(cloud, shown), place_of_cloud(cloud), coarse_cloud(cloud, job.source)
+    odd = [*cloud.cut_packets, *place["remarks"], *returns["remarks"]]
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -133,8 +135,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
-        "judged": {"place": place},
-        "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *cloud.cut_packets, *place["remarks"]]),
+        "judged": {"place": place, "returns": returns},
+        "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *odd]),
         "seconds": {
             "filter": round(filtering, 3),
             "compiling": round(compiling.spent() - compiled, 3),
@@ -246,6 +248,12 @@ def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
         return {"remarks": [remark], "elsewhere": True}
     low, high = ([float(f(a[cloud.usable])) for a in (cloud.x, cloud.y, cloud.z)] for f in (np.min, np.max))
     return place_facts(cloud.crs, low, high, getattr(cloud.source, "header", None))
+
+
+def coarse_cloud(cloud: PointCloud, source: Path) -> dict[str, Any]:
+    """Whether the points lie on a coarse lattice, as `report.returns.judge_returns` takes it."""
+    places = [values[cloud.usable] for values in (cloud.x, cloud.y, cloud.z)]
+    return coarse_places(places, source.name, conf.section("plausibility"))
 
 
 def _notes(

@@ -23,6 +23,7 @@ from fwclass.report.ground import sunken_remarks
 from fwclass.single_file.ground.file import (
     came_as_noise,
     classes_of,
+    coarse_cloud,
     filter_cloud,
     place_of_cloud,
     shown_points,
@@ -103,7 +104,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     height[rows] = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)["height_above_ground"]
     tell("writing")
     written = _write(cloud, flags, height, job)
-    known, place = height[np.isfinite(height)], place_of_cloud(cloud)
+    known, place, returns = height[np.isfinite(height)], place_of_cloud(cloud), coarse_cloud(cloud, job.source)
     sunken = sunken_remarks(height, cloud.classes) if method is None and cloud.classes is not None else []
     return {
         "input": str(job.source),
@@ -116,11 +117,11 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
         "keep_z": job.keep_z,
         "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
-        "judged": {"place": place, "ground": sunken},
+        "judged": {"place": place, "returns": returns, "ground": sunken},
         "max_gap": params.max_gap,
         "heights_m": _spread(known),
         "waveforms": written.get("wdp"),
-        "notes": [*written.get("notes", []), *cloud.cut_packets, *place["remarks"], *sunken],
+        "notes": [*written.get("notes", []), *cloud.cut_packets, *place["remarks"], *returns["remarks"], *sunken],
         "seconds": {"all": round(time.perf_counter() - started, 3)},
     }
 
