@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -80,10 +80,10 @@ def heights_of_returns(receipts: Iterable[Receipt]) -> tuple[float, float] | Non
     return 0.001 * low, 0.001 * high
 
 
-def coarse_places(places: Iterable[NDArray[np.float64]], name: str, params: PlausibilityParams) -> dict[str, Any]:
+def coarse_places(places: Sequence[NDArray[np.float64]], name: str, params: PlausibilityParams) -> dict[str, Any]:
     """As `returns_facts`, of x, y and z [m] of one file's points alone."""
-    lattice = [lattice_of(values) for values in places]
-    coarse, step = _coarse({visible(name): {"lattice": lattice}})
+    many = len(places[0]) >= FEW
+    coarse, step = _coarse({visible(name): {"lattice": [*map(lattice_of, places)]}} if many else {})
     refused = coarse if step >= params.coarse_places else ""
     return {"remarks": [coarse] if coarse else [], "coarse": refused, "scales": "", "backward": ""}
 
