@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.classes import HIGH_NOISE, LOW_NOISE
-from fwclass.classify.kept import Kept, with_kept
+from fwclass.classify.kept import Kept, with_codes, with_kept
 from fwclass.classify.params import ClassifyParams
 from fwclass.classify.unsure import Left, with_left
 from fwclass.schema import Table
@@ -50,11 +50,5 @@ class Exempt:
         answered = with_left(answered, self.left)
         if self.noise:
             above = own["height_above_ground"] > 0.0
-            answered = with_noise(answered, own["noise"], np.where(above, HIGH_NOISE, LOW_NOISE).astype(np.uint8))
+            answered = with_codes(answered, own["noise"], np.where(above, HIGH_NOISE, LOW_NOISE).astype(np.uint8))
         return with_kept(answered, own["source_class"], self.kept) if self.kept else answered
-
-
-def with_noise(answered: Table, noise: NDArray[np.bool_], codes: NDArray[np.uint8]) -> Table:
-    """`answered` (as `classify` gives it) with `codes` (rows,) where there is `noise`; all else is NaN there."""
-    others = {n: np.where(noise, np.float32(np.nan), answered[n]) for n in answered if n != "classification"}
-    return Table({"classification": np.where(noise, codes, answered["classification"]), **others})

@@ -49,6 +49,10 @@ def with_kept(answered: Table, source: NDArray[np.uint8], kept: Kept | None) -> 
     that confidence, entropy and shares are NaN there."""
     if kept is None:
         return answered
-    stays = kept.rows(source)
-    others = {n: np.where(stays, np.float32(np.nan), answered[n]) for n in answered if n != "classification"}
-    return Table({"classification": np.where(stays, source, answered["classification"]), **others})
+    return with_codes(answered, kept.rows(source), source)
+
+
+def with_codes(answered: Table, rows: NDArray[np.bool_], codes: NDArray[np.uint8]) -> Table:
+    """`answered` (as `classify` gives it) with `codes` (rows,) in some `rows`, bool (rows,); all else is NaN there."""
+    others = {n: np.where(rows, np.float32(np.nan), answered[n]) for n in answered if n != "classification"}
+    return Table({"classification": np.where(rows, codes, answered["classification"]), **others})

@@ -91,35 +91,29 @@ def coarse_places(places: Sequence[NDArray[np.float64]], name: str, params: Plau
 def judge_returns(facts: Mapping[str, Any] | None, params: PlausibilityParams, where: object) -> None:
     """`QualityError` where places are coarse, intensities of several scales, or returns numbered backwards; nothing
     where the user accepts it."""
-    if facts and facts["coarse"]:
-        refuse_unsound(
-            [facts["coarse"]],
-            params.accept,
+    ways = (
+        (
+            "coarse",
             "places in the sources are coarse",
-            where=where,
-            expected=f"steps below {params.coarse_places:g} m (plausibility.coarse_places)",
-            do=f"export the files again with their decimals; {OTHERWISE}",
-        )
-    if facts and facts["scales"]:
-        refuse_unsound(
-            [facts["scales"]],
-            params.accept,
+            f"steps below {params.coarse_places:g} m (plausibility.coarse_places)",
+            "export the files again with their decimals",
+        ),
+        (
+            "scales",
             "intensities of the sources are not of one scale",
-            where=where,
-            expected=f"medians within a factor of {params.max_intensity_ratio:g} (plausibility.max_intensity_ratio)",
-            do="bring them to one scale, or decide by features without amplitude (`fwclass features --list`); "
-            f"{OTHERWISE}",
-        )
-
-    if facts and facts["backward"]:
-        refuse_unsound(
-            [facts["backward"]],
-            params.accept,
+            f"medians within a factor of {params.max_intensity_ratio:g} (plausibility.max_intensity_ratio)",
+            "bring them to one scale, or decide by features without amplitude (`fwclass features --list`)",
+        ),
+        (
+            "backward",
             "returns of the sources are numbered backwards",
-            where=where,
-            expected="returns of a pulse that lie lower one after the other",
-            do=f"mend the return numbers: ground is made of last returns; {OTHERWISE}",
-        )
+            "returns of a pulse that lie lower one after the other",
+            "mend the return numbers: ground is made of last returns",
+        ),
+    )
+    for name, what, expected, do in ways:
+        said = [facts[name]] if facts and facts[name] else []
+        refuse_unsound(said, params.accept, what, where, expected, f"{do}; {OTHERWISE}")
 
 
 def _coarse(counted: Mapping[str, Mapping[str, Any]]) -> tuple[str, float]:
