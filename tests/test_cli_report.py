@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from commandline import fwclass, process
 
+from fwclass.conf import load
+from fwclass.report.judge import judge_report
+
 CONFIG = """
 survey:
   name: small
@@ -75,3 +78,7 @@ def test_without_bokeh_it_is_refused_before_anything_starts(survey, monkeypatch)
     ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 1, "--report", cwd=survey)
     assert ended.returncode == 2 and "pip install 'fwclass[dashboard]'" in ended.stderr
     assert not (survey / "r").exists()
+
+
+def test_report_of_a_workflow_without_sources_is_judged(survey: Path) -> None:
+    judge_report({"accuracy": None}, load(survey / "c.yaml"), replaces=False)

@@ -43,7 +43,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
         judge_plausibility(report["plausibility"]["strips"], config.plausibility)
     if replaces:
         judge_sources(report.get("earlier"), accepted, where)
-    judge_place(report.get("place") or report["input"]["place"], accepted, where)
+    judge_place(report.get("place") or report.get("input", {}).get("place"), accepted, where)
     if report.get("ground"):
         judge_ground(report["ground"], accepted, where)
     judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), accepted, where)
