@@ -17,6 +17,9 @@ UNCLASSIFIED, GROUND, BUILDING, LOW_NOISE, WATER, HIGH_NOISE = 1, 2, 6, 7, 9, 18
 
 NOISE_CODES = (LOW_NOISE, HIGH_NOISE)
 
+PLANTS = (3, 4, 5)
+"""Codes of low, medium and high vegetation."""
+
 WIRES = (13, 14)
 """Codes of guard wires and conductors."""
 

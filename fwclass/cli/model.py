@@ -104,6 +104,7 @@ def _count(config: Any, options: dict[str, Any]) -> int:
 
 def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> None:
     from fwclass.assess.remarks import judge_chance, judge_folds
+    from fwclass.report.labels import judge_labels
     from fwclass.single_file.model_directory import check_target, deliver
     from fwclass.study.left_out import leave_out
     from fwclass.study.training import kept_rows, training
@@ -119,6 +120,7 @@ def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> No
     click.echo(f"{describe(result)}\nmodel       {target}", err=True)
     if options["as_json"]:
         click.echo(json.dumps({**result, "model": str(target)}, indent=1))
+    judge_labels(result["labels"], config.plausibility, config.path)
     if result["accuracy"]:
         judge_chance(result["accuracy"], config.plausibility.accept, config.path)
     elif result["cross_validation"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corr
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
+from fwclass.label.offset import measure_offset
 from fwclass.model import ClassDef, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
@@ -66,9 +67,15 @@ def places(table: Table) -> NDArray[np.int64]:
 
 
 def merge_samples(
-    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...], based: bool = False
+    here: StageInputs,
+    names: tuple[str, ...],
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+    based: bool = False,
+    by_place: bool = False,
 ) -> Result:
-    """The survey's sample; refused where a forest cannot be trained on it, unless it is `based` on another model."""
+    """The survey's sample; refused where a forest cannot be trained on it, unless it is `based` on another model.
+    `by_place`: labels hang on places alone, and may lie elsewhere."""
     tiles = here.parts(TRAIN_SAMPLE.name)
     if not tiles:
         raise InputError(
@@ -78,7 +85,11 @@ def merge_samples(
     if not based:  # the base model's rows may be all that there are of a class
         review(sample, classes)
     write_arrays(here.directory / SAMPLE, sample.arrays())
-    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+    facts: dict[str, Any] = {"rows": sample.rows, "counts": sample.counts.tolist()}
+    if by_place:
+        offset = measure_offset(sample.X, sample.y, sample.place, len(classes))
+        facts["offset"] = None if offset is None else asdict(offset)
+    return facts
 
 
 def merged_sample(
@@ -174,7 +185,11 @@ MERGE_SAMPLE = Stage(
     "row",
     merge_samples,
     when=trains,
-    arguments=lambda plan: {**learning_arguments(plan), **({"based": True} if plan.base is not None else {})},
+    arguments=lambda plan: {
+        **learning_arguments(plan),
+        **({"based": True} if plan.base is not None else {}),
+        **({"by_place": True} if plan.config.survey.reference.kind == "polygons" else {}),
+    },
     silent=NOT_OF_THE_SAMPLE,
     reads=lambda plan: ("x", "y", *plan.config.features_asked),
     tiles=training_tiles,

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.formats.extra_bytes import published_columns
 from fwclass.grid import millimetres
@@ -39,22 +40,28 @@ def tile_facts(table: Table) -> dict[str, Any]:
     -------
     dict with ``points``; ``sure`` (echoes that have a confidence, and its sum, by code as text);
     ``bounds`` (xmin, ymin, zmin, xmax, ymax, zmax [m]); ``classes`` (echoes by code as text);
+    ``several`` (those of pulses with several, by code as text);
     ``confidence`` (its mean, None where no echo has one); ``times`` (first and last GPS time [s], None without any);
     ``figures`` (by name in the file: count, least, greatest, mean, standard deviation; without NaN).
     """
     axes = [millimetres(table[a]) for a in "xyz"]
-    codes, counts = np.unique(table["classification"], return_counts=True)
     time = table["gps_time"][np.isfinite(table["gps_time"])] if "gps_time" in table else np.zeros(0)
     figures = {_field(name): _figures(table, name) for name in MEASURED if name in table}
     return {
         "points": table.rows,
         "bounds": [int(a.min()) / PER_METRE for a in axes] + [int(a.max()) / PER_METRE for a in axes],
-        "classes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)},
+        "classes": _by_code(table["classification"]),
+        "several": _by_code(table["classification"][table["number_of_echoes"] > 1]),
         "sure": _sure(table),
         "confidence": (figures.get("confidence") or {}).get("mean"),
         "times": [float(time.min()), float(time.max())] if len(time) else None,
         "figures": {name: figure for name, figure in figures.items() if figure is not None},
     }
+
+
+def _by_code(classes: NDArray[np.uint8]) -> dict[str, int]:
+    codes, counts = np.unique(classes, return_counts=True)
+    return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
 
 
 def _sure(table: Table) -> dict[str, tuple[int, float]]:

@@ -16,6 +16,7 @@ from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
 from fwclass.report.facts import judge_place
 from fwclass.report.ground import judge_ground, judge_sunken
+from fwclass.report.labels import judge_labels
 from fwclass.report.plausibility import judge_plausibility
 from fwclass.report.radiometry import judge_radiometry
 from fwclass.report.repeated import judge_repeated
@@ -49,6 +50,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), accepted, where)
     judge_repeated(report.get("repeated"), config.plausibility)
     judge_returns(report.get("returns"), config.plausibility, where)
+    judge_labels(report.get("labels"), config.plausibility, where)
     judge_drift(report.get("drift"), config.classify, model)
     judge_unsure(report.get("unsure"), config.classify, model)
     if report.get("quality"):

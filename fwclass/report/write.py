@@ -39,6 +39,7 @@ from fwclass.report.facts import (
     unsure_of_run,
 )
 from fwclass.report.figures import report_figures
+from fwclass.report.labels import label_facts
 from fwclass.report.remarks import (
     lines_changed,
     remarks_of_parts,
@@ -185,6 +186,7 @@ def _of_the_classes(
         "legacy_codes": legacy_codes(runner, survey, config),
         "sampling": counted,
         "training": training_facts(runner, names),
+        "labels": label_facts(receipts_of_run(runner, "training"), tiles if classified else (), config.plausibility),
         "accuracy": class_accuracy(runner, config),
         "automation": next(iter(metas_of_run(runner, "assess", "automation")), []),
         "reliability": next(iter(metas_of_run(runner, "assess", "reliability")), None),
@@ -210,7 +212,7 @@ def _remarks(
         *(report["radiometry"] or {}).get("implausible", ()),
         *(unsound_strips(report["quality"]["strips"]) if report["quality"] else ()),
         *(_of_check_points(report["quality"], config) if report["quality"] else ()),
-        *of("repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),
+        *of("labels", "repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),
         *remarks_on_empty_files(report["input"]),

@@ -251,6 +251,7 @@ _TILE_FACTS = {
     "points": COUNT,
     "bounds": _SPACE,
     "classes": {CODE: COUNT},
+    "several?": {CODE: COUNT},
     "sure": {CODE: (COUNT, NUMBER)},
     "confidence": _FIGURE,
     "times": Maybe(_TIMES),
@@ -344,7 +345,12 @@ META: dict[str, Shape] = {
         "remarks": _REMARKS,
     },
     "features": {"dense?": {"cubes": _FULLEST, "columns": _FULLEST}},
-    "training": _TRIAL,
+    "training": {
+        **_TRIAL,
+        "offset?": Maybe(
+            {**dict.fromkeys(("x", "y"), FINITE), **dict.fromkeys(("cell", "explained", "unmoved"), NUMBER)}
+        ),
+    },
     "base-rows": {**_TRIAL, "remarks": _REMARKS},
     "train": {"card": _CARD, "fine?": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT, "tried?": TEXT},
     "train-coarse": {"card": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},

@@ -17,6 +17,7 @@ from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
 from fwclass.graph.training_rows import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
 from fwclass.report.accuracy_remarks import accuracy_remarks
+from fwclass.report.labels import label_facts
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.store.arrays import read_arrays
@@ -45,10 +46,10 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
 
     ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged, and then
     ``cross_validation`` what `cross_validate` gives of a forest; ``ambiguous`` how many echoes of the tiles that were
-    looked at lie in polygons of different classes; ``unsure`` the share of the test echoes with a confidence below
-    `MEASURED_BELOW`, None where nothing was judged; ``remarks`` what is to be said beside the accuracy, or why there is
-    none. The parts are those of
-    `classification`: a run in the same directory takes them over.
+    looked at lie in polygons of different classes; ``labels`` what `label_facts` says of them; ``unsure`` the share of
+    the test echoes with a confidence below `MEASURED_BELOW`, None where nothing was judged; ``remarks`` what is to be
+    said beside the accuracy, or why there is none. The parts are those of `classification`: a run in the same directory
+    takes them over.
     """
     _check_labelled(config)
     plan, before = _begin(config, runner)
@@ -81,6 +82,9 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
         except InputError as fault:
             why = f"{fault.what}{fault.got and f' ({fault.got})'}"
             plain["remarks"] += [f"Nothing tells how good it is elsewhere, for it cannot be cross-validated: {why}."]
+    sample = runner.store.receipt("training", "all")
+    plain["labels"] = label_facts([sample] if sample else (), (), config.plausibility)
+    plain["remarks"] += (plain["labels"] or {}).get("remarks", [])
     labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
     plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
     return plain

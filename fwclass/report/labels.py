@@ -1,0 +1,102 @@
+"""Whether labels and classes can be what they are said to be: labels that lie elsewhere, plants and roofs exchanged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from fwclass.classes import BUILDING, PLANTS
+from fwclass.decompose.params import PlausibilityParams
+from fwclass.errors import refuse_unsound
+from fwclass.store.receipts import Receipt
+
+GAIN = 0.05
+"""Share of the features' variance that labels explain more where they fit best, from which they lie elsewhere; 0.13 and
+more where those of four surveys were moved by 2 m."""
+
+WORTH = 1000
+"""Echoes of plants and of buildings from which on they are compared."""
+
+PIERCED = 0.1
+"""Share of echoes of pulses with several by which buildings may lead plants: in ten public tiles plants lead, by 0.05
+and more."""
+
+OTHERWISE = "--accept-implausible (plausibility.accept=true) takes them as they are"
+
+
+def label_facts(
+    training: Iterable[Receipt], tiles: Iterable[Receipt], params: PlausibilityParams
+) -> dict[str, Any] | None:
+    """``remarks`` on labels and classes, and what of them is not sound: ``elsewhere`` and ``exchanged``, each a
+    sentence or ""; None where nothing is delivered and nothing was learned.
+
+    `training`: of the survey's sample. `tiles`: of the delivery.
+    """
+    training, tiles = list(training), list(tiles)
+    if not training and not tiles:
+        return None
+    elsewhere, far = _elsewhere(training)
+    exchanged = _exchanged(tiles)
+    return {
+        "remarks": [text for text in (elsewhere, exchanged) if text],
+        "elsewhere": elsewhere if far > params.max_label_offset else "",
+        "exchanged": exchanged,
+    }
+
+
+def judge_labels(facts: Mapping[str, Any] | None, params: PlausibilityParams, where: object) -> None:
+    """`QualityError` where labels lie elsewhere, or classes are exchanged; nothing where the user accepts it."""
+    ways = (
+        (
+            "elsewhere",
+            "the polygons of the labels do not lie where the echoes are",
+            f"polygons that fit best within {params.max_label_offset:g} m of where they are "
+            "(plausibility.max_label_offset)",
+            "bring them into the survey's system (survey.reference.crs), or mend their places",
+        ),
+        (
+            "exchanged",
+            "classes are exchanged",
+            "plants that pulses pass through, and roofs that they do not",
+            "look at survey.classes, at the labels' codes, or at the model's classes",
+        ),
+    )
+    for name, what, expected, do in ways:
+        said = [facts[name]] if facts and facts[name] else []
+        refuse_unsound(said, params.accept, what, where, expected, f"{do}; {OTHERWISE}")
+
+
+def _elsewhere(training: Iterable[Receipt]) -> tuple[str, float]:
+    """That labels fit better where they are not, and how far off that is [m]."""
+    for offset in (receipt.meta["offset"] for receipt in training if receipt.meta.get("offset")):
+        x, y = offset["x"], offset["y"]
+        if offset["explained"] - offset["unmoved"] >= GAIN and (x, y) != (0, 0):
+            ways = [f"{abs(v):g} m {names[v < 0]}" for v, names in ((x, _EAST), (y, _NORTH)) if v]
+            return (
+                f"the labels' polygons fit the echoes best when they are moved by {' and '.join(ways)}: their classes "
+                f"explain {100 * offset['explained']:.0f} % of what features differ by there, and "
+                f"{100 * offset['unmoved']:.0f} % where they lie",
+                float(max(abs(x), abs(y))),
+            )
+    return "", 0.0
+
+
+_EAST, _NORTH = ("to the east", "to the west"), ("to the north", "to the south")
+
+
+def _exchanged(tiles: Iterable[Receipt]) -> str:
+    """That buildings are pierced by pulses, and plants are not."""
+    facts = [t.meta["facts"] for t in tiles if "several" in t.meta["facts"]]
+
+    def share(codes: Iterable[int]) -> tuple[int, float]:
+        """Echoes with such a class, and the share of them that are of pulses with several."""
+        echoes, several = (sum(f[name].get(str(c), 0) for f in facts for c in codes) for name in ("classes", "several"))
+        return echoes, several / max(echoes, 1)
+
+    (plants, of_plants), (buildings, of_buildings) = share(PLANTS), share([BUILDING])
+    if min(plants, buildings) < WORTH or of_buildings - of_plants < PIERCED:
+        return ""
+    return (
+        f"{100 * of_buildings:.0f} % of the echoes that are classified as building (6) are of pulses with several, and "
+        f"{100 * of_plants:.0f} % of those of vegetation (3 to 5): pulses pass through plants, not through roofs"
+    )
