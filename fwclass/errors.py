@@ -26,8 +26,9 @@ _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def is_control(character: str) -> bool:
-    """Whether a character is an instruction to the terminal, which a reader does not see."""
-    return unicodedata.category(character) in _UNSEEN
+    """Whether a character is an instruction to the terminal, which a reader does not see, or none (U+FFFF)."""
+    code = ord(character)
+    return unicodedata.category(character) in _UNSEEN or code & 0xFFFE == 0xFFFE or 0xFDD0 <= code <= 0xFDEF
 
 
 def visible(text: object, keep: str = "") -> str:

@@ -117,6 +117,13 @@ def _written(place, text):
     return place / "s.yaml"
 
 
+@pytest.mark.parametrize("odd", ["\uffff", "\ufffe", "\ufdd0", "\u202e"])
+def test_a_name_with_what_is_no_letter_is_refused(tmp_path, odd):
+    (tmp_path / f"w{odd}.las").write_bytes(b"LASF")
+    refused = fwclass("init", tmp_path)
+    assert refused.returncode == 1 and "cannot be seen" in refused.stderr and odd not in refused.stderr
+
+
 def test_files_that_are_none(tmp_path):
     (tmp_path / "a.las").write_bytes(b"no lidar")
     (tmp_path / "b.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": []}))

@@ -69,12 +69,17 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
         if not text:
             continue
         try:
-            crs, paths = without_paths(CRS.from_wkt(text))
+            stated = CRS.from_wkt(text)
+        except CRSError:
+            faults.append("the CRS record holds no valid WKT")
+            continue
+        try:
+            crs, paths = without_paths(stated)
             if paths:
                 faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
             return _in_degrees(crs, faults)
-        except CRSError:
-            faults.append("the CRS record holds no valid WKT")
+        except CRSError as fault:
+            faults.append(f"the CRS record is not used: {visible(str(fault))}")
     return None
 
 

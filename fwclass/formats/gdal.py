@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from fwclass.errors import FwclassError
+from fwclass.errors import FwclassError, full_or, visible
 from fwclass.isolation import away_from
 
 DRIVERS = {"GPKG", "GeoJSON", "ESRI Shapefile", "MEM"}
@@ -78,6 +78,24 @@ def offline() -> Iterator[Any]:
             os.environ.update(saved)
 
 
+@contextmanager
+def writing(place: Path) -> Iterator[Any]:
+    """`offline` while it writes the file `place`: a full disk is an `OSError`, other faults are a `FwclassError`."""
+    try:
+        with offline() as module:
+            yield module
+    except RuntimeError as fault:  # of which pyogrio's are
+        cause = full_or(fault, place.parent)
+        if cause is not fault:
+            raise cause from fault
+        raise FwclassError(
+            "the file cannot be written",
+            where=place,
+            got=visible(str(fault)),
+            do="check the disk and its directory's permissions, then run the same command again",
+        ) from fault
+
+
 _LAST_CHANGE = "2000-01-01T00:00:00.000Z"
 """What GeoPackages that are written say of their day: nothing, or no two would be the same."""
 
@@ -101,7 +119,7 @@ def write_shapes(
     import numpy as np
 
     place = path.absolute()
-    with offline() as module:
+    with writing(place) as module:
         module.set_gdal_config_options({"OGR_CURRENT_DATE": _LAST_CHANGE})
         module.raw.write(
             str(place),

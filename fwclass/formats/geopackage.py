@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fwclass.formats.gdal import offline
+from fwclass.formats.gdal import writing
 
 _RECTANGLE = np.dtype([("order", "u1"), ("kind", "<u4"), ("rings", "<u4"), ("corners", "<u4"), ("xy", "<f8", (5, 2))])
 """A polygon of one ring as well-known binary."""
@@ -42,10 +42,10 @@ def write_layer(
 ) -> None:
     """Add a layer to the GeoPackage at `path`, which is made where it is not there; `crs` as WKT, None for none."""
     values = [v if isinstance(v, np.ndarray) else _values(v) for v in fields.values()]
-    place = str(path.absolute())  # before the current directory changes
-    with offline() as gdal:
+    place = path.absolute()  # before the current directory changes
+    with writing(place) as gdal:
         gdal.raw.write(
-            place,
+            str(place),
             shapes,
             values,
             np.array(list(fields), object),

@@ -40,6 +40,9 @@ _SPELT = re.compile(
 )
 
 
+_MARKS = "/\\:"
+
+
 def names_file(text: str) -> str:
     """What in the text of a coordinate system GDAL or PROJ would open as a file; "" for a code, a name, WKT and PROJ's
     words without any."""
@@ -57,7 +60,7 @@ def paths_named(text: str) -> list[str]:
 def is_path(name: str) -> bool:
     """A name that is not looked for among PROJ's own files alone: PROJ looks in the current directory too."""
     plain = name.strip().lstrip("@")
-    if plain.startswith(("~", ".")) or any(mark in plain for mark in "/\\:"):
+    if plain.startswith(("~", ".")) or any(mark in plain for mark in _MARKS):
         return True
     return plain != "null" and os.path.lexists(plain)
 
@@ -70,7 +73,7 @@ def without_paths(crs: CRS) -> tuple[CRS, list[str]]:
     paths: list[str] = []
     try:
         plain = _unbound(crs.to_json_dict(), paths)
-        left = [name for name in _text_values(plain) if is_path(name)] if paths else []
+        left = _files(plain)
     except RecursionError as fault:
         raise CRSError("a coordinate system nested too deep") from fault
     if left:
@@ -86,21 +89,23 @@ def _unbound(node: Any, paths: list[str]) -> Any:
         return [_unbound(one, paths) for one in node]
     if not isinstance(node, dict):
         return node
-    if node.get("type") == "BoundCRS":
-        files = [name for name in _text_values(node.get("transformation")) if is_path(name)]
+    if node.get("type") == "BoundCRS" and (files := _files(node.get("transformation"))):
         paths += files
-        if files:
-            return _unbound(node["source_crs"], paths)
-    elif isinstance(node.get("parameters"), list):
-        paths += [name for name in _text_values(node["parameters"]) if is_path(name)]
+        return _unbound(node["source_crs"], paths)
     return {key: _unbound(value, paths) for key, value in node.items()}
 
 
-def _text_values(node: Any) -> list[str]:
-    """Values of parameters below `node` that are texts: names of files."""
+def _files(node: Any) -> list[str]:
+    """Files that parameters and methods below `node` of a PROJJSON name by a path: PROJ takes a method's name for its
+    own words where it says so (``PROJ-based operation method: +proj=tinshift +file=...``)."""
     if isinstance(node, list):
-        return [name for one in node for name in _text_values(one)]
+        return [name for one in node for name in _files(one)]
     if not isinstance(node, dict):
         return []
-    value = node.get("value")
-    return [*([value] if isinstance(value, str) else ()), *(n for one in node.values() for n in _text_values(one))]
+    value, method = node.get("value"), node.get("method")
+    words = str(method.get("name", "")) if isinstance(method, dict) else ""
+    own = [value] if isinstance(value, str) and is_path(value) else []
+    if "=" in words:
+        values = [word.partition("=")[2].strip("\"'") for word in words.split()]
+        own += [words] if any(mark in words for mark in _MARKS[:2]) else [v for v in values if is_path(v)]
+    return [*own, *(name for one in node.values() for name in _files(one))]

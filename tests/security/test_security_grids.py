@@ -19,6 +19,7 @@ import pyproj
 import pytest
 import shapely
 from commandline import fwclass
+from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
 from fwclass.formats.grid_files import is_path, names_file, paths_named, without_paths
@@ -60,6 +61,41 @@ def test_systems_of_the_registry_are_left_alone(code: int):
     crs = pyproj.CRS.from_epsg(code)
     assert without_paths(crs) == (crs, [])
     assert paths_named(crs.to_wkt()) == paths_named(crs.to_wkt("WKT1_GDAL")) == paths_named(crs.to_json()) == []
+
+
+def of_method(words: str) -> dict:
+    """PROJJSON of a projected system whose conversion is made by PROJ's own words."""
+    system = pyproj.CRS.from_epsg(2154).to_json_dict()
+    method = {"name": f"PROJ-based operation method: {words}"}
+    return {**system, "id": {"authority": "X", "code": 1}, "conversion": {"name": "x", "method": method}}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"+proj=tinshift +file={GRID}",
+        f"+proj=pipeline +step +proj=hgridshift +grids='{GRID}'",
+        "proj=defmodel model=~/grid",
+        "+proj=tinshift +file=pyproject.toml",
+    ],
+)
+def test_a_file_in_a_method_s_name_is_refused(words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "pyproject.toml").touch()
+    monkeypatch.chdir(tmp_path)
+    crs = pyproj.CRS.from_json_dict(of_method(words))
+    with pytest.raises(CRSError, match="made by the file"):
+        without_paths(crs)
+    las(tmp_path / "a.las", crs.to_wkt())
+    told = fwclass("info", tmp_path / "a.las", cwd=tmp_path)
+    assert told.returncode == 0 and "the CRS record is not used: a coordinate system made by the file" in told.stdout
+    geoparquet(tmp_path / "a.parquet", json.dumps(of_method(words)))
+    refused = fwclass("info", tmp_path / "a.parquet", cwd=tmp_path)
+    assert refused.returncode == 1 and "coordinate system" in refused.stderr, refused.stderr
+
+
+def test_a_method_of_words_without_a_file_is_none_of_these():
+    crs = pyproj.CRS("+proj=ob_tran +o_proj=utm +o_lon_p=10 +o_lat_p=80 +zone=33 +ellps=bessel +type=crs")
+    assert without_paths(crs) == (crs, [])
 
 
 def test_what_a_path_is():
