@@ -119,7 +119,8 @@ def _written(place, text):
 
 @pytest.mark.parametrize("odd", ["\uffff", "\ufffe", "\ufdd0", "\u202e"])
 def test_a_name_with_what_is_no_letter_is_refused(tmp_path, odd):
-    (tmp_path / f"w{odd}.las").write_bytes(b"LASF")
+    town(tmp_path)
+    (tmp_path / "a.las").rename(tmp_path / f"w{odd}.las")
     refused = fwclass("init", tmp_path)
     assert refused.returncode == 1 and "cannot be seen" in refused.stderr and odd not in refused.stderr
 
