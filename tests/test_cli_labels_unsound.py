@@ -92,6 +92,7 @@ def test_polygons_that_lie_elsewhere_end_with_4(town, tmp_path: Path) -> None:
     assert run(draw(town, 4.0), tmp_path / "run", "--accept-implausible").returncode == 0
 
 
+@pytest.mark.slow
 def test_polygons_where_they_are_are_nothing_to_tell(town, tmp_path: Path) -> None:
     ended = run(draw(town, 0.0), tmp_path / "run")
     assert ended.returncode == 0 and "fit the echoes best" not in ended.stderr, ended.stderr

@@ -80,6 +80,7 @@ def test_places_that_are_swapped_end_with_4(tmp_path: Path) -> None:
     assert decompose(tmp_path, swapped, "--accept-implausible")[0] == 0
 
 
+@pytest.mark.slow
 def test_info_shows_what_is_odd(tmp_path: Path) -> None:
     columns = scene(pulses=600, n=80).columns(at="sensor")
     path = tmp_path / "a.parquet"

@@ -196,6 +196,7 @@ def write_area(path: Path, *boxes: tuple[float, float, float, float]) -> None:
 AREA = ("--set", "quality.area.file=area.geojson", "--set", "quality.area.crs=EPSG:32633")
 
 
+@pytest.mark.slow
 def test_an_area_that_was_to_be_flown_has_its_gaps(survey: Path, made: tuple[Path, dict[str, Any]]) -> None:
     """40 m x 20 m of it lie west of all lines, and a lake of 800 m² in it; its halves overlap."""
     west = (499_960.0, 5_400_100.0, 500_060.0, 5_400_120.0)
@@ -238,6 +239,7 @@ def test_files_that_meet_at_a_step_are_told_and_end_with_4(tmp_path: Path) -> No
     run(tmp_path, tmp_path / "run", "--accept-implausible")
 
 
+@pytest.mark.slow
 def test_a_line_in_feet_is_told_and_ends_with_4(tmp_path: Path) -> None:
     """Its planes are rougher than planes may be, so that none was compared: 47 m were less told than 5."""
     for k, unit in enumerate((1.0, 0.3048, 1.0)):

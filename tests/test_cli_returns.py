@@ -70,10 +70,15 @@ def cut(part):
         (rounded, 4, "places lie on a lattice, as if they were rounded (b.las: z 1 m)"),
         (stretched, 4, "single returns of b.las have an intensity of some"),
         (backward, 4, "returns that follow another of their pulse"),
-        (doubled, 0, ""),
-        (still, 0, "all returns of b.las have one GPS time"),
-        (unnumbered, 0, "every return of b.las is numbered as its pulse's only one"),
-        (cut, 0, "some returns of pulses with several are missing in b.las"),
+        *(
+            pytest.param(*only_told, marks=pytest.mark.slow)
+            for only_told in (
+                (doubled, 0, ""),
+                (still, 0, "all returns of b.las have one GPS time"),
+                (unnumbered, 0, "every return of b.las is numbered as its pulse's only one"),
+                (cut, 0, "some returns of pulses with several are missing in b.las"),
+            )
+        ),
     ],
 )
 def test_it_is_told_and_refused_where_the_result_is_wrong(tmp_path, change, code, words):
@@ -88,6 +93,7 @@ def test_it_is_told_and_refused_where_the_result_is_wrong(tmp_path, change, code
         assert fwclass(*line, "--accept-implausible").returncode == 0
 
 
+@pytest.mark.slow
 def test_intensities_that_nothing_is_decided_by_are_nobodys_fault(tmp_path):
     path = two_files(tmp_path, stretched)
     path.write_text(path.read_text().replace(", amplitude_mean_c200", ""))
@@ -139,6 +145,7 @@ def test_terrain_of_coarse_places_ends_with_4(tmp_path, command):
     assert (tmp_path / "o.las").exists()
 
 
+@pytest.mark.slow
 def test_much_noise_is_told(tmp_path):
     path = small_survey(tmp_path)
     whole = laspy.read(tmp_path / "a.las")

@@ -146,6 +146,7 @@ def test_ctrl_c_ends_the_run_under_way_too(survey):
     assert run["word"] == "interrupted" and state(survey)["last"]["word"] == "interrupted"
 
 
+@pytest.mark.slow
 def test_a_run_beside_another_is_refused_not_failed(survey):
     """By a schedule that was killed before: its lock went with it."""
     with going(survey, "--cron", "0 0 1 1 *"):

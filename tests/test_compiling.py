@@ -113,6 +113,7 @@ def test_several_processes_at_once_compile_each_kernel_once(program: Path, tmp_p
     assert run(program, cache) == (9.0, 0, "")
 
 
+@pytest.mark.slow
 def test_who_is_killed_while_it_compiles_is_waited_for_no_longer(program: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     with holding(program, cache, "upper.total") as other:
@@ -132,6 +133,7 @@ def test_who_is_stopped_is_not_waited_for_for_ever(program: Path, tmp_path: Path
         assert run(program, cache, "from fwclass import compiling; compiling.PATIENCE = 0.5\n")[:2] == (9.0, KERNELS)
 
 
+@pytest.mark.slow
 def test_a_file_that_is_cut_off_is_made_again(program: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     run(program, cache)
@@ -141,6 +143,7 @@ def test_a_file_that_is_cut_off_is_made_again(program: Path, tmp_path: Path) -> 
     assert run(program, cache) == (9.0, 0, "")
 
 
+@pytest.mark.slow
 def test_a_file_that_is_another_kernels_is_made_again(program: Path, tmp_path: Path) -> None:
     """Whole, and nothing that can be loaded."""
     cache = tmp_path / "cache"
@@ -206,6 +209,7 @@ def test_who_only_reads_what_was_compiled_does_not_load_what_compiles(tmp_path: 
         assert out.split() == [loaded, "3.0", str(count)]
 
 
+@pytest.mark.slow
 def test_two_versions_and_two_processors_keep_their_own(program: Path, tmp_path: Path) -> None:
     cache, other = tmp_path / "cache", made(tmp_path / "other", 5.0)
     plain = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}

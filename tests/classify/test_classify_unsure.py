@@ -107,10 +107,8 @@ def echoes(root):
     return table.sort_values(KEYS).reset_index(drop=True)
 
 
-_OTHERS = [pytest.param(way, marks=pytest.mark.slow) for way in ("one layer", "thinned")]
-
-
-@pytest.mark.parametrize("way", ["in context", *_OTHERS])
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["in context", "one layer", "thinned"])
 def test_unsure_echoes_are_left_and_nothing_else_changes(way, tmp_path):
     more = {"one layer": (), "in context": ("classify.context.cells=[1]",), "thinned": ("thin.rate=0.5",)}[way]
     words = [w for s in more for w in ("--set", s)]

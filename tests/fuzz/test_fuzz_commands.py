@@ -86,6 +86,7 @@ def test_every_command_does_what_it_is_asked_with_every_sound_file(whole: Child)
     assert refused(whole, [f"{c} {name} " for c in COMMANDS for name in cases_of(c)]) == []
 
 
+@pytest.mark.slow
 def test_no_input_of_the_corpus_does_harm(server: Child) -> None:
     assert wrong(server, corpus()) == []
 

@@ -155,6 +155,7 @@ def test_tiles_that_touch_are_one_group():
     assert Window.covering(Tile(5, 5, 10.0).box, 1.0).shape == (10, 10)
 
 
+@pytest.mark.slow
 def test_a_file_without_waveforms_costs_few_parts_and_files(far, tmp_path):
     """Finding on 2 000 files of 60 points: what is not there was written, flushed and read again for each of them."""
     runner, _, _ = walked(far, tmp_path / "run", "survey.sources=[a.las]")

@@ -44,7 +44,15 @@ def run(directory, name, *settings):
     return report
 
 
-_OTHERS = ((4, "external"), (5, "internal"), (5, "external"), (9, "internal"), (9, "external"), (10, "external"))
+_OTHERS = (
+    (4, "internal"),
+    (4, "external"),
+    (5, "internal"),
+    (5, "external"),
+    (9, "internal"),
+    (9, "external"),
+    (10, "external"),
+)
 """Formats and places of waveforms in the pairs that are tested in the slow suite alone."""
 
 
@@ -56,8 +64,7 @@ def samples(path, points):
 
 
 @pytest.mark.parametrize(
-    ("point_format", "where"),
-    [(4, "internal"), (10, "internal"), *(pytest.param(*other, marks=pytest.mark.slow) for other in _OTHERS)],
+    ("point_format", "where"), [(10, "internal"), *(pytest.param(*other, marks=pytest.mark.slow) for other in _OTHERS)]
 )
 def test_every_waveform_format_goes_the_whole_road(tmp_path, point_format, where):
     bits = 16 if point_format in (5, 10) else 8
@@ -78,6 +85,7 @@ def test_every_waveform_format_goes_the_whole_road(tmp_path, point_format, where
     assert len(before[1]) == 401
 
 
+@pytest.mark.slow
 def test_point_source_ids_join_tiles_to_strips(tmp_path):
     """Whatever the files are called: tiles, strips, GeoParquet and report.json mean the same file by a number."""
     names = ("strip_07", "line_1203", "b", "a", "strip_01")
@@ -96,6 +104,7 @@ def test_point_source_ids_join_tiles_to_strips(tmp_path):
     assert np.array_equal(np.sort(np.concatenate([t["strip"].to_numpy() for t in tables])), np.sort(ids))
 
 
+@pytest.mark.slow
 def test_laz_in_gives_the_same_echoes_as_las(tmp_path):
     survey(tmp_path / "a.las", 300, point_format=9)
     first = run(tmp_path, "a.las")

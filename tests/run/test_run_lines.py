@@ -60,6 +60,7 @@ def test_classes_change_and_it_is_said(survey, lined, tmp_path):
     assert "classify.lines" not in (tmp_path / "without" / "report.json").read_text().split('"remarks"')[1]
 
 
+@pytest.mark.slow
 def test_tiles_change_no_answer(survey, lined, tmp_path):
     runner, _ = walk(survey, tmp_path, "tile.size=37.5", *LINES)
     assert not runner.failures

@@ -106,7 +106,7 @@ def test_clouds_that_change_while_they_are_assessed_are_told(
 
 
 STREET = [
-    ("info", "fwclass.single_file.street.info.open_on_trajectory"),
+    pytest.param("info", "fwclass.single_file.street.info.open_on_trajectory", marks=pytest.mark.slow),
     ("run", "fwclass.single_file.street.online.classify_frame 60"),
     ("classify", "fwclass.single_file.street.batch.open_on_trajectory 2"),
     ("annotate", "fwclass.single_file.street.annotate.open_on_trajectory"),

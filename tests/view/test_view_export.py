@@ -197,6 +197,7 @@ def test_the_page_draws_and_asks_for_nothing_that_is_not_there(page: Driven, ser
     assert all(r.startswith((served.address, "about:")) for r in page.requests), page.requests
 
 
+@pytest.mark.slow
 def test_a_place_of_the_work_list_shows_its_waveform(page: Driven, served: Served, folder: Path) -> None:
     work = json.loads((folder / "data/0/work.json").read_text())["places"]
     for k in (0, 1):
@@ -247,6 +248,7 @@ def test_a_policy_stands_in_the_page_and_a_file_says_what_it_needs(browser_page:
         assert browser_page.run("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.slow
 def test_a_survey_without_waveforms_says_so(tmp_path: Path) -> None:
     survey = small_survey(tmp_path)
     assert fwclass("run", survey, "--out", tmp_path / "run", "--workers", 0).returncode == 0
@@ -259,6 +261,7 @@ def test_a_survey_without_waveforms_says_so(tmp_path: Path) -> None:
     assert str(tmp_path) not in "".join(p.read_text() for p in (tmp_path / "site").rglob("*.json"))
 
 
+@pytest.mark.slow
 def test_two_runs_side_by_side(run: Path, tmp_path: Path, browser_page: Driven) -> None:
     ended = fwclass("view", run, "--against", run, "--export", tmp_path / "site", "--set", "view.export=0")
     assert ended.returncode == 0, ended.stderr
