@@ -79,7 +79,12 @@ def _check_cells(config: Config) -> None:
             got=f"{numbers:.3g}: {profile.bins:,} heights in cells of {profile.cell:g} m",
             do="larger cells or bins, a lower profile.highest, or smaller blocks",
         )
-    for which, cell in (("cell", config.quality.cell), ("planes.cell", config.quality.planes.cell)):
+    planes = config.quality.planes
+    for which, cell in (
+        ("cell", config.quality.cell),
+        ("planes.cell", planes.cell),
+        ("planes.slope_cell", planes.slope_cell),
+    ):
         if round(config.terrain.block * 1000) % max(1, round(cell * 1000)):
             raise ConfigError(
                 "the cells of quality do not divide a block",

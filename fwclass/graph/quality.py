@@ -30,6 +30,7 @@ from fwclass.publish.raster_styles import Spread
 from fwclass.quality.block import BORDERS, LOWS, READS, block_quality, pairs_from, pieces_from
 from fwclass.quality.check_points import CHECKED, check_remarks, compared_points
 from fwclass.quality.density import Density, density_remarks
+from fwclass.quality.offsets import slopes_from
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.strips import (
@@ -183,7 +184,7 @@ def _strips(
     for b, number in zip(blocks, numbers, strict=True):
         window = Window.covering(b.box, params.planes.cell)
         arrays = inputs.arrays(stage, b.key, COMPARED)[0]
-        compared.add(pairs_from(arrays), number, (window.col, window.row))
+        compared.add(pairs_from(arrays), slopes_from(arrays), number, (window.col, window.row))
         borders.append([arrays[name] for name in BORDERS])
         lows.append((arrays[LOWS[0]], arrays[LOWS[1]], arrays[LOWS[2]]))
     first, second, step = (np.concatenate(some) for some in zip(*borders, strict=True))
@@ -251,7 +252,7 @@ def _style(path: Path, spread: Spread, unit: str) -> None:
 
 MEASURE_QUALITY = Stage(
     "quality-block",
-    3,
+    4,
     "block",
     "echo",
     measure_quality,
@@ -263,7 +264,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    7,
+    8,
     "survey",
     "cell",
     deliver_quality,

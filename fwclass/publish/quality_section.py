@@ -34,7 +34,7 @@ def quality(summary: Mapping[str, Any] | None) -> dict[str, Any] | None:
         "between": [
             {
                 "names": f"{names[b['first']]} – {names[b['second']]}",
-                "cells": [number(b["pairs"]), _cm(b["mean"]), _cm(b["rms"], sign=False)],
+                "cells": [number(b["pairs"]), _cm(b["mean"]), _cm(b["rms"], sign=False), *_in_plan(b.get("offset"))],
             }
             for b in worst[:LISTED]
         ],
@@ -42,6 +42,11 @@ def quality(summary: Mapping[str, Any] | None) -> dict[str, Any] | None:
         "compared": bool(strips["pairs"]),
         "note": NOTE,
     }
+
+
+def _in_plan(offset: Mapping[str, Any] | None) -> list[str]:
+    """Offset to the east and north and its standard error, dashes where slopes do not tell."""
+    return [_cm(None if offset is None else offset[n], sign=n != "error") for n in ("east", "north", "error")]
 
 
 def _rows(summary: Mapping[str, Any], density: Mapping[str, Any], strips: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Box, Window, millimetres, whole_millimetres
+from fwclass.quality.offsets import SlopePairs, slope_pairs
 from fwclass.quality.params import QualityParams
 from fwclass.quality.pieces import Pieces, pieces_of
 from fwclass.quality.planes import PlanePairs, border_steps, low_steps, plane_pairs, planes_of
@@ -37,6 +38,7 @@ class BlockQuality:
     pieces, pairs : of its strips.
     borders : files beside each other, and the steps between them (`planes.border_steps`).
     lows : pieces in one cell, and the steps between their lowest echoes (`planes.low_steps`).
+    slopes : steep planes that two pieces see.
     """
 
     echoes: NDArray[np.uint32]
@@ -46,12 +48,14 @@ class BlockQuality:
     pairs: PlanePairs
     borders: tuple[NDArray, NDArray, NDArray]
     lows: tuple[NDArray, NDArray, NDArray]
+    slopes: SlopePairs
 
     def arrays(self) -> dict[str, NDArray]:
         """Pieces, (pieces,) each, pairs, (pairs,) each, and steps, (steps,) each, by name as a store keeps them."""
         return {
             **vars(self.pieces),
             **{f"pair_{name}": values for name, values in vars(self.pairs).items()},
+            **{f"slope_{name}": values for name, values in vars(self.slopes).items()},
             **dict(zip((*BORDERS, *LOWS), (*self.borders, *self.lows), strict=True)),
         }
 
@@ -88,7 +92,13 @@ def block_quality(table: Table, box: Box, params: QualityParams) -> BlockQuality
     pieces, number = pieces_of(x, y, sound["gps_time"], sound["strip"], (box.xmin, box.ymin), params.line_gap)
     alone = np.flatnonzero(sound["number_of_echoes"] == 1)
     cells = Window.covering(box, params.planes.cell)
-    planes = planes_of(x[alone], y[alone], sound["z"][alone], number[alone], cells, params.planes)
+    single = x[alone], y[alone], sound["z"][alone], number[alone]
+    planes = planes_of(*single, cells, params.planes)
+    steep = params.planes.model_copy(update={"max_slope": params.planes.steepest})
+    slopes = slope_pairs(
+        planes_of(*single, Window.covering(box, params.planes.slope_cell), steep), params.planes.max_slope
+    )
     steps = border_steps(planes, pieces.file)
     lows = low_steps(x, y, sound["z"], number, cells, params.planes.least)
-    return BlockQuality(echoes, pulses, table.rows - sound.rows, pieces, plane_pairs(planes), steps, lows)
+    noise = table.rows - sound.rows
+    return BlockQuality(echoes, pulses, noise, pieces, plane_pairs(planes), steps, lows, slopes)

@@ -8,6 +8,7 @@ from typing import Any
 from fwclass.errors import QualityError, refuse_unsound
 from fwclass.quality.check_points import of_another_datum
 from fwclass.quality.params import QualityParams
+from fwclass.quality.strips import farthest_pair
 
 
 def judge_check_points(facts: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
@@ -33,10 +34,13 @@ def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:
         ("min_coverage", "the share of the area that is covered", covered, params.min_coverage),
     )
     largest = max((v["area"] for v in summary["voids"]["largest"]), default=0.0)
+    pair = farthest_pair(strips)
+    farthest = None if pair is None else pair["offset"]["distance"]
     rmse = _of(_of(summary["check_points"], "all"), "rmse")
     most = (
         ("max_void", "the largest void [m²]", largest, params.max_void),
         ("max_dz", "the root mean square difference of strips [m]", strips["rms"], params.max_dz),
+        ("max_offset", "the largest offset of strips in plan [m]", farthest, params.max_offset),
         ("max_noise", "the share of noise", summary["noise_share"], params.max_noise),
         ("max_rmse_z", "the root mean square difference from check points [m]", rmse, params.max_rmse_z),
     )

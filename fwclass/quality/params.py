@@ -18,6 +18,9 @@ class PlaneParams(Params):
     least : single echoes of a strip in a cell, at least; fewer show no plane.
     max_residual : root mean square of the echoes from their plane, at most [m].
     max_slope : of either plane, at most [deg].
+    slope_cell : edge of the cells in which roofs and slopes tell how far strips lie apart in plan [m]; a whole number
+        of them is a block of the terrain.
+    steepest : slope of these, at most [deg].
     max_step : planes further apart than this are not one surface, and are counted apart [m].
     most : so many pairs at most are adjusted; of more a fair sample by place is.
     max_tilt_error : a tilt is told only if its standard error moves the strip's edge by less than this [m].
@@ -27,6 +30,8 @@ class PlaneParams(Params):
     least: int = Field(ge=4, le=10_000)
     max_residual: float = Field(gt=0, le=10)
     max_slope: float = Field(gt=0, lt=90)
+    slope_cell: float = Field(ge=0.1, le=256)
+    steepest: float = Field(gt=0, lt=90)
     max_step: float = Field(gt=0, le=1000)
     most: int = Field(ge=1000, le=100_000_000)
     max_tilt_error: float = Field(gt=0, le=100)
@@ -63,6 +68,7 @@ class QualityParams(Params):
     min_density, min_pulse_density : echoes and pulses per m², at least; None asks for nothing, here and below.
     max_void : area of the largest void, at most [m²].
     max_dz : root mean square difference of strips, at most [m].
+    max_offset : in plan between any two strips, at most [m].
     max_noise : share of the echoes, at most.
     min_coverage : share of the area without its gaps, at least.
     max_rmse_z : root mean square difference from the check points, at most [m].
@@ -79,12 +85,13 @@ class QualityParams(Params):
     min_pulse_density: float | None = Field(gt=0)
     max_void: float | None = Field(ge=0)
     max_dz: float | None = Field(gt=0)
+    max_offset: float | None = Field(gt=0)
     max_noise: float | None = Field(ge=0, le=1)
     min_coverage: float | None = Field(ge=0, le=1)
     max_rmse_z: float | None = Field(gt=0)
 
 
 THRESHOLDS = frozenset(
-    {"min_density", "min_pulse_density", "max_void", "max_dz", "max_noise", "min_coverage", "max_rmse_z"}
+    {"min_density", "min_pulse_density", "max_void", "max_dz", "max_offset", "max_noise", "min_coverage", "max_rmse_z"}
 )
 """They judge figures, and change none."""

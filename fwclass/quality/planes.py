@@ -114,9 +114,14 @@ def planes_of(
     return Planes(r, c, number, across, up, level, a[chosen], b[chosen], mm)
 
 
+def cell_pairs(planes: Planes) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of every two planes in one cell, (pairs,) each, and how many planes the cell has."""
+    return _in_one_cell((planes.row << 32) + planes.col)
+
+
 def plane_pairs(planes: Planes) -> PlanePairs:
     """Pairs of planes in one cell, which two pieces see."""
-    i, j, of = _in_one_cell((planes.row << 32) + planes.col)
+    i, j, of = cell_pairs(planes)
     of_both = (planes.row[i], planes.col[i], planes.piece[i], planes.piece[j])
     row, col, one, other = (n.astype(np.int32) for n in of_both)
     return PlanePairs(row, col, one, other, planes.steps(i, j), 2.0 / of[i])

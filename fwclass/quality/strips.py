@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fwclass.errors import refuse_unsound
 from fwclass.hashing import hash_keys
 from fwclass.quality.adjust import Adjusted, Pairs, adjust
+from fwclass.quality.offsets import Offsets, SlopePairs
 from fwclass.quality.params import PlaneParams
 from fwclass.quality.pieces import Pieces, Strip, groups_of, lines
 from fwclass.quality.planes import PlanePairs
@@ -33,6 +34,14 @@ LIFTED = (20, 0.75, 5.0)
 """Cells that two strips see, and the share of them where one's lowest echo is so far [m] above the other's, from which
 one has heights of another unit or zero: where crowns let nothing through, both see their tops, and neither all the
 higher. Nothing flat is needed: in feet even roofs are rougher than `max_residual`."""
+
+
+ASIDE = (1.0, 5.0)
+"""m that two strips lie apart in plan, and standard errors, from which one of them lies elsewhere: 0.02 to 0.13 m
+between 16 pairs of lines of four public surveys."""
+
+TOLD = 0.3
+"""m from which it is told: some pulses' footprints."""
 
 
 def strips_by(wanted: str, between_files: int, between_lines: int) -> By:
@@ -81,12 +90,14 @@ class Comparison:
     def __init__(self, params: PlaneParams, total: int) -> None:
         self.params, self.share = params, min(1.0, params.most / max(total, 1))
         self.apart = 0
+        self._offsets = Offsets()
         self._sums: dict[tuple[int, int], NDArray[np.float64]] = {}
         self._sample: list[Pairs] = []
 
-    def add(self, pairs: PlanePairs, number: NDArray[np.int64], corner: tuple[int, int]) -> None:
+    def add(self, pairs: PlanePairs, slopes: SlopePairs, number: NDArray[np.int64], corner: tuple[int, int]) -> None:
         """Take in a block: `number` the strip of each of its pieces, int64 (pieces,), `corner` column and row of its
         first cell."""
+        self._offsets.add(slopes, number)
         first, second, good, apart = of_strips(pairs, number, self.params.max_step)
         self.apart += int(apart.sum())
         first, second, dz, weight = first[good], second[good], pairs.dz[good], pairs.weight[good]
@@ -117,7 +128,14 @@ class Comparison:
             "sigma": _finite_or_none(adjustment.sigma),
             "strips": [_strip(k, s, files, by, adjustment, int(group[k])) for k, s in enumerate(strips)],
             "between": [
-                {"first": a, "second": b, "pairs": int(c), "mean": float(m / c), "rms": math.sqrt(q / c)}
+                {
+                    "first": a,
+                    "second": b,
+                    "pairs": int(c),
+                    "mean": float(m / c),
+                    "rms": math.sqrt(q / c),
+                    "offset": self._offsets.facts(a, b, float(m / c), int(c)),
+                }
                 for (a, b), (c, m, q) in sorted(self._sums.items())
             ],
         }
@@ -228,6 +246,9 @@ def unsound_strips(facts: Mapping[str, Any]) -> list[str]:
             f"{abs(worst['step']):.1f} m apart (median of {worst['places']:,} places that both see): heights of one of "
             "them are in another unit or from another zero"
         )
+    aside = farthest_pair(facts)
+    if aside is not None and aside["offset"]["distance"] >= max(ASIDE[0], ASIDE[1] * aside["offset"]["error"]):
+        out.append(_in_plan(facts, aside))
     stepped = facts.get("borders", {}).get("stepped", ())
     if stepped:
         worst = max(stepped, key=lambda s: abs(s["step"]))
@@ -240,16 +261,36 @@ def unsound_strips(facts: Mapping[str, Any]) -> list[str]:
     return out
 
 
+def farthest_pair(facts: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Of ``between`` the strips that lie furthest apart in plan; None where no slopes tell."""
+    known = [b for b in facts["between"] if b.get("offset")]
+    return max(known, key=lambda b: b["offset"]["distance"], default=None)
+
+
+def _in_plan(facts: Mapping[str, Any], pair: Mapping[str, Any]) -> str:
+    names, offset = [s["name"] for s in facts["strips"]], pair["offset"]
+    ways = [
+        f"{abs(offset[axis]):.2f} m {axis if offset[axis] > 0 else other}"
+        for axis, other in (("east", "west"), ("north", "south"))
+        if abs(offset[axis]) >= 0.005
+    ]
+    return (
+        f"{names[pair['first']]} lies {' and '.join(ways)} of {names[pair['second']]} (standard error "
+        f"{offset['error']:.3f} m, by {offset['slopes']:,} roofs and slopes that both see): one of them is in another "
+        "datum, or its trajectory or mounting is wrong"
+    )
+
+
 def judge_strips(facts: Mapping[str, Any], accepted: bool, where: object) -> None:
     """`QualityError` where strips or files do not lie at one height (`unsound_strips`); nothing where the user accepts
     it."""
     refuse_unsound(
         unsound_strips(facts),
         accepted,
-        "the survey's strips or files do not lie at one height",
+        "the survey's strips or files do not fit together",
         where,
         expected="one surface where two strips see it, and from one file to the next",
-        do="look at quality.html, which tells where, and at the files' vertical systems (`fwclass info`); "
+        do="look at quality.html, which tells where, and at the files' coordinate systems (`fwclass info`); "
         "--accept-implausible (plausibility.accept=true) takes them as they are",
     )
 
@@ -274,6 +315,9 @@ def strip_remarks(facts: Mapping[str, Any]) -> list[str]:
     out = []
     if any(s["times"] is None for s in strips):
         out.append("some echoes have no GPS time: of their strips roll and pitch have no sign that the flight gives")
+    aside = farthest_pair(facts)
+    if aside is not None and aside["offset"]["distance"] >= TOLD:
+        out.append(_in_plan(facts, aside))
     alone = sum(1 for s in strips if not s["pairs"])
     if alone:
         out.append(f"{alone} of {len(strips)} strips have no flat surface in common with another, and no figures")

@@ -175,7 +175,13 @@ _QUALITY = {
         "apart": COUNT,
         **dict.fromkeys(("rms", "left", "sigma"), _FIGURE),
         "strips": [_STRIP],
-        "between": [{"first": COUNT, "second": COUNT, "pairs": COUNT, "mean": NUMBER, "rms": NUMBER}],
+        "between": [
+            {
+                **dict.fromkeys(("first", "second", "pairs"), COUNT),
+                **dict.fromkeys(("mean", "rms"), NUMBER),
+                "offset?": Maybe({**dict.fromkeys(("east", "north", "distance", "error"), NUMBER), "slopes": COUNT}),
+            }
+        ],
         "lifted?": [{"by": TEXT, "first": COUNT, "second": COUNT, "places": COUNT, "step": NUMBER}],
         "borders?": {
             **dict.fromkeys(("places", "borders"), COUNT),

@@ -15,7 +15,7 @@ VOIDS = {"largest": [{"area": 40.0}, {"area": 20.0}]}
 MADE: dict[str, Any] = {
     "voids": VOIDS,
     "density": {"echoes": 5.0, "pulses": 4.0},
-    "strips": {"rms": 0.06},
+    "strips": {"rms": 0.06, "between": [{"offset": {"distance": 0.2}}, {"offset": None}]},
     "noise_share": 0.001,
     "check_points": {"all": {"rmse": 0.08}},
     "coverage": {"share": 0.97},
@@ -28,6 +28,7 @@ MADE: dict[str, Any] = {
         ("min_density", 5.0, 5.1),
         ("min_pulse_density", 4.0, 4.1),
         ("max_dz", 0.06, 0.05),
+        ("max_offset", 0.2, 0.19),
         ("max_void", 40.0, 39.0),
         ("max_noise", 0.001, 0.0),
         ("max_rmse_z", 0.08, 0.079),
@@ -45,7 +46,7 @@ def test_what_nobody_knows_meets_no_threshold(base: dict[str, Any]) -> None:
     unknown = {
         "voids": VOIDS,
         "density": {"echoes": None, "pulses": None},
-        "strips": {"rms": None},
+        "strips": {"rms": None, "between": []},
         "noise_share": None,
         "check_points": None,
         "coverage": None,
@@ -60,6 +61,6 @@ def test_what_nobody_knows_meets_no_threshold(base: dict[str, Any]) -> None:
 def test_strips_that_lie_metres_apart_are_told(apart: int, pairs: int, told: bool) -> None:
     """Beams of a wrong sign put strips so far apart that hardly a pair counted, and nothing was said."""
     strip = {"times": [0.0, 1.0], "pairs": pairs, "group": 0}
-    facts = {"strips": [strip, strip], "pairs": pairs, "apart": apart, "by": "files"}
+    facts = {"strips": [strip, strip], "pairs": pairs, "apart": apart, "by": "files", "between": []}
     said = [r for r in strip_remarks(facts) if "further apart than one surface can" in r]
     assert bool(said) == told and (not told or f"{apart} of {apart + pairs}" in said[0])
