@@ -91,6 +91,12 @@ class Box:
         """Whether two boxes share area [m²]; edges that meet do not."""
         return self.xmin < other.xmax and other.xmin < self.xmax and self.ymin < other.ymax and other.ymin < self.ymax
 
+    def holds(self, other: Box) -> bool:
+        """Whether nothing of `other` lies outside, decided in whole millimetres."""
+        low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in self.bounds)
+        west, south, east, north = (round(v / QUANTUM) for v in other.bounds)
+        return low_x <= west and low_y <= south and east <= high_x and north <= high_y
+
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """(xmin, ymin, xmax, ymax) [m]."""
@@ -121,9 +127,11 @@ class Tile:
 
     @property
     def box(self) -> Box:
-        """The area of the tile [m], half-open in the north and east."""
-        s, (x, y) = self.size, self.origin
-        return Box(self.ix * s + x, self.iy * s + y, (self.ix + 1) * s + x, (self.iy + 1) * s + y)
+        """The area of the tile [m], half-open in the north and east: whole millimetres, the same numbers as coordinates
+        on its edges have."""
+        mm, (x, y) = round(self.size / QUANTUM), (round(o / QUANTUM) for o in self.origin)
+        west, south = self.ix * mm + x, self.iy * mm + y
+        return Box(*(v * QUANTUM for v in (west, south, west + mm, south + mm)))
 
 
 @dataclass(frozen=True)

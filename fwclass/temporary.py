@@ -6,12 +6,17 @@ Each is locked while its process lives. So the next command tells what one that 
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 
 @contextmanager
@@ -30,6 +35,17 @@ def temporary_directory(kind: str, beside: Path | None = None) -> Iterator[Path]
     finally:
         shutil.rmtree(directory, ignore_errors=True)
         os.close(handle)
+
+
+def array_in_file(file: IO[bytes], dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """An array that lies in an empty `file` instead of memory. Its room on the disk is taken at once: a full disk is an
+    `OSError` here, where it would be a signal as soon as one of its pages is written."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if not size:
+        return np.empty(shape, dtype)
+    if hasattr(os, "posix_fallocate"):  # not on macOS
+        os.posix_fallocate(file.fileno(), 0, size)
+    return np.memmap(file, dtype, "r+", shape=shape)
 
 
 def _made(place: Path, prefix: str) -> tuple[Path, int]:

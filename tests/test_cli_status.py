@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import shutil
 from pathlib import Path
@@ -148,6 +149,8 @@ def test_what_cannot_be_told(copy, tmp_path):
         assert ended.returncode == 2 and "it is empty" in ended.stderr
         ended = fwclass(command, "s3:/bucket/run")
         assert ended.returncode == 2 and "two slashes" in ended.stderr
+        ended = fwclass(command, os.fsdecode(bytes(tmp_path / "M") + b"\xfcller"))
+        assert ended.returncode == 2 and "no name in UTF-8" in ended.stderr
     (tmp_path / "empty" / "store").mkdir()
     ended = fwclass("status", tmp_path / "empty")
     assert ended.returncode == 1 and "nothing tells which configuration" in ended.stderr

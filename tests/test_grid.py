@@ -25,6 +25,16 @@ def test_every_point_has_exactly_one_owner(mx, my, size):
     assert around == [owner]
 
 
+@settings(max_examples=200)
+@given(st.integers(-(10**7), 10**7), st.integers(1, 10**6))
+def test_a_place_on_an_edge_is_the_edge_to_the_last_bit(ix, mm):
+    """Tiles of 11.3 m: one part in a million of the places lay outside of the box of the tile that owned them."""
+    edge = np.array([ix * mm / 1000.0])
+    owner = TileGrid(mm / 1000.0).tile(f"{ix}_{ix}")
+    assert owner.box.xmin == quantise(edge)[0] == owner.box.ymin
+    assert owner.box.holds(owner.box) and not owner.box.holds(owner.box.moved(0.001, 0.0))
+
+
 @given(coordinate)
 def test_millimetres_go_there_and_back(mm):
     metres = np.array([mm / 1000.0])

@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 import bagmaker
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / "fuzz"))
@@ -17,12 +18,12 @@ sys.path.insert(0, str(Path(__file__).parent / "fuzz"))
 import seeds
 
 from fwclass import temporary
-from fwclass.temporary import temporary_directory
+from fwclass.temporary import array_in_file, temporary_directory
 
 HOLD = """
 import sys
 from pathlib import Path
-from fwclass.temporary import temporary_directory
+from fwclass.temporary import array_in_file, temporary_directory
 with temporary_directory("parts", Path(sys.argv[1])) as directory:
     (directory / "a").write_bytes(bytes(1000))
     print(directory, flush=True)
@@ -144,3 +145,17 @@ def test_what_a_killed_command_left_goes_with_the_next_one(work: str, kind: str,
     assert [p.name.startswith(kind) for p in room.iterdir()] == [True]
     assert ended("pass") == 0
     assert [p.name for p in room.iterdir() if p.name.startswith(kind)] == []
+
+
+def test_an_array_in_a_file_takes_its_room_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page of a file with holes that has no room on the disk ended the process by a signal."""
+    with (tmp_path / "a.bin").open("w+b") as file:
+        array = array_in_file(file, np.float64, (1000, 2))
+        assert os.fstat(file.fileno()).st_blocks * 512 >= array.nbytes
+        array[:] = 7.0
+        assert array.sum() == 14_000.0
+    with (tmp_path / "b.bin").open("w+b") as file:
+        assert array_in_file(file, np.float64, (0, 2)).shape == (0, 2)
+        monkeypatch.setattr(os, "posix_fallocate", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
+        with pytest.raises(OSError, match="full"):
+            array_in_file(file, np.float64, (1000, 2))

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from fwclass import __version__
+from fwclass.errors import visible
 from fwclass.paths import strange_kind
 from fwclass.store.url import SCHEMES, is_url, url_of
 
@@ -44,10 +45,23 @@ def little_garbage() -> None:
     gc.set_threshold(50_000, 20, 20)
 
 
+def _is_utf8(path: Path) -> bool:
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _checked(value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
     """`value`, unless it is empty, which would mean the current directory, or an address with one slash."""
     if value == "":
         raise click.BadParameter("it is empty; name a file or a directory (. is the current one)", ctx, param)
+    if not _is_utf8(place := Path(value).absolute()):
+        told = (
+            f"{visible(place)} is no name in UTF-8, which other programs need; rename it, or choose another directory"
+        )
+        raise click.BadParameter(told, ctx, param)
     if kind := strange_kind(value):
         raise click.BadParameter(f"{value} is {kind}; name a file or a directory", ctx, param)
     if re.match(rf"({'|'.join(SCHEMES)}):/?[^/]", str(value)):

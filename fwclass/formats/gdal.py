@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from fwclass.errors import FwclassError, full_or, visible
+from fwclass.errors import FwclassError, full_or, is_control, visible
 from fwclass.isolation import away_from
 
 DRIVERS = {"GPKG", "GeoJSON", "ESRI Shapefile", "MEM"}
@@ -81,6 +81,13 @@ def offline() -> Iterator[Any]:
 @contextmanager
 def writing(place: Path) -> Iterator[Any]:
     """`offline` while it writes the file `place`: a full disk is an `OSError`, other faults are a `FwclassError`."""
+    if str(place).startswith("/vsi") or any(map(is_control, str(place))):
+        raise FwclassError(
+            "GDAL takes the name of this file for another",
+            where=place,
+            expected="a name without characters that cannot be seen, not below /vsi…",
+            do="choose another name",
+        )
     try:
         with offline() as module:
             yield module

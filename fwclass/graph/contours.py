@@ -28,6 +28,7 @@ from fwclass.publish.qgis_layers import CONTOURS
 from fwclass.publish.qgis_style import style_file
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
+from fwclass.temporary import array_in_file
 
 PIECES = "pieces"
 
@@ -80,8 +81,7 @@ def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) 
         else np.zeros(0, np.int64)
     )
     with tempfile.TemporaryFile(dir=here.directory) as file:
-        file.truncate(max(1, 16 * int(counts.sum())))
-        laid = np.memmap(file, np.float64, "r+", shape=(int(counts.sum()), 2)) if counts.sum() else np.empty((0, 2))
+        laid = array_in_file(file, np.float64, (int(counts.sum()), 2))
         row = 0
         for key, size in zip(blocks, sizes, strict=True):
             mine = slice(row, row + size)

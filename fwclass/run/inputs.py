@@ -124,7 +124,7 @@ class PartInputs:
             if bounds is None:
                 return
             box = Box(bounds[0], bounds[1], bounds[3], bounds[4])
-        if box.xmin < within.xmin or box.ymin < within.ymin or box.xmax > within.xmax or box.ymax > within.ymax:
+        if not within.holds(box):
             self._refuse(f"rows of {base}/{part} in {box.bounds}", f"rows in {within.bounds}", "declare a larger halo")
 
     def _refuse(self, got: str, expected: str, do: str = "declare it") -> NoReturn:

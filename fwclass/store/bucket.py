@@ -211,6 +211,10 @@ class Bucket:
     def check_links(self) -> None:
         """A delivery has a prefix of its own, where nothing of a user's stands."""
 
+    def astray(self, name: str) -> tuple[str, ...]:
+        """Nothing: readers of a bucket go by the pointer alone."""
+        return ()
+
     def pointer(self) -> tuple[str, Mark] | None:
         pointer = self.get(CURRENT)
         if pointer is None:

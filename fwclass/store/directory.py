@@ -282,13 +282,21 @@ class Directory:
     def pointer(self) -> tuple[str, Mark] | None:
         """Name and mark of the generation that readers see, None for none; "" where the pointer is damaged."""
         try:
-            return (self.root / CURRENT).readlink().name, ANY
+            shown = (self.root / CURRENT).readlink()
+            own = (self.root / shown.parent).resolve() == (self.root / GENERATIONS).resolve()
+            return (shown.name if own else ""), ANY
         except FileNotFoundError:
             return None
         except OSError:
             if not (self.root / CURRENT).is_dir():
                 raise
             raise self._copied() from None
+
+    def astray(self, name: str) -> tuple[str, ...]:
+        """What a generation has at its top and the run directory does not lead to: something else stands in its place,
+        or nothing."""
+        tops = (p.name for p in _inside(self.root / GENERATIONS / name) if p.name not in (FACTS, MANIFEST))
+        return tuple(sorted(top for top in tops if not _leads_to(self.root / top, Path(CURRENT) / top)))
 
     def _copied(self) -> StoreError:
         """What to say of a run directory whose links became files."""
@@ -370,11 +378,15 @@ def link(source: Path, target: Path) -> None:
         sync(target)
 
 
+def _leads_to(path: Path, target: Path) -> bool:
+    return path.is_symlink() and path.readlink() == target
+
+
 def _link_to(path: Path, target: Path) -> None:
     """Make `path` a link to `target`, in place of the link that it was."""
     beside = path.with_name(f".{path.name}.link")
     beside.unlink(missing_ok=True)
-    if path.is_symlink() and path.readlink() == target:
+    if _leads_to(path, target):
         return
     beside.symlink_to(target)
     beside.replace(path)

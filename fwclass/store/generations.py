@@ -154,7 +154,7 @@ class Generations:
         """Files of each generation that are gone or not what was written, by its name, where there are any: the one
         that readers see first. All are read, but for those of before there were manifests."""
         pointer = self.files.pointer()
-        shown = [pointer[0]] if pointer else []
+        shown = [pointer[0]] if pointer and pointer[0] else []
         others = [name for name in self._names() if name not in shown]
         facts = self.files.many([f"{GENERATIONS}/{name}/{FACTS}" for name in others])
         there = {n: self._parsed(n, data) for n, data in zip(others, facts, strict=True) if data is not None}

@@ -46,17 +46,19 @@ class Damage:
 @dataclass(frozen=True)
 class Verification:
     """What is not as it was written: `parts`; `descendants` made from them; files that were `delivered`, by the name of
-    their generation, of which readers see the one that is `shown`."""
+    their generation, of which readers see the one that is `shown`; names in the run directory that lead readers
+    `astray`, being no links to it."""
 
     parts: tuple[Damage, ...]
     descendants: tuple[Name, ...]
     delivered: Mapping[str, tuple[str, ...]]
     shown: str
+    astray: tuple[str, ...] = ()
 
     @property
     def sound(self) -> bool:
         """Nothing is damaged."""
-        return not (self.parts or self.delivered)
+        return not (self.parts or self.delivered or self.astray)
 
     @property
     def earlier(self) -> tuple[str, ...]:
@@ -69,6 +71,7 @@ class Verification:
             "damaged": [d.as_data() for d in self.parts],
             "made_from_damaged": [{"stage": stage, "part": part} for stage, part in self.descendants],
             "damaged_delivered": [f"{of}/{name}" for of, names in self.delivered.items() for name in names],
+            "astray": list(self.astray),
         }
 
 
@@ -80,9 +83,11 @@ def verify(store: Store) -> Verification:
         if files:
             damaged.append(Damage(receipt.stage, receipt.part, tuple(files)))
     delivered = {name: tuple(files) for name, files in store.generations.damage().items()}
-    shown = store.generations.files.pointer()
+    pointer = store.generations.files.pointer()
+    shown = pointer[0] if pointer else ""
+    astray = store.generations.files.astray(shown) if shown else ("current",) if pointer else ()
     made_from = _descendants({d.name for d in damaged}, store)
-    return Verification(tuple(damaged), made_from, delivered, shown[0] if shown else "")
+    return Verification(tuple(damaged), made_from, delivered, shown, astray)
 
 
 def remove(verified: Verification, store: Store) -> None:
@@ -131,6 +136,10 @@ def rows(verified: Verification) -> list[str]:
         lines += [f"damaged  {where}/{name}" for name in files[:LISTED]]
         if len(files) > LISTED:
             lines.append(f"         and {len(files) - LISTED} more files of {where}")
+    lines += [
+        f"astray   {name} is no link to the delivery that is shown: readers see something else"
+        for name in verified.astray
+    ]
     return lines
 
 
@@ -148,6 +157,8 @@ def as_text(verified: Verification, request: Request) -> str:
     if verified.sound:
         return SOUND
     lines = [*rows(verified), *earlier_advice(verified, str(request.root))]
-    if verified.parts or verified.shown in verified.delivered:
+    if verified.astray:
+        lines.append("move away what stands in the place of these links; the next run makes them")
+    if verified.parts or verified.shown in verified.delivered or verified.astray:
         lines.append(f"to have all of it made again, and delivered: {request.command()} --verify")
     return "\n".join(lines)

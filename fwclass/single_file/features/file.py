@@ -37,7 +37,7 @@ from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
 from fwclass.store.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
-from fwclass.temporary import temporary_directory
+from fwclass.temporary import array_in_file, temporary_directory
 from fwclass.tile.stage import morton
 
 SECTIONS = (*OF_ECHOES, "tile", "publish")
@@ -197,7 +197,7 @@ def _features(
     columns: dict[str, NDArray[np.float32]] = {
         n: np.empty(table.rows, column(n).dtype)
         if in_memory
-        else np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
+        else _in_file(room / f"{k}.bin", column(n).dtype, table.rows)
         for k, n in enumerate(around.names)
     }
     tiles = FileTiles(
@@ -212,6 +212,11 @@ def _features(
     tiles.columns(COMPUTE_FEATURES, around.names, columns)
     crowds = [facts.get("dense") for facts in tiles.facts(COMPUTE_FEATURES)]
     return columns, len(tiles.keys), Crowd.of_parts(crowds)
+
+
+def _in_file(path: Path, dtype: str, rows: int) -> NDArray[np.float32]:
+    with path.open("w+b") as file:
+        return array_in_file(file, dtype, (rows,))
 
 
 def _row_groups(
