@@ -114,3 +114,18 @@ def test_a_file_without_water_is_refused_before_anything_is_made(survey, text, w
     told = fwclass("run", survey, "--out", tmp_path / "r", *WORDS[:4], "--set", "water.file=bad.geojson")
     assert told.returncode in (1, 2) and words in told.stderr and "Traceback" not in told.stderr
     assert not (tmp_path / "r" / "store").exists()
+
+
+def test_a_polygon_over_a_house_is_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0, 1, (2, 9_000)) * [[60], [40]]
+    house = (x > 20) & (x < 36) & (y > 12) & (y < 28)
+    z = np.where(house, 207.0, 200.0) + rng.normal(0, 0.02, len(x))
+    lasmaker.write_las(tmp_path / "a.las", np.c_[X + x, Y + y, z.round(3)], point_format=6)
+    (tmp_path / "s.yaml").write_text('survey: {name: house, sources: [a.las], crs: "EPSG:25832"}\n')
+    for west, told in ((20, True), (40, False)):
+        ring = [(west, 12), (west + 16, 12), (west + 16, 28), (west, 28), (west, 12)]
+        (tmp_path / "water.geojson").write_text(features("EPSG:25832", ring))
+        ended = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "run", *WORDS)
+        assert ended.returncode == 0, ended.stderr
+        assert ("in 1 of 1 polygons of water most echoes lie 2 m and more above the level" in ended.stderr) == told

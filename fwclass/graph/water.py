@@ -26,6 +26,9 @@ FILE = "water"
 NAMED = 5
 """Bodies of water that are named."""
 
+STANDING, WORTH = 2, 100
+"""m above the level from which an echo stands on something, and echoes of a body from which their share is told."""
+
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """x, y, z [m]."""
 
@@ -117,26 +120,31 @@ def _line(arrays: Mapping[str, NDArray]) -> Shoreline:
 
 def measure_shore(here: StageInputs, reach: float) -> Result:
     """Ground echoes of a tile within `reach` [m] of a shore: which place of it is nearest, and their heights; and how
-    many of those further inside lie at which height, by body."""
+    many of those further inside lie at which height, by body; and all echoes there, by whole metres."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     table = here.own_rows()
-    table = table.take(np.flatnonzero(table["ground"] & ~table["noise"]))
-    rows, place = nearest_shore(_line(arrays), table["x"], table["y"], reach)
+    table = table.take(np.flatnonzero(~table["noise"]))
+    near, place = nearest_shore(_line(arrays), table["x"], table["y"], reach)
     body = bodies_at(Polygons.from_arrays(arrays), table["x"], table["y"])
-    body[rows] = -1
-    inside = np.flatnonzero(body >= 0)
+    body[near] = -1
+    at_shore, inside = table["ground"][near], np.flatnonzero((body >= 0) & table["ground"])
     cells, counts = np.unique(np.stack([body[inside], millimetres(table["z"][inside])]), axis=1, return_counts=True)
-    inside_heights = {"inside_body": cells[0], "inside_height": cells[1], "inside_count": counts}
-    write_arrays(here.directory / FILE, {"place": place, "z": table["z"][rows], **inside_heights})
-    return {"echoes": len(rows), "inside": len(inside)}
+    over = np.flatnonzero(body >= 0)
+    metres = np.floor(table["z"][over]).astype(np.int64)
+    standing, many = np.unique(np.stack([body[over], metres]), axis=1, return_counts=True)
+    heights = {"inside_body": cells[0], "inside_height": cells[1], "inside_count": counts}
+    heights |= {"over_body": standing[0], "over_metre": standing[1], "over_count": many}
+    write_arrays(here.directory / FILE, {"place": place[at_shore], "z": table["z"][near[at_shore]], **heights})
+    return {"echoes": int(at_shore.sum()), "inside": len(inside)}
 
 
 def level_water(here: StageInputs, params: WaterParams) -> Result:
     """The level of every body of water, those that are level with their shores, and what a user should know."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     tiles = [here.inputs.arrays(SHORE, key, FILE)[0] for key in here.parts(SHORE)]
-    place, z, own, heights, counts = (
-        np.concatenate([t[n] for t in tiles]) for n in ("place", "z", "inside_body", "inside_height", "inside_count")
+    place, z, own, heights, counts, over, metre, many = (
+        np.concatenate([t[n] for t in tiles])
+        for n in ("place", "z", "inside_body", "inside_height", "inside_count", "over_body", "over_metre", "over_count")
     )
     line, polygons = _line(arrays), Polygons.from_arrays(arrays)
     at_shore, inside = (_rows_of(body, polygons.parts) for body in (line.body[place], own))
@@ -156,7 +164,29 @@ def level_water(here: StageInputs, params: WaterParams) -> Result:
     }
     write_arrays(here.directory / FILE, flat_bodies)
     facts = [{"feature": int(f) + 1, **b.facts()} for f, b in zip(arrays["feature"], bodies, strict=True)]
-    return {"bodies": facts, "remarks": _remarks(facts, bodies, params)}
+    high = _share_high(over, metre, many, level)
+    return {"bodies": facts, "remarks": [*_remarks(facts, bodies, params), *_of_high(facts, high)]}
+
+
+def _share_high(
+    body: NDArray[np.int64], metre: NDArray[np.int64], count: NDArray[np.int64], level: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """float64 (bodies,): share of the echoes in each body, away from its shore, that lie more than `STANDING` above its
+    `level` [m]; 0 where fewer than `WORTH` lie there."""
+    high = metre >= np.floor(level[body]) + STANDING
+    above, all_of = (np.bincount(body, count * some, len(level)) for some in (high, 1))
+    return np.where(all_of >= WORTH, above / np.maximum(all_of, 1), 0.0)
+
+
+def _of_high(facts: Sequence[Mapping[str, Any]], high: NDArray[np.float64]) -> list[str]:
+    """Bodies in which most echoes stand high above the water."""
+    some = [f"feature {t['feature']} {100 * share:.0f} %" for t, share in zip(facts, high, strict=True) if share > 0.5]
+    if not some:
+        return []
+    return [
+        f"in {len(some)} of {len(facts)} polygons of water most echoes lie {STANDING} m and more above the level, as "
+        f"on roofs, trees or a bridge ({first_few(some, NAMED)}): are the polygons in their place?"
+    ]
 
 
 def _rows_of(body: NDArray[np.int64], bodies: int) -> list[NDArray[np.int64]]:
@@ -232,7 +262,7 @@ READ_WATER = Stage(
 )
 MEASURE_SHORE = Stage(
     SHORE,
-    1,
+    2,
     "tile",
     "echo",
     measure_shore,
@@ -244,7 +274,7 @@ MEASURE_SHORE = Stage(
 )
 LEVEL_WATER = Stage(
     LEVELS,
-    1,
+    2,
     "survey",
     "part",
     level_water,
