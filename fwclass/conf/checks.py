@@ -79,6 +79,16 @@ def _check_cells(config: Config) -> None:
             got=f"{numbers:.3g}: {profile.bins:,} heights in cells of {profile.cell:g} m",
             do="larger cells or bins, a lower profile.highest, or smaller blocks",
         )
+    layer = (config.terrain.block / config.voxels.size + 1.0) ** 2
+    if config.voxels.write and layer > config.voxels.most:
+        raise ConfigError(
+            "one layer of voxels is too many for a block already",
+            where=f"{where}: voxels.size",
+            expected=f"at most {config.voxels.most:,} (voxels.most) in a block of {config.terrain.block:g} m "
+            "(terrain.block)",
+            got=f"{layer:.3g} of {config.voxels.size:g} m",
+            do="larger voxels, or smaller blocks",
+        )
     planes = config.quality.planes
     for which, cell in (
         ("cell", config.quality.cell),

@@ -384,3 +384,13 @@ def test_profiles_that_no_memory_holds_are_refused_before_anything_runs(tmp_path
     with pytest.raises(ConfigError, match="too many numbers") as fault:
         conf.load(path, (*fine, "profile.bin=0.01"))
     assert "profile.cell, profile.bin" in str(fault.value)
+
+
+def test_voxels_that_no_block_holds_are_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text("survey: {name: a, directory: .}\n")
+    conf.load(path, ("voxels.write=true", "voxels.size=0.1"))
+    with pytest.raises(ConfigError, match="too many for a block already") as fault:
+        conf.load(path, ("voxels.write=true", "voxels.size=0.02"))
+    assert "voxels.size" in str(fault.value) and "64,000,000" in str(fault.value)
+    conf.load(path, ("voxels.size=0.02",))
