@@ -388,7 +388,7 @@ def test_profiles_that_no_memory_holds_are_refused_before_anything_runs(tmp_path
 
 def test_voxels_that_no_block_holds_are_refused_at_once(tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
-    path.write_text("survey: {name: a, directory: .}\n")
+    path.write_text(SMALL)
     conf.load(path, ("voxels.write=true", "voxels.size=0.1"))
     with pytest.raises(ConfigError, match="too many for a block already") as fault:
         conf.load(path, ("voxels.write=true", "voxels.size=0.02"))
