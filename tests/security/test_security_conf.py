@@ -389,8 +389,9 @@ def test_profiles_that_no_memory_holds_are_refused_before_anything_runs(tmp_path
 def test_voxels_that_no_block_holds_are_refused_at_once(tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(SMALL)
-    conf.load(path, ("voxels.write=true", "voxels.size=0.1"))
+    fine = ("voxels.write=true", "voxels.size=0.1")
+    conf.load(path, fine)
     with pytest.raises(ConfigError, match="too many for a block already") as fault:
-        conf.load(path, ("voxels.write=true", "voxels.size=0.02"))
-    assert "voxels.size" in str(fault.value) and "64,000,000" in str(fault.value)
-    conf.load(path, ("voxels.size=0.02",))
+        conf.load(path, (*fine, "voxels.most=1000000"))
+    assert "voxels.size" in str(fault.value) and "1,000,000" in str(fault.value)
+    conf.load(path, ("voxels.size=0.1", "voxels.most=1000000"))
