@@ -33,6 +33,7 @@ from fwclass.quality.density import Density, density_remarks
 from fwclass.quality.offsets import slopes_from
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
+from fwclass.quality.roughness import roughness_facts, roughness_remarks
 from fwclass.quality.strips import (
     By,
     Comparison,
@@ -158,6 +159,7 @@ def deliver_quality(
             *(["all echoes are noise"] if not echoes else []),
             *density_remarks(density_facts),
             *strip_remarks(strips),
+            *roughness_remarks(strips["roughness"]),
             *(check_remarks(checked, params.check_points.reach) if checked else ()),
         ],
     }
@@ -191,7 +193,9 @@ def _strips(
     stepped = stepped_borders(first, second, step, files, params.planes.max_step)
     ways: tuple[By, ...] = ("files", "times")
     lifted = [{"by": way, **one} for way in ways for one in lifted_strips(lows, numbers_of(pieces, way))]
+    rough = np.sum([inputs.arrays(stage, b.key, COMPARED, ("roughness",))[0]["roughness"] for b in blocks], axis=0)
     facts = compared.facts(strips, files, by) | {"borders": stepped, "lifted": lifted}
+    facts["roughness"] = roughness_facts(np.asarray(rough, np.int64))
     return facts, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
 
 

@@ -67,6 +67,10 @@ def _rows(summary: Mapping[str, Any], density: Mapping[str, Any], strips: Mappin
         ]
     if density["spacing"] is not None:
         rows.append(("pulse spacing", f"{density['spacing']:.2f} m"))
+    rough = strips["roughness"]
+    if rough["smoothest"] is not None:
+        text = f"{_cm(rough['smoothest'], sign=False)} cm at most in the smoothest tenth of {number(rough['places'])}"
+        rows.append(("residual of level places", f"{text}, median {_cm(rough['median'], sign=False)} cm"))
     voids = summary["voids"]
     text = f"{number(voids['count'])} from {voids['least']:.3g} m² on"
     if voids["count"]:

@@ -13,6 +13,7 @@ from fwclass.quality.offsets import SlopePairs, slope_pairs
 from fwclass.quality.params import QualityParams
 from fwclass.quality.pieces import Pieces, pieces_of
 from fwclass.quality.planes import PlanePairs, border_steps, low_steps, plane_pairs, planes_of
+from fwclass.quality.roughness import ROUGHEST, count_roughness
 from fwclass.schema import Table
 
 READS = ("x", "y", "z", "strip", "gps_time", "echo_number", "number_of_echoes", "noise")
@@ -39,6 +40,7 @@ class BlockQuality:
     borders : files beside each other, and the steps between them (`planes.border_steps`).
     lows : pieces in one cell, and the steps between their lowest echoes (`planes.low_steps`).
     slopes : steep planes that two pieces see.
+    roughness : places of every class of `roughness.EDGES`, int64.
     """
 
     echoes: NDArray[np.uint32]
@@ -49,6 +51,7 @@ class BlockQuality:
     borders: tuple[NDArray, NDArray, NDArray]
     lows: tuple[NDArray, NDArray, NDArray]
     slopes: SlopePairs
+    roughness: NDArray[np.int64]
 
     def arrays(self) -> dict[str, NDArray]:
         """Pieces, (pieces,) each, pairs, (pairs,) each, and steps, (steps,) each, by name as a store keeps them."""
@@ -56,6 +59,7 @@ class BlockQuality:
             **vars(self.pieces),
             **{f"pair_{name}": values for name, values in vars(self.pairs).items()},
             **{f"slope_{name}": values for name, values in vars(self.slopes).items()},
+            "roughness": self.roughness,
             **dict(zip((*BORDERS, *LOWS), (*self.borders, *self.lows), strict=True)),
         }
 
@@ -93,7 +97,8 @@ def block_quality(table: Table, box: Box, params: QualityParams) -> BlockQuality
     alone = np.flatnonzero(sound["number_of_echoes"] == 1)
     cells = Window.covering(box, params.planes.cell)
     single = x[alone], y[alone], sound["z"][alone], number[alone]
-    planes = planes_of(*single, cells, params.planes)
+    level = planes_of(*single, cells, params.planes.model_copy(update={"max_residual": ROUGHEST}))
+    planes = level.smooth(params.planes.max_residual)
     steep = params.planes.model_copy(update={"max_slope": params.planes.steepest})
     slopes = slope_pairs(
         planes_of(*single, Window.covering(box, params.planes.slope_cell), steep), params.planes.max_slope
@@ -101,4 +106,5 @@ def block_quality(table: Table, box: Box, params: QualityParams) -> BlockQuality
     steps = border_steps(planes, pieces.file)
     lows = low_steps(x, y, sound["z"], number, cells, params.planes.least)
     noise = table.rows - sound.rows
-    return BlockQuality(echoes, pulses, noise, pieces, plane_pairs(planes), steps, lows, slopes)
+    rough = count_roughness(level.residual)
+    return BlockQuality(echoes, pulses, noise, pieces, plane_pairs(planes), steps, lows, slopes, rough)

@@ -27,6 +27,7 @@ class Planes:
     u, v : mean place of its echoes from the middle of the cell [mm], w : their mean height [mm], from one level for
         all; float64.
     a, b : slope to the east and north.
+    residual : root mean square of its echoes from it [mm].
     edge : of a cell [mm].
     """
 
@@ -38,7 +39,13 @@ class Planes:
     w: NDArray[np.float64]
     a: NDArray[np.float64]
     b: NDArray[np.float64]
+    residual: NDArray[np.float64]
     edge: int
+
+    def smooth(self, most: float) -> Planes:
+        """Those with a residual of at most `most` [m]."""
+        rows = self.residual <= 1000 * most
+        return Planes(**{n: v if n == "edge" else v[rows] for n, v in vars(self).items()})
 
     def steps(self, p: NDArray[np.int64], q: NDArray[np.int64]) -> NDArray[np.float64]:
         """Height of the planes `p` less that of the planes `q`, midway between the centres of their echoes [m]."""
@@ -83,7 +90,7 @@ def planes_of(
     """
     if not len(x):
         none, nothing = np.empty(0, np.int64), np.empty(0)
-        return Planes(none, none, none, *(5 * (nothing,)), edge=0)
+        return Planes(none, none, none, *(6 * (nothing,)), edge=0)
     mm = whole_millimetres(window.cell, "quality.planes.cell")
     mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
     col, row = mx // mm - window.col, my // mm - window.row
@@ -111,7 +118,7 @@ def planes_of(
     cells, number = np.divmod(key[chosen], pieces)
     r, c = np.divmod(cells, window.ncols)
     across, up, level = (mean[n][chosen] for n in "uvw")
-    return Planes(r, c, number, across, up, level, a[chosen], b[chosen], mm)
+    return Planes(r, c, number, across, up, level, a[chosen], b[chosen], np.sqrt(square[chosen]), mm)
 
 
 def cell_pairs(planes: Planes) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

@@ -18,6 +18,7 @@ from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
 from fwclass.quality.check_points import check_remarks
 from fwclass.quality.covered import CoveredArea
+from fwclass.quality.roughness import roughness_remarks
 from fwclass.quality.strips import unsound_strips
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
 from fwclass.report.counts import (
@@ -211,6 +212,7 @@ def _remarks(
         *(report["input"]["place"] or {}).get("remarks", ()),
         *(report["radiometry"] or {}).get("implausible", ()),
         *(unsound_strips(report["quality"]["strips"]) if report["quality"] else ()),
+        *(roughness_remarks(report["quality"]["strips"]["roughness"]) if report["quality"] else ()),
         *(_of_check_points(report["quality"], config) if report["quality"] else ()),
         *of("labels", "repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),

@@ -182,6 +182,7 @@ _QUALITY = {
                 "offset?": Maybe({**dict.fromkeys(("east", "north", "distance", "error"), NUMBER), "slopes": COUNT}),
             }
         ],
+        "roughness?": {"places": COUNT, "smoothest": _FIGURE, "median": _FIGURE},
         "lifted?": [{"by": TEXT, "first": COUNT, "second": COUNT, "places": COUNT, "step": NUMBER}],
         "borders?": {
             **dict.fromkeys(("places", "borders"), COUNT),

@@ -46,6 +46,7 @@ BARE: dict[str, Any] = {
         "sigma": None,
         "strips": [],
         "between": [],
+        "roughness": {"places": 0, "smoothest": None, "median": None},
     },
     "remarks": ["all echoes are <noise>"],
 }
