@@ -86,6 +86,12 @@ def _rows(summary: Mapping[str, Any], density: Mapping[str, Any], strips: Mappin
             ),
             ("without the strips' heights and tilts", f"{100 * strips['left']:.1f} cm root mean square"),
         ]
+    known = [b for b in strips["between"] if b.get("offset")]
+    if known:
+        pair = max(known, key=lambda b: b["offset"]["distance"])
+        names, offset = [s["name"] for s in strips["strips"]], pair["offset"]
+        text = f"{_cm(offset['distance'], sign=False)} ± {_cm(offset['error'], sign=False)} cm at most, "
+        rows.append(("apart in plan", f"{text}{names[pair['first']]} – {names[pair['second']]}"))
     if strips["apart"]:
         rows.append(("further apart", f"{number(strips['apart'])} pairs, taken for two surfaces"))
     covered = summary.get("coverage")

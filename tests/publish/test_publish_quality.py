@@ -68,18 +68,23 @@ def test_many_strips_are_cut_short_and_names_escaped(tmp_path: Path) -> None:
     assert "and 3 more" in page and "a&lt;b&gt;" in page and "<b>a" not in page and "12° or back" in page
 
 
+OFFSET = {"east": -0.03, "north": 0.04, "distance": 0.05, "error": 0.005, "slopes": 60}
+
+
 def test_the_worst_pairs_come_first() -> None:
     made = copy.deepcopy(BARE)
     made["strips"]["strips"] = [{**STRIP, "name": n, "height": 0.012, "height_error": 0.001} for n in "abc"]
     made["strips"] |= {"pairs": 3, "rms": 0.1, "left": 0.02}
     made["strips"]["between"] = [
         {"first": 0, "second": 1, "pairs": 2, "mean": 0.01, "rms": 0.02},
-        {"first": 0, "second": 2, "pairs": 1, "mean": -0.2, "rms": 0.3},
+        {"first": 0, "second": 2, "pairs": 1, "mean": -0.2, "rms": 0.3, "offset": OFFSET},
     ]
     told = quality(made)
     assert told is not None
     assert [row["names"] for row in told["between"]] == ["a – c", "a – b"]
-    assert told["between"][0]["cells"] == ["1", "-20.0", "30.0"] and told["strips"][0]["cells"][4] == "+1.2 ± 0.10"
+    assert told["between"][0]["cells"] == ["1", "-20.0", "30.0", "-3.0", "+4.0", "0.5"]
+    assert ("apart in plan", "5.0 ± 0.5 cm at most, a – c") in told["rows"]
+    assert told["strips"][0]["cells"][4] == "+1.2 ± 0.10"
 
 
 def test_maps_of_nothing_are_none_and_of_one_value_are_drawn(params: PublishParams) -> None:
