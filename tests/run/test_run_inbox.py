@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -243,6 +244,32 @@ def test_a_delivery_again_keeps_the_older_one_and_says_so(post):
         for name in facts["replaced"]:
             older = box.inbox.directory / name
             assert older.suffix == ".wdp" or older.read_bytes() == contents[-2]
+
+
+def test_links_below_replaced_are_not_followed(post, tmp_path):
+    """Files elsewhere were removed as older versions, and older versions written elsewhere."""
+    box, elsewhere = post(), tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("a.las", "a.wdp"):
+        (elsewhere / name).write_text("mine")
+    (box.inbox.directory / "replaced").mkdir()
+    for k in range(4):
+        (box.inbox.directory / "replaced" / f"2025010{k}T000000Z-0000").symlink_to(elsewhere)
+    for seed in range(3):
+        whole(box.inbox.directory, seed=seed)
+        box.later(0.0)
+        box.take(box.later(10.0), keep=1)
+    kept = [p for p in (box.inbox.directory / "replaced").iterdir() if not p.is_symlink()]
+    assert sorted(p.name for d in kept for p in d.iterdir()) == ["a.las", "a.wdp"]
+    shutil.rmtree(box.inbox.directory / "replaced")
+    (box.inbox.directory / "replaced").symlink_to(elsewhere)
+    whole(box.inbox.directory, seed=4)
+    box.later(0.0)
+    with pytest.raises(OSError, match="a link stands where replaced files are kept"):
+        box.take(box.later(10.0), keep=1)
+    assert (box.inbox.directory / "a.las").exists() and (box.strips / "a.las").exists()
+    assert sorted(p.name for p in elsewhere.iterdir()) == ["a.las", "a.wdp"]
+    assert {p.read_text() for p in elsewhere.iterdir()} == {"mine"}
 
 
 def test_a_compressed_strip_replaces_the_same_strip_uncompressed(post, tmp_path):

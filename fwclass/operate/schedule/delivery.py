@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import glob
 import os
 import shutil
 import time
@@ -22,13 +21,14 @@ def take(delivery: Delivery, inbox: Path, places: Places, keep: int) -> dict[str
     """Move a delivery into the survey; the facts of it. Who calls holds the run directory, so that no run reads it.
 
     Files of the strip that are there already go to ``<inbox>/replaced/<time>/`` first; of each name the newest `keep`
-    stay. Cut off at any moment, the rest is done at the next look: the points are moved last, and the survey has no
-    strip without them. `OSError` where a file cannot be moved.
+    stay; links there are not followed. Cut off at any moment, the rest is done at the next look: the points are moved
+    last, and the survey has no strip without them. `OSError` where a file cannot be moved.
     """
     delivery.target.mkdir(parents=True, exist_ok=True)
     old = [p for p in _there(delivery, places) if p.name not in _ahead(delivery, places)]
     moved = []
     if old:
+        _check_no_link(inbox / REPLACED)
         aside = _new_directory(inbox / REPLACED)
         for path in old:
             move(path, aside / path.name)
@@ -104,9 +104,16 @@ def _new_directory(directory: Path) -> Path:
     raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(directory / stamp))
 
 
+def _check_no_link(directory: Path) -> None:
+    if directory.is_symlink():
+        raise OSError(errno.ELOOP, "a link stands where replaced files are kept", str(directory))
+
+
 def prune(directory: Path, name: str, keep: int) -> None:
-    """Of the older versions of the file `name` the newest `keep` stay."""
-    versions = sorted(directory.glob(f"*/{glob.escape(name)}"))
+    """Of the older versions of the file `name` the newest `keep` stay; what lies behind a link is none of them."""
+    _check_no_link(directory)
+    own = [path for path in directory.iterdir() if path.is_dir() and not path.is_symlink()]
+    versions = sorted(path / name for path in own if (path / name).is_symlink() or (path / name).is_file())
     for path in versions[: max(0, len(versions) - keep)]:
         path.unlink()
         if not any(path.parent.iterdir()):
