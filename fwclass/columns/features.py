@@ -10,7 +10,7 @@ from typing import Any
 
 from fwclass.columns.record import NAN, Column
 
-XIONG, SHI, FAN, WEINMANN = "Xiong 2018", "Shi 2019", "Fan 2013", "Weinmann 2015"
+XIONG, FAN, WEINMANN = "Xiong 2018", "Fan 2013", "Weinmann 2015"
 PV = "Shi 2019, PV"
 ALL = "rckgo"
 SHAPE = "rko"

@@ -16,19 +16,16 @@ from fwclass.neighbours import CellIndex
 ROWS = 29
 """Bits of a row in a key; the squared distance [mm2] stands above them, so keys order by distance, then by row."""
 
-REACH = 100.0
-"""Longest distance [m] whose square leaves room for the row."""
-
 ROUNDING = 1.000002
 """Squares of exact integers in float32 are off by less."""
 
 EXACT = 1 << 23
 """Whole millimetres up to here, and their differences, are exact in float32."""
 
-FAN = 1.15
+WIDER_FIRST = 1.15
 """The first look is this much wider than the last point's k-th distance."""
 
-GROWTH = 1.5
+WIDER_NEXT = 1.5
 """Each further look is this much wider."""
 
 
@@ -96,11 +93,11 @@ def nearest(fx, fy, fz, x, y, z, order, start, ncols, nrows, cell, wanted, k, re
             n = _keys(x, y, z, order, i, look, near, n, keys)
             if n >= k or look >= reach:
                 break
-            look *= GROWTH
+            look *= WIDER_NEXT
         m = _lowest(keys, n, k, neighbours[w])
         count[w] = m
         if m == k and k > 1:
-            look = FAN * math.sqrt(float((neighbours[w, m - 1] >> ROWS) - 1)) + 1.0
+            look = WIDER_FIRST * math.sqrt(float((neighbours[w, m - 1] >> ROWS) - 1)) + 1.0
         look = max(look, 0.25 * cell)
 
 

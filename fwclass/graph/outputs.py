@@ -134,7 +134,7 @@ def deliver_strip(
         own = np.concatenate([here.inputs.table("read", c, ("source_class",), RETURNS)["source_class"] for c in read])
         answered = np.where(kept.rows(own), own, answered)
     facts = write_strip_laz(here.file(), output, answered, None, params)
-    return {"points": links.rows, "notes": [str(n) for n in facts.get("notes", ())]}
+    return {"points": links.rows, "lacking": facts["lacking"]}
 
 
 def _keys(table: Table) -> NDArray[np.uint64]:

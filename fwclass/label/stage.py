@@ -1,4 +1,5 @@
-"""Reference classes for echoes: from the source's own classes, from another cloud, or from polygons."""
+"""Reference classes for echoes, from the source's own classes or from another cloud: polygons, labels by echo and
+corrections have files of their own."""
 
 from __future__ import annotations
 
@@ -6,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.kernel import kernel
-from fwclass.label.polygons import from_polygons
 from fwclass.neighbours import nearest_within
 from fwclass.schema import Table
 from fwclass.stage import Chunk, Computation
@@ -62,11 +62,9 @@ def _nearest_in_range(px, py, pz, x, y, z, order, low, high, limit, nearest):  #
                 nearest[i] = j
 
 
-__all__ = ["LABEL", "from_cloud", "from_polygons", "from_source"]
-
-
 def from_source(chunk: Chunk) -> Table:
-    """``reference``, uint8 (core,): the class that the source file gave to the nearest return of the echo's pulse."""
+    """``reference``, uint8 (core,): the class that the source file gave to the echo's return (of a waveform's echo, to
+    the nearest return of its pulse, as it was read)."""
     return Table({"reference": chunk.table["source_class"][chunk.core]})
 
 

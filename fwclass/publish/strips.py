@@ -73,8 +73,8 @@ def write_strip_laz(
     Returns
     -------
     dict with ``path, points, changed (points whose class differs), point_format, extra_bytes, beyond
-    (values outside their extra byte's range, by name), waveforms, wdp (path or None), copc (bool), notes (list of
-    text), bytes``; waveforms is "none", "copied",
+    (values outside their extra byte's range, by name), waveforms, wdp (path or None), copc (bool), lacking (of its
+    waveforms, list of text), notes (these and others), bytes``; waveforms is "none", "copied",
     "extracted", "missing" or "truncated".
 
     Raises
@@ -116,6 +116,7 @@ def write_strip_laz(
         "waveforms": waveforms,
         "wdp": str(wdp) if wdp else None,
         "copc": copc,
+        "lacking": list(packets.notes),
         "notes": notes,
         "bytes": size,
     }

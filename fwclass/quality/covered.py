@@ -89,9 +89,12 @@ class _Squares:
         counts = np.bincount(gap[(gap > 0) & (gap <= WIDEST)])
         self._gaps.update({int(n): int(counts[n]) for n in np.flatnonzero(counts)})
 
-    def plain(self) -> dict[str, Any]:
+    def _close_all(self) -> None:
         for row in list(self._open):
             self._close(self._open.pop(row)[None])
+
+    def plain(self) -> dict[str, Any]:
+        self._close_all()
         return {"count": self._count, "gaps": {str(n): k for n, k in sorted(self._gaps.items())}}
 
     def take(self, counts: Mapping[str, Any]) -> None:
@@ -100,7 +103,7 @@ class _Squares:
 
     def filled(self, points: int, spacings: float) -> int:
         """Squares with an echo, and in the gaps that are no wider than `spacings`."""
-        self.plain()  # no row stays open
+        self._close_all()
         count = self._count
         while count and points:
             widest = math.ceil(spacings * math.sqrt(count / points) - 1e-9)

@@ -38,7 +38,6 @@ def accuracy_remarks(
     `others`: echoes by codes that no class counts. `nearest`: distance of the nearest tested echo from a training area
     [m], where it was measured; elsewhere it is `areas.gap`. `cells`: edges of those that a second layer decides by [m];
     `lines`: classes of echoes have changed along lines.
-    A model that was given learned elsewhere.
     """
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
     apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
@@ -47,9 +46,9 @@ def accuracy_remarks(
     reach += field.halo if field.strength > 0 else 0.0
     reach = max(reach, config.classify.lines.halo) if lines else reach
     sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
-    learned_here = (config.survey.model or config.survey.base_model) and not config.areas.train
+    unknown_where_learned = (config.survey.model or config.survey.base_model) and not config.areas.train
     return [
         *sentences,
-        *([OF_A_GIVEN_MODEL] if learned_here else []),
+        *([OF_A_GIVEN_MODEL] if unknown_where_learned else []),
         *([OF_CORRECTIONS] if config.survey.reference.kind == "corrections" else []),
     ]

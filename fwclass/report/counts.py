@@ -7,31 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from fwclass.decompose.water_column import water_facts
-from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
-from fwclass.graph.contours import DELIVER_CONTOURS
-from fwclass.graph.learn import TRAIN_FOREST
-from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
-from fwclass.graph.overview import DELIVER_OVERVIEW
-from fwclass.graph.quality import DELIVER_QUALITY
-from fwclass.graph.raster_outputs import DELIVER_RASTERS
-from fwclass.graph.vectors import DELIVER_VECTORS
 from fwclass.report.facts import receipts_of_run
 from fwclass.run.runner import Runner, Tally
 from fwclass.survey.layout import Survey
-
-DELIVERING = (
-    DELIVER_TILE,
-    DELIVER_STRIP,
-    DELIVER_RASTERS,
-    DELIVER_QUALITY,
-    DELIVER_OVERVIEW,
-    DELIVER_CATALOGUE,
-    DELIVER_POLYGONS,
-    DELIVER_CONTOURS,
-    DELIVER_VECTORS,
-    TRAIN_FOREST,
-)
-"""Stages whose files the report lists; a comparison classifier is trained under the name of the forest's stage."""
 
 
 def source_files(runner: Runner, survey: Survey) -> dict[str, Any]:
@@ -98,8 +76,9 @@ def stage_figures(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
 
 
 def delivered_files(runner: Runner) -> dict[str, list[str]]:
-    """Paths of the files that the run delivers, by kind."""
-    names = [n for stage in DELIVERING for r in receipts_of_run(runner, stage.name) for n in r.outputs]
+    """Paths of the files that the run delivers, by kind; an array (``.zarr``) counts as one. ``other``: those of stages
+    that the program does not know."""
+    names = {_path(n) for stage in sorted(runner.delivered) for r in receipts_of_run(runner, stage) for n in r.outputs}
     kinds: dict[str, str | tuple[str, ...]] = {
         "laz": "laz/",
         "parquet": "parquet/",
@@ -107,7 +86,15 @@ def delivered_files(runner: Runner) -> dict[str, list[str]]:
         "model": "model/",
         "quality": "quality.",
         "gis": ("survey.qgz", "tiles.gpkg"),
-        "contours": "contours.gpkg",
+        "contours": ("contours.gpkg", "contours.qml"),
         "vectors": ("vectors.gpkg", "vectors/"),
+        "backscatter": ("samples/", "stacked/", "voxels.zarr", "profiles.zarr"),
     }
-    return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
+    listed = {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
+    return {**listed, "other": sorted(names.difference(*listed.values()))}
+
+
+def _path(name: str) -> str:
+    """A file, or the array that it is a chunk of."""
+    head, array, _ = name.partition(".zarr/")
+    return f"{head}.zarr" if array else name

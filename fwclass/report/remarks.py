@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from fwclass.features.dense import Crowd
 from fwclass.formats.echo_labels import written_by_fwclass
 from fwclass.graph.breaklines import breakline_remarks
 from fwclass.graph.contours import DELIVER_CONTOURS
+from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.graph.water import LEVELS
 from fwclass.ground.stage import TERRAIN
@@ -99,12 +101,36 @@ def lines_changed(runner: Runner) -> bool:
 
 
 def remarks_of_parts(runner: Runner) -> list[str]:
-    """What the parts of water, contour lines, breaklines, wires and vectors say."""
+    """What the parts of water, contour lines, breaklines, wires, vectors, tiles and strips say."""
     stages = (LEVELS, DELIVER_CONTOURS.name)
     remarks = [
         line for stage in stages for receipt in receipts_of_run(runner, stage) for line in receipt.meta["remarks"]
     ]
     blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
     remarks += breakline_remarks(blocks)
+    remarks += [*_of_strips(runner), *_of_ranges(runner)]
     remarks += line_remarks(r.meta for r in receipts_of_run(runner, CLASSIFY.name))
     return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]
+
+
+def _of_strips(runner: Runner) -> list[str]:
+    """What delivered strips lack of their sources' waveforms."""
+    lacking: dict[str, list[str]] = {}
+    for receipt in receipts_of_run(runner, DELIVER_STRIP.name):
+        for text in receipt.meta.get("lacking", ()):
+            lacking.setdefault(text, []).append(receipt.part)
+    return [f"delivered strips {first_few(parts, SHOWN)}: {text}" for text, parts in lacking.items()]
+
+
+def _of_ranges(runner: Runner) -> list[str]:
+    """Values of delivered tiles that their extra bytes cannot hold."""
+    beyond: Counter[str] = Counter()
+    for receipt in receipts_of_run(runner, DELIVER_TILE.name):
+        beyond.update(receipt.meta["beyond"])
+    if not beyond:
+        return []
+    some = first_few([f"{visible(name)} {n:,}" for name, n in sorted(beyond.items())], SHOWN)
+    return [
+        f"values beyond what an extra byte of the LAZ tiles holds are its least or greatest one there ({some}); the "
+        "Parquet files have them"
+    ]

@@ -14,7 +14,7 @@ from fwclass.store.url import Url
 SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
 """Stages whose failed parts leave tiles without some of their echoes."""
 
-JUDGING = ("label", "confusion", "assess")
+OF_ACCURACY = ("label", "confusion", "assess")
 """Stages without which there is no accuracy."""
 
 SHOWN = 4
@@ -82,7 +82,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         none = (
             "unknown: no labelled echo lies in a test area (areas.test, areas.gap; with areas.train: all none is left)"
         )
-        failed = any(f["stage"] in JUDGING for f in report["failed"])
+        failed = any(f["stage"] in OF_ACCURACY for f in report["failed"])
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     if checked := (report.get("quality") or {}).get("check_points"):
@@ -98,7 +98,9 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         )
     for kind, names in report["outputs"].items():
         if kind == "contours":
-            rows += [f"{kind:<11} {root / name}" for name in names]
+            rows += [f"{kind:<11} {root / name}" for name in names if name.endswith(".gpkg")]
+        elif kind in ("backscatter", "other"):
+            rows += [f"{kind:<11} {root / top}" for top in sorted({name.partition("/")[0] for name in names})]
         elif kind == "gis":
             rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
         elif kind == "quality":

@@ -167,7 +167,8 @@ class Meta(Mapping[str, Any]):
 
 
 def checked_meta(stage: str, meta: Mapping[str, Any]) -> dict[str, Any]:
-    """What a stage tells, to be written; `TypeError` for a stage that tells what its receipts do not (`metas`)."""
+    """What a stage tells, to be written; `TypeError` where that is not of the shape that `metas` has for it: names that
+    stand there are held to it, others are not looked at."""
     wrong = misfit_of(stage, meta)
     if wrong:
         raise TypeError(f"stage {stage} tells {wrong.at} = {wrong.got}, expected {wrong.expected}: see store/metas.py")

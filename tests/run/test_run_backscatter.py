@@ -25,6 +25,9 @@ def made(survey, tmp_path_factory):
     root = tmp_path_factory.mktemp("backscatter")
     runner, report = walk(survey, root, *PRODUCTS, workflow="backscatter")
     assert not runner.failures, runner.failures
+    listed = report["outputs"]["backscatter"]
+    assert {"voxels.zarr", "profiles.zarr"} < set(listed) and any(n.startswith("samples/") for n in listed)
+    assert report["outputs"]["other"] == []
     return root, report
 
 
