@@ -267,6 +267,12 @@ def farthest_pair(facts: Mapping[str, Any]) -> dict[str, Any] | None:
     return max(known, key=lambda b: b["offset"]["distance"], default=None)
 
 
+def offset_remarks(facts: Mapping[str, Any]) -> list[str]:
+    """The strips that lie furthest apart in plan, from `TOLD` on."""
+    aside = farthest_pair(facts)
+    return [_in_plan(facts, aside)] if aside is not None and aside["offset"]["distance"] >= TOLD else []
+
+
 def _in_plan(facts: Mapping[str, Any], pair: Mapping[str, Any]) -> str:
     names, offset = [s["name"] for s in facts["strips"]], pair["offset"]
     ways = [
@@ -315,9 +321,7 @@ def strip_remarks(facts: Mapping[str, Any]) -> list[str]:
     out = []
     if any(s["times"] is None for s in strips):
         out.append("some echoes have no GPS time: of their strips roll and pitch have no sign that the flight gives")
-    aside = farthest_pair(facts)
-    if aside is not None and aside["offset"]["distance"] >= TOLD:
-        out.append(_in_plan(facts, aside))
+    out += offset_remarks(facts)
     alone = sum(1 for s in strips if not s["pairs"])
     if alone:
         out.append(f"{alone} of {len(strips)} strips have no flat surface in common with another, and no figures")

@@ -19,7 +19,7 @@ from fwclass.graph.water import LEVELS
 from fwclass.quality.check_points import check_remarks
 from fwclass.quality.covered import CoveredArea
 from fwclass.quality.roughness import roughness_remarks
-from fwclass.quality.strips import unsound_strips
+from fwclass.quality.strips import offset_remarks, unsound_strips
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
 from fwclass.report.counts import (
     bathymetry_facts,
@@ -211,9 +211,7 @@ def _remarks(
         *of("accuracy", "earlier", "place"),
         *(report["input"]["place"] or {}).get("remarks", ()),
         *(report["radiometry"] or {}).get("implausible", ()),
-        *(unsound_strips(report["quality"]["strips"]) if report["quality"] else ()),
-        *(roughness_remarks(report["quality"]["strips"]["roughness"]) if report["quality"] else ()),
-        *(_of_check_points(report["quality"], config) if report["quality"] else ()),
+        *(_of_quality(report["quality"], config) if report["quality"] else ()),
         *of("labels", "repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),
@@ -225,9 +223,13 @@ def _remarks(
     ]
 
 
-def _of_check_points(quality: Mapping[str, Any], config: Config) -> list[str]:
-    checked = quality["check_points"]
-    return check_remarks(checked, config.quality.check_points.reach) if checked else []
+def _of_quality(quality: Mapping[str, Any], config: Config) -> list[str]:
+    strips, checked = quality["strips"], quality["check_points"]
+    return [
+        *(unsound_strips(strips) or offset_remarks(strips)),
+        *roughness_remarks(strips["roughness"]),
+        *(check_remarks(checked, config.quality.check_points.reach) if checked else ()),
+    ]
 
 
 def _on_neighbours(params: RegularizeParams) -> list[str]:

@@ -12,7 +12,7 @@ from fwclass.grid import Box, Window
 from fwclass.quality.offsets import MOST, Offsets, slope_pairs
 from fwclass.quality.params import PlaneParams
 from fwclass.quality.planes import planes_of
-from fwclass.quality.strips import farthest_pair, unsound_strips
+from fwclass.quality.strips import farthest_pair, offset_remarks, unsound_strips
 
 SIZE = 96.0
 
@@ -100,3 +100,11 @@ def test_what_is_far_is_unsound_and_what_is_unsure_is_not() -> None:
 
     assert "a.laz lies 1.50 m east of b.laz (standard error 0.020 m" in told(1.5, 0.02)[0]
     assert told(0.6, 0.02) == [] and told(1.1, 0.24) == []
+
+
+@pytest.mark.parametrize(("distance", "told"), [(0.29, False), (0.3, True)])
+def test_it_is_told_from_some_footprints_on(distance: float, told: bool) -> None:
+    offset = {"east": 0.0, "north": -distance, "distance": distance, "error": 0.02, "slopes": 40}
+    strips = {"between": [{"first": 0, "second": 1, "offset": offset}], "strips": [{"name": "a"}, {"name": "b"}]}
+    said = offset_remarks(strips)
+    assert bool(said) == told and all(text.startswith("a lies 0.30 m south of b") for text in said)
