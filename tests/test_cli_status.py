@@ -166,6 +166,19 @@ def test_what_cannot_be_told(copy, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.parametrize("key", ["directory", "model", "base_model"])
+def test_kept_words_lead_to_no_object_storage(copy, key, monkeypatch):
+    """A stranger's run directory sent signed requests to a bucket that it named."""
+    monkeypatch.setattr("socket.socket.connect", lambda *_: pytest.fail("a request"))
+    kept = copy / "r" / "store" / "run.json"
+    words = json.loads(kept.read_text())
+    kept.write_text(json.dumps({**words, "settings": [f"survey.{key}=s3://b/m"]}))
+    for command in ("status", "seams"):
+        ended = fwclass(command, copy / "r")
+        assert ended.returncode == 2 and "words that this run directory keeps lead to" in ended.stderr, ended.stderr
+        assert "fwclass status CONF --out" in ended.stderr and "s3://b/m" in ended.stderr
+
+
 def test_a_file_that_is_gone_is_named_beside_what_is_there(copy):
     """It hid everything else."""
     made = fwclass("status", copy / "r", "--parts", "--json")

@@ -39,7 +39,7 @@ def seams(
 
     The run is only read. Exit code 0 if no value differs, 4 if one does.
     """
-    from fwclass.operate.configured import configured
+    from fwclass.operate.configured import configured_as_kept
     from fwclass.operate.request import Request
     from fwclass.operate.seams.places import shift_of
     from fwclass.operate.seams.summary import as_data, as_text, check_free, write_gpkg
@@ -56,7 +56,7 @@ def seams(
     location = run_at(run)
     request = Request.kept(open_store(location, read_only=True), own_file(workflow))
     classifies = workflow_of(request.workflow).classifies
-    config = configured(request.conf, (*request.settings, *settings), classifies)
+    config = configured_as_kept(request, classifies, settings)
     asked = SeamRequest(
         shift_of(shift, config.tile.size),
         config.seams.share if share is None else share,

@@ -169,7 +169,7 @@ def _verify_copy(copy: Path, as_json: bool) -> NoReturn:
 
 def _request_of_run(run: Any, workflow: str, verify: bool, as_json: bool) -> tuple[Any, Any]:
     """What a run directory was asked for last, and its configuration."""
-    from fwclass.operate.configured import configured
+    from fwclass.operate.configured import configured_as_kept
     from fwclass.operate.request import Request
     from fwclass.store.run_location import open_store
     from fwclass.workflows import workflow_of
@@ -188,7 +188,7 @@ def _request_of_run(run: Any, workflow: str, verify: bool, as_json: bool) -> tup
             expected=request.conf,
             do=f"name where it is now: fwclass status NEW.yaml --out {shlex.quote(str(run))}",
         )
-    return configured(request.conf, request.settings, workflow_of(request.workflow).classifies), request
+    return configured_as_kept(request, workflow_of(request.workflow).classifies), request
 
 
 @cli.command()

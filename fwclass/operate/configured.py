@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from fwclass import conf
 from fwclass.conf import Config
+from fwclass.errors import ConfigError
+from fwclass.operate.request import Request
+from fwclass.store.url import is_url
 
 
 def configured(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = True) -> Config:
@@ -16,3 +20,29 @@ def configured(name: str | Path, settings: tuple[str, ...] = (), classifies: boo
     from fwclass.survey.area_files import with_areas  # opens files: slow to load
 
     return with_areas(config)
+
+
+def configured_as_kept(request: Request, classifies: bool, settings: tuple[str, ...] = ()) -> Config:
+    """The configuration of a run by the words that its directory keeps, and by the user's own `settings`.
+
+    `ConfigError` where the kept words lead to another bucket than the run's: nobody may have read them.
+    """
+    config = configured(request.conf, (*request.settings, *settings), classifies)
+    for key in ("directory", "model", "base_model"):
+        value = getattr(config.survey, key)
+        own = any(setting.strip().startswith(f"survey.{key}=") for setting in settings)
+        if value is not None and is_url(value) and not own and _bucket(value) != _bucket(request.root):
+            raise ConfigError(
+                "the words that this run directory keeps lead to object storage",
+                where=f"{request.root}: survey.{key}",
+                expected="addresses that you name yourself",
+                got=value,
+                do=f"if you trust it: fwclass status CONF --out {shlex.quote(request.root)} (for seams: --set "
+                f"survey.{key}=ADDRESS)",
+            )
+    return config
+
+
+def _bucket(address: str) -> str:
+    """Scheme and bucket of an address."""
+    return "/".join(str(address).split("/")[:3])
