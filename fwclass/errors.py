@@ -13,6 +13,7 @@ import signal
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from fwclass.redact import redacted
 
@@ -129,6 +130,17 @@ def refuse_unsound(said: Sequence[str], accepted: bool, what: str, where: object
     accepted."""
     if said and not accepted:
         raise QualityError(what, where=where, expected=expected, got="; ".join(said), do=do)
+
+
+def refuse_named(
+    facts: Mapping[str, Any] | None, ways: Iterable[tuple[str, str, str, str]], accepted: bool, where: object
+) -> None:
+    """`QualityError` of the first of some `ways` to be unsound that has a sentence among `facts`; nothing where they
+    are accepted (plausibility.accept). A way: name among the facts, what is wrong, what was expected, what to do."""
+    for name, what, expected, do in ways:
+        said = [facts[name]] if facts and facts[name] else []
+        also = "--accept-implausible (plausibility.accept=true) takes them as they are"
+        refuse_unsound(said, accepted, what, where, expected, f"{do}; {also}")
 
 
 def first_few(words: Sequence[str], most: int, between: str = ", ") -> str:

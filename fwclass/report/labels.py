@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.classes import BUILDING, PLANTS
 from fwclass.decompose.params import PlausibilityParams
-from fwclass.errors import refuse_unsound
+from fwclass.errors import refuse_named
 from fwclass.store.receipts import Receipt
 
 GAIN = 0.05
@@ -20,8 +20,6 @@ WORTH = 1000
 PIERCED = 0.1
 """Share of echoes of pulses with several by which buildings may lead plants: in ten public tiles plants lead, by 0.05
 and more."""
-
-OTHERWISE = "--accept-implausible (plausibility.accept=true) takes them as they are"
 
 
 def label_facts(
@@ -61,9 +59,7 @@ def judge_labels(facts: Mapping[str, Any] | None, params: PlausibilityParams, wh
             "look at survey.classes, at the labels' codes, or at the model's classes",
         ),
     )
-    for name, what, expected, do in ways:
-        said = [facts[name]] if facts and facts[name] else []
-        refuse_unsound(said, params.accept, what, where, expected, f"{do}; {OTHERWISE}")
+    refuse_named(facts, ways, params.accept, where)
 
 
 def _elsewhere(training: Iterable[Receipt]) -> tuple[str, float]:

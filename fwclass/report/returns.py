@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.params import PlausibilityParams
-from fwclass.errors import first_few, refuse_unsound, visible
+from fwclass.errors import first_few, refuse_named, visible
 from fwclass.graph.quantities import quantity_of_feature
 from fwclass.graph.sources import strip_of
 from fwclass.read.return_counts import coarse_step, coarse_steps, join_counts, lattice_of, median_intensity
@@ -33,8 +33,6 @@ PAIRS = 100
 
 ANOTHER_SCALE = 4.0
 """Ratio of medians from which it is said; flight lines of one survey differ by 1.7."""
-
-OTHERWISE = "--accept-implausible (plausibility.accept=true) takes them as they are"
 
 
 def returns_facts(
@@ -111,9 +109,7 @@ def judge_returns(facts: Mapping[str, Any] | None, params: PlausibilityParams, w
             "mend the return numbers: ground is made of last returns",
         ),
     )
-    for name, what, expected, do in ways:
-        said = [facts[name]] if facts and facts[name] else []
-        refuse_unsound(said, params.accept, what, where, expected, f"{do}; {OTHERWISE}")
+    refuse_named(facts, ways, params.accept, where)
 
 
 def _coarse(counted: Mapping[str, Mapping[str, Any]]) -> tuple[str, float]:
