@@ -93,6 +93,21 @@ def test_polygons_that_lie_elsewhere_end_with_4(town, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("east", [0.0, 5.0])
+def test_polygons_that_only_test_are_asked_too(town, tmp_path: Path, east: float) -> None:
+    right = configured(town[0], "source")
+    ended = fwclass("train", right, "--out", tmp_path / "right", "--model", tmp_path / "model", "--no-assess")
+    assert ended.returncode == 0, ended.stderr
+    given = ("--set", f"survey.model={tmp_path / 'model'}", "--set", "areas.train=[]")
+    for size in ("50", "1000"):
+        ended = run(draw(town, east), tmp_path / size, *given, "--set", f"tile.size={size}")
+        assert ended.returncode == (4 if east else 0), ended.stderr
+        assert ("moved by 5 m to the west" in ended.stderr) == bool(east)
+    one, other = (json.loads((tmp_path / size / "report.json").read_text())["labels"] for size in ("50", "1000"))
+    assert one == other
+
+
+@pytest.mark.slow
 def test_polygons_where_they_are_are_nothing_to_tell(town, tmp_path: Path) -> None:
     ended = run(draw(town, 0.0), tmp_path / "run")
     assert ended.returncode == 0 and "fit the echoes best" not in ended.stderr, ended.stderr

@@ -28,6 +28,7 @@ from fwclass.conf.sections import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
 from fwclass.graph.kept import deciding_column, kept_argument
+from fwclass.graph.label_places import by_place, draw_tested, offset_of_tested
 from fwclass.graph.objects import judged_objects, objects_of_tiles, write_cells
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, class_index, code_index
@@ -57,6 +58,7 @@ def count_tile(
     cell: float,
     reach: float | None = None,
     kept: Kept | None = None,
+    by_place: bool = False,
 ) -> Result:
     """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
     areas, and cells of edge `cell` [m] of the classes whose `objects` are judged; the ground filter's counts of all its
@@ -64,7 +66,7 @@ def count_tile(
 
     `reach`: corrections lie within it of their echo [m]; None where no model of this run learned from any.
     Echoes that are `kept` as the source has them are no answers: they are left out, and counted where they have a
-    reference.
+    reference. `by_place`: some of the labels are kept, to be held against the answers.
     """
     table = here.rows()
     filtered = ground_counts(table, classes)
@@ -80,7 +82,7 @@ def count_tile(
     places, counts = pack(table.select(names), table["reference"], classes)
     blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
     arrays = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
-    write_arrays(here.directory / COUNTS, arrays)
+    write_arrays(here.directory / COUNTS, arrays | (draw_tested(table, classes) if by_place else {}))
     if objects:
         write_cells(here, table, classes, objects, cell)
     sure = by_confidence(table, classes).tolist()
@@ -157,16 +159,18 @@ def assess_survey(
     quantiles: tuple[float, ...],
     block: float,
     objects: Mapping[str, Any],
+    by_place: bool = False,
 ) -> Result:
     """Figures over all test areas with their intervals, those of objects, and the distribution of the features by
     class.
 
     What it keeps of the blocks, of edge `block` [m], serves to compare two runs. `objects` is nothing where no class
-    has any, and else what `objects_of_tiles` judges by.
+    has any, and else what `objects_of_tiles` judges by. `by_place`: labels are held against the answers.
     """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
     parts, counted, sure, left_out = [], [], np.zeros((3, PERCENT), np.int64), 0
+    tested = []
     for tile in here.parts("confusion"):
         meta = here.inputs.meta("confusion", tile)
         matrix += counts_of(meta["matrix"], (n, n), "confusion matrices")
@@ -176,6 +180,7 @@ def assess_survey(
         left_out += meta.get("kept", 0)
         arrays, _ = here.inputs.arrays("confusion", tile, COUNTS)
         counted.append((arrays["places"], arrays["counts"]))
+        tested += [arrays] if by_place else []
         parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
     blocks = BlockCounts.merged(parts, n)
     write_arrays(here.directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})
@@ -194,6 +199,7 @@ def assess_survey(
         "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
         "automation": automation(sure),
         "reliability": steps | {"without_class": int(lost.sum())} if (steps := reliability(sure)) else None,
+        **({"offset": offset_of_tested(tested, n)} if by_place else {}),
     }
 
 
@@ -219,6 +225,7 @@ COUNT_CONFUSION = Stage(
         "objects": judged_objects(plan),
         "cell": plan.config.assess.objects.step,
         **kept_argument(plan),
+        **by_place(plan),
     },
     each=_learned_around,
     own=lambda plan: (*IDENTITY_AND_PLACE, "z", *feature_columns(plan), *_ANSWERS, *deciding_column(plan)),
@@ -242,6 +249,7 @@ ASSESS = Stage(
         "objects": {"params": plan.config.assess.objects, "tile": plan.config.tile.size}
         if judged_objects(plan)
         else {},
+        **by_place(plan),
     },
     keyed=lambda plan: {"areas": plan.config.areas},
     after=("confusion",),

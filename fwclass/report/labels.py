@@ -23,17 +23,17 @@ and more."""
 
 
 def label_facts(
-    training: Iterable[Receipt], tiles: Iterable[Receipt], params: PlausibilityParams
+    labelled: Iterable[Receipt], tiles: Iterable[Receipt], params: PlausibilityParams
 ) -> dict[str, Any] | None:
     """``remarks`` on labels and classes, and what of them is not sound: ``elsewhere`` and ``exchanged``, each a
     sentence or ""; None where nothing is delivered and nothing was learned.
 
-    `training`: of the survey's sample. `tiles`: of the delivery.
+    `labelled`: of the survey's sample, and of its assessment. `tiles`: of the delivery.
     """
-    training, tiles = list(training), list(tiles)
-    if not training and not tiles:
+    labelled, tiles = list(labelled), list(tiles)
+    if not labelled and not tiles:
         return None
-    elsewhere, far = _elsewhere(training)
+    elsewhere, far = _elsewhere(labelled)
     exchanged = _exchanged(tiles)
     return {
         "remarks": [text for text in (elsewhere, exchanged) if text],
@@ -62,15 +62,15 @@ def judge_labels(facts: Mapping[str, Any] | None, params: PlausibilityParams, wh
     refuse_named(facts, ways, params.accept, where)
 
 
-def _elsewhere(training: Iterable[Receipt]) -> tuple[str, float]:
-    """That labels fit better where they are not, and how far off that is [m]."""
-    for offset in (receipt.meta["offset"] for receipt in training if receipt.meta.get("offset")):
+def _elsewhere(labelled: Iterable[Receipt]) -> tuple[str, float]:
+    """That labels fit better where they are not, by the first that says so, and how far off that is [m]."""
+    for offset in (receipt.meta["offset"] for receipt in labelled if receipt.meta.get("offset")):
         x, y = offset["x"], offset["y"]
         if offset["explained"] - offset["unmoved"] >= GAIN and (x, y) != (0, 0):
             ways = [f"{abs(v):g} m {names[v < 0]}" for v, names in ((x, _EAST), (y, _NORTH)) if v]
             return (
                 f"the labels' polygons fit the echoes best when they are moved by {' and '.join(ways)}: their classes "
-                f"explain {100 * offset['explained']:.0f} % of what features differ by there, and "
+                f"explain {100 * offset['explained']:.0f} % of what the echoes differ by there, and "
                 f"{100 * offset['unmoved']:.0f} % where they lie",
                 float(max(abs(x), abs(y))),
             )

@@ -187,7 +187,11 @@ def _of_the_classes(
         "legacy_codes": legacy_codes(runner, survey, config),
         "sampling": counted,
         "training": training_facts(runner, names),
-        "labels": label_facts(receipts_of_run(runner, "training"), tiles if classified else (), config.plausibility),
+        "labels": label_facts(
+            [r for stage in ("training", "assess") for r in receipts_of_run(runner, stage)],
+            tiles if classified else (),
+            config.plausibility,
+        ),
         "accuracy": class_accuracy(runner, config),
         "automation": next(iter(metas_of_run(runner, "assess", "automation")), []),
         "reliability": next(iter(metas_of_run(runner, "assess", "reliability")), None),

@@ -39,6 +39,7 @@ _REMARKS = [TEXT]
 _FAULTS = {TEXT: COUNT}
 _ROWS = {"rows": COUNT}
 _OUTSIDE = {TEXT: (COUNT, COUNT)}
+_OFFSET = Maybe({**dict.fromkeys(("x", "y"), FINITE), **dict.fromkeys(("cell", "explained", "unmoved"), NUMBER)})
 _TRIAL = {"rows": COUNT, "counts": [COUNT]}
 
 EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": _REMARKS}
@@ -352,12 +353,7 @@ META: dict[str, Shape] = {
         "remarks": _REMARKS,
     },
     "features": {"dense?": {"cubes": _FULLEST, "columns": _FULLEST}},
-    "training": {
-        **_TRIAL,
-        "offset?": Maybe(
-            {**dict.fromkeys(("x", "y"), FINITE), **dict.fromkeys(("cell", "explained", "unmoved"), NUMBER)}
-        ),
-    },
+    "training": {**_TRIAL, "offset?": _OFFSET},
     "base-rows": {**_TRIAL, "remarks": _REMARKS},
     "train": {"card": _CARD, "fine?": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT, "tried?": TEXT},
     "train-coarse": {"card": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},
@@ -379,6 +375,7 @@ META: dict[str, Shape] = {
         _of_one_length("lost", of="matrix"),
     ),
     "assess": {
+        "offset?": _OFFSET,
         "accuracy": Maybe(
             _by_class(
                 {

@@ -82,8 +82,8 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
         except InputError as fault:
             why = f"{fault.what}{fault.got and f' ({fault.got})'}"
             plain["remarks"] += [f"Nothing tells how good it is elsewhere, for it cannot be cross-validated: {why}."]
-    sample = runner.store.receipt("training", "all")
-    plain["labels"] = label_facts([sample] if sample else (), (), config.plausibility)
+    judged_by = (runner.store.receipt(stage, "all") for stage in (("training", "assess") if assess else ("training",)))
+    plain["labels"] = label_facts([r for r in judged_by if r], (), config.plausibility)
     plain["remarks"] += (plain["labels"] or {}).get("remarks", [])
     labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
     plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
