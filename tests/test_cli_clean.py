@@ -93,3 +93,14 @@ def test_a_run_without_a_delivery_is_left_alone(place):
     (place / "half" / "store" / "tile" / "0_0").mkdir(parents=True)
     ended = fwclass("clean", "half", "--keep", "delivery", cwd=place)
     assert ended.returncode == 2 and (place / "half" / "store" / "tile" / "0_0").exists()
+
+
+def test_a_run_whose_links_lead_elsewhere_is_left_alone(tmp_path):
+    small_survey(tmp_path)
+    assert fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=tmp_path).returncode == 0
+    (tmp_path / "r" / "generations").rename(tmp_path / "elsewhere")
+    (tmp_path / "r" / "generations").symlink_to(tmp_path / "elsewhere")
+    parts = sorted((tmp_path / "r" / "store").rglob("*"))
+    ended = fwclass("clean", "r", "--keep", "delivery", cwd=tmp_path)
+    assert ended.returncode == 1 and "belong into the run directory itself" in ended.stderr, ended.stderr
+    assert sorted((tmp_path / "r" / "store").rglob("*")) == parts

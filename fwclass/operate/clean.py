@@ -41,9 +41,12 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
         Only what was delivered is to stay, and the current delivery is not whole.
     LockedError
         A run is under way.
+    StoreError
+        Links of the run directory lead elsewhere, or something else stands in their place.
     """
     with locked(location, tell) as (own, _):
         store = open_store(own)
+        store.generations.check_links()
         current = store.generations.current()
         if keep != "latest" and (current is None or not current.whole):
             raise ConfigError(
