@@ -7,8 +7,9 @@ How a kind of neighbourhood comes to its features, for a batch of K of them:
 3. where `Needs.extent`, set NEAR and FAR with ``along_normal`` (`fwclass.features.eigen`), the second pass;
 4. ``measure(CODE[base], moments, shape, out)`` for every base; `out` is float32 (K,).
 
-All are relative to the echo that the neighbourhood belongs to: heights, roughness. Formulas stand in
-`fwclass.columns.FEATURES`. Values that do not exist are NaN: see `fwclass.features.stage.features`.
+All are relative to the echo that the neighbourhood belongs to: heights, roughness. The words for each stand in
+`fwclass.columns.FEATURES`, the arithmetic here, where the order of the tuples of bases gives their codes. Values that
+do not exist are NaN: see `fwclass.features.stage.features`.
 """
 
 from __future__ import annotations

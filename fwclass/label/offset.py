@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.hashing import hash_keys
+
 REACH = 10
 """Cells that labels are moved by at most, each way."""
 
@@ -17,6 +19,9 @@ CELLS = (1_000, 2_000, 4_000)
 
 PAIRS = 500
 """Cells with labels that an offset is judged by at least."""
+
+MOST = 20_000
+"""Cells whose labels are moved; of more those whose numbers have the smallest hashes."""
 
 TELLING = 8
 """Features over which the mean is taken: those that classes explain best. Most tell hardly anything."""
@@ -90,17 +95,18 @@ class _Cells:
         counts = np.zeros((len(self.number), classes), np.int64)
         np.add.at(counts, (cell, index), 1)
         self.label = counts.argmax(axis=1)
+        self.moved = np.sort(np.argsort(hash_keys(0, self.number.view(np.uint64)))[:MOST])
         self.classes, rows = classes, counts.sum(axis=1)
-        self.level = np.empty((len(self.number), values.shape[1]), np.int64)
+        self.level = np.empty((len(self.number), values.shape[1]), np.uint8)
         for column, value in enumerate(values.T):
             self.level[:, column] = np.bincount(cell, _levels(value), len(self.number)).astype(np.int64) // rows
 
     def pairs(self, x: int, y: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Cells, and those so many cells east and north of them, where both have rows."""
-        wanted = self.number + _number(x, y)
+        """Cells whose labels are moved, and those so many cells east and north of them, where both have rows."""
+        wanted = self.number[self.moved] + _number(x, y)
         there = np.minimum(np.searchsorted(self.number, wanted), len(self.number) - 1)
-        first = np.flatnonzero(self.number[there] == wanted)
-        return first, there[first]
+        both = self.number[there] == wanted
+        return self.moved[both], there[both]
 
     def explained(self, x: int, y: int) -> float:
         """Share of the variance of the best features that classes explain when labels are moved so many cells."""

@@ -187,7 +187,7 @@ class PartInputs:
         parts = [core]
         box, here = tile.box.grown(halo), set(present)
         if halo > 0:
-            for other in TileGrid(tile.size).touching(box):
+            for other in TileGrid(tile.size, tile.origin).touching(box):
                 if other.key != tile.key and other.key in here:
                     parts.append(self.rows(other.key, wanted, box).select(wanted))
         table = Table.concat(parts)
