@@ -134,5 +134,6 @@ def _levels(value: NDArray[np.float32]) -> NDArray[np.float64]:
     known = np.isfinite(value)
     level = np.full(len(value), LEVELS // 2, np.float64)
     ordered = np.sort(value[known])
-    level[known] = np.searchsorted(ordered, value[known]) * LEVELS // max(len(ordered), 1)
+    steps = ordered[np.arange(1, LEVELS + 1) * len(ordered) // (LEVELS + 1)] if len(ordered) else ordered
+    level[known] = np.searchsorted(steps, value[known], "right")
     return level

@@ -69,7 +69,8 @@ def _elsewhere(labelled: Iterable[Receipt]) -> tuple[str, float]:
         if offset["explained"] - offset["unmoved"] >= GAIN and (x, y) != (0, 0):
             ways = [f"{abs(v):g} m {names[v < 0]}" for v, names in ((x, _EAST), (y, _NORTH)) if v]
             return (
-                f"the labels' polygons fit the echoes best when they are moved by {' and '.join(ways)}: their classes "
+                f"the labels' polygons fit the echoes best when they are moved by {' and '.join(ways)}, to within "
+                f"{offset['cell']:g} m: their classes "
                 f"explain {100 * offset['explained']:.0f} % of what the echoes differ by there, and "
                 f"{100 * offset['unmoved']:.0f} % where they lie",
                 float(max(abs(x), abs(y))),
