@@ -212,7 +212,8 @@ def recording_faults(
     sound, said, facts = params.sound, [], counts["sound"]
     frames, used, faults = counts["frames"], counts["used"], counts["faults"]
     if not used:
-        return []
+        each = ", ".join(f"{n:,} {name}" for name, n in faults.items() if n)
+        return [f"none of {frames:,} frames can be used: {each}; are times in seconds?"] if frames else []
     lost = {
         name: faults[name] for name in ("doubled", "out of order", "other beams", "no intensities") if faults.get(name)
     }

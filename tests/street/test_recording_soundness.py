@@ -152,6 +152,15 @@ def test_commands_end_with_4_after_their_work(tmp_path: Path) -> None:
         assert fwclass(*line, "--accept-implausible").returncode == 0
 
 
+def test_a_clock_of_nanoseconds_leaves_no_frame(tmp_path: Path) -> None:
+    """All were counted as out of order, and the command ended with 0."""
+    nanoseconds = write(tmp_path / "a.parquet", {"time": 1e9 * (1.7e9 + columns()["time"])})
+    sets = [word for s in SHORT for word in ("--set", s)]
+    line = ("street", "run", nanoseconds, "--out", tmp_path / "o", "--model", directory() / "model", *sets)
+    ended = fwclass(*line)
+    assert ended.returncode == 4 and "frames can be used" in ended.stderr and "seconds" in ended.stderr, ended.stderr
+
+
 def test_the_model_knows_its_mounting(tmp_path: Path) -> None:
     path = directory() / "drive.parquet"
     line = ("street", "classify", path, tmp_path / "o", "--model", directory() / "model", "--overwrite")
