@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import io
 import json
 import os
 import re
@@ -19,7 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fwclass.paths import below, open_below, open_regular
+from fwclass.paths import below, open_below
 from fwclass.store.atomic import sync
 from fwclass.store.lock import SCHEDULE, STATE, WRITER
 
@@ -97,7 +96,7 @@ def is_run(location: Path | Remote) -> bool:
 def _lines(root: Path) -> Iterator[dict[str, Any]]:
     for name in (EARLIER, NAME):
         try:
-            stream = io.TextIOWrapper(open_regular(root / "store" / name), "utf-8", "replace")
+            stream = os.fdopen(open_below(root, f"store/{name}", os.O_RDONLY), encoding="utf-8", errors="replace")
         except FileNotFoundError:
             continue
         with stream:

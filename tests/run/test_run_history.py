@@ -165,3 +165,11 @@ def test_a_run_may_have_no_accuracy(tmp_path, overall, kappa):
     wanted = None if overall is None else {"overall_accuracy": overall, "kappa": kappa}
     assert [run["accuracy"] for run in past_runs(tmp_path)] == [wanted] * 2
     assert table(past_runs(tmp_path)).count("manual") == 2
+
+
+def test_a_history_that_is_a_link_is_not_read(tmp_path):
+    (tmp_path / "run" / "store").mkdir(parents=True)
+    (tmp_path / "mine.jsonl").write_text('{"id": "x"}\n')
+    (tmp_path / "run" / "store" / "history.jsonl").symlink_to(tmp_path / "mine.jsonl")
+    with pytest.raises(InputError, match="no file of the directory itself"):
+        list(history.lines(tmp_path / "run"))
