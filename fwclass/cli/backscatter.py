@@ -71,4 +71,11 @@ def _run(
     settings += ("samples.write=true",) if samples else ()
     settings += system_settings(source, crs) if crs is not None else ()
     conf, named = survey_of(source, out)
+    for name, key in (("voxels.zarr", "voxels.write"), ("profiles.zarr", "profile.write")):
+        if f"{key}=true" not in settings and isinstance(named, Path) and (named / name).exists():
+            click.echo(
+                f"note        {named / name} is of an earlier delivery, which stays beside the new one below "
+                f"{named / 'generations'}; --set {key}=true delivers both",
+                err=True,
+            )
     run_survey(conf, named, settings, None, WORKFLOW, How(scheduler, workers))

@@ -119,6 +119,9 @@ def test_a_survey_without_classes(tmp_path: Path, command: str) -> None:
     assert sorted(one) == sorted(other) and len(list(one))
     for name in one:
         np.testing.assert_array_equal(one[name][...], other[name][...])
+    other = {"voxels": "profile", "profile": "voxels"}[command]
+    ended = fwclass(other, tmp_path / "s.yaml", "--out", tmp_path / "survey", "--workers", 0)
+    assert ended.returncode == 0 and "of an earlier delivery" in ended.stderr, ended.stderr
 
 
 def test_the_store_of_a_classified_run_serves(tmp_path: Path) -> None:
