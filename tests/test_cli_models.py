@@ -14,8 +14,9 @@ from modelmaker import models
 from smallsurvey import small_survey
 
 import fwclass as package
-from fwclass.store.installed_models import installed_models, model_place
+from fwclass.store.installed_models import VARIABLE, installed_models, model_place
 from fwclass.store.models import load_model, save_model
+from fwclass.study.installed import describe, facts_of_models
 
 
 @pytest.fixture(scope="module")
@@ -166,3 +167,11 @@ def test_what_cannot_be_left_out_is_refused(place: Path, tmp_path: Path, more: t
     ended = fwclass("train", place / "s.yaml", "--out", tmp_path / "r", "--workers", "0", *model, *more)
     assert ended.returncode == 2 and told in ended.stderr, ended.stderr
     assert not (tmp_path / "m").exists()
+
+
+def test_no_name_of_a_directory_reaches_the_terminal_raw(tmp_path, monkeypatch):
+    (tmp_path / "a\x1b[31m\nb").mkdir()
+    (tmp_path / "a\x1b[31m\nb" / "card.json").write_text("{}")
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    told = describe(facts_of_models())
+    assert "a\\x1b[31m\\nb" in told and "\x1b" not in told

@@ -177,3 +177,17 @@ def test_a_file_that_ends_in_an_extended_record_is_not_copied(tmp_path):
     source.write_bytes(data + bytes(1000))
     assert fwclass("ground", source, "o.laz", "--method", "slope", cwd=tmp_path).returncode == 0
     assert (tmp_path / "o.laz").read_bytes().endswith(bytes(5000))
+
+
+@pytest.mark.parametrize("inside", ["store/new", "laz/new", "current/new", "generations/x.gpkg", "tiles.gpkg"])
+def test_no_output_goes_into_what_a_run_delivers(tmp_path: Path, inside: str) -> None:
+    run = tmp_path / "run"
+    for name in ("store", "generations/0001/laz"):
+        (run / name).mkdir(parents=True)
+    (run / "generations/0001/tiles.gpkg").touch()
+    (run / "current").symlink_to("generations/0001")
+    for name in ("laz", "tiles.gpkg"):
+        (run / name).symlink_to(f"current/{name}")
+    for words in (("label", "checkout", run), ("view", run, "--export"), ("suggest", run), ("export", run)):
+        ended = fwclass(*words, run / inside)
+        assert ended.returncode == 2 and "which commands leave as it is" in ended.stderr, ended.stderr

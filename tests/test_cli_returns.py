@@ -49,6 +49,10 @@ def still(part):
     part.gps_time = np.zeros(len(part.points))
 
 
+def adjusted(part):
+    part.gps_time = np.asarray(part.gps_time) + 3e8
+
+
 def unnumbered(part):
     part.return_number[:], part.number_of_returns[:] = 1, 1
 
@@ -75,6 +79,7 @@ def cut(part):
             for only_told in (
                 (doubled, 0, ""),
                 (still, 0, "all returns of b.las have one GPS time"),
+                (adjusted, 0, "GPS times of a.las are seconds of the week, those of b.las are not"),
                 (unnumbered, 0, "every return of b.las is numbered as its pulse's only one"),
                 (cut, 0, "some returns of pulses with several are missing in b.las"),
             )

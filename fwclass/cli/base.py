@@ -83,6 +83,24 @@ class LocalPath(click.Path):
         return super().convert(_checked(value, param, ctx), param, ctx)
 
 
+class OutputPath(LocalPath):
+    """A path to write to, which lies in no run's store or delivery, whatever links lead there."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = super().convert(value, param, ctx)
+        resolved = Path(path).resolve()
+        for own in (resolved, *resolved.parents):
+            run = own.parent
+            if own.name in ("store", "generations") and all((run / n).is_dir() for n in ("store", "generations")):
+                self.fail(
+                    f"{path} lies in what the run {run} has made and delivers, which commands leave as it is; name "
+                    "another place",
+                    param,
+                    ctx,
+                )
+        return path
+
+
 class Finite(click.FloatRange):
     """A number of a range, which is there: what is no number (``nan``) lies outside of none."""
 
@@ -104,6 +122,7 @@ class RunPlace(click.Path):
 
 
 PATH = LocalPath(path_type=Path)
+OUTPUT = OutputPath(path_type=Path)
 RUN = RunPlace(path_type=Path)
 SET = click.option(
     "--set", "settings", multiple=True, metavar="SECTION.KEY=VALUE", help="Change one setting; may be repeated."

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, cli
+from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, PATH, cli
 
 
 @cli.command()
 @click.argument("run", type=PATH)
 @click.argument("others", nargs=-1, metavar="[A [B] | RUN]")
-@click.option("--gpkg", type=PATH, help="Write the places whose echoes changed, as polygons.")
+@click.option("--gpkg", type=OUTPUT, help="Write the places whose echoes changed, as polygons.")
 @OVERWRITE
 @JSON
 def diff(run: Path, others: tuple[str, ...], gpkg: Path | None, overwrite: bool, as_json: bool) -> None:

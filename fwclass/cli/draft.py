@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import OVERWRITE, PATH, cli
+from fwclass.cli.base import OUTPUT, OVERWRITE, PATH, cli
 from fwclass.errors import ConfigError
 
 
 @cli.command()
 @click.argument("files", nargs=-1, required=True, type=PATH)
-@click.option("--to", type=PATH, help="The survey file to write (default: standard output, to lie here).")
+@click.option("--to", type=OUTPUT, help="The survey file to write (default: standard output, to lie here).")
 @click.option("--name", help="Of the survey (default: the directory's).")
 @OVERWRITE
 def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: bool) -> None:

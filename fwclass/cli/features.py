@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, Finite, cli, little_garbage
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, Finite, cli, little_garbage
 from fwclass.cli.ground import CRS, METHOD, PARAM, PRESET
 
 SETS = click.option(
@@ -22,7 +22,7 @@ SETS = click.option(
 
 @cli.command()
 @click.argument("source", metavar="[IN]", type=PATH, required=False)
-@click.argument("output", metavar="[OUT.parquet]", type=PATH, required=False)
+@click.argument("output", metavar="[OUT.parquet]", type=OUTPUT, required=False)
 @SETS
 @click.option("--features", "listed", metavar="NAME,NAME,…", help="These features instead of a set.")
 @click.option(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, MIRROR_BEAMS, OVERWRITE, PATH, SET, Finite, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, MIRROR_BEAMS, OUTPUT, OVERWRITE, PATH, SET, Finite, cli
 from fwclass.errors import FAILED, FwclassError
 
 
@@ -24,7 +24,7 @@ def _numbers(context: click.Context, parameter: click.Parameter, text: str | Non
 @click.argument("files", nargs=-1, required=True, type=PATH)
 @click.option("--waveforms", is_flag=True, help="Fit the waveforms of one file, and draw some of its pulses.")
 @click.option("--pulse", "pulses", metavar="N,N,…", callback=_numbers, help="With --waveforms: these, from 0.")
-@click.option("--out", type=PATH, help="With --waveforms: the picture (default: <file>-waveforms.png, here).")
+@click.option("--out", type=OUTPUT, help="With --waveforms: the picture (default: <file>-waveforms.png, here).")
 @SET
 @OVERWRITE
 @JSON
@@ -91,7 +91,7 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
 
 @cli.command()
 @click.argument("source", type=PATH)
-@click.argument("output", type=PATH)
+@click.argument("output", type=OUTPUT)
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
 @click.option(
     "--undulation", type=Finite(), default=0.0, help="Metres to take from the trajectory's heights: the geoid's height."

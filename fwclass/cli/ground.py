@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, SET, cli
 from fwclass.ground.methods import Method
 
 KINDS = "Kind of land: wilderness, nature, town, city, metro, dense-forest or steep."
@@ -22,7 +22,7 @@ FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and sy
 
 @cli.command()
 @click.argument("source", metavar="IN", type=PATH)
-@click.argument("output", metavar="[OUT]", type=PATH, required=False)
+@click.argument("output", metavar="[OUT]", type=OUTPUT, required=False)
 @METHOD
 @PRESET
 @PARAM
@@ -33,17 +33,17 @@ FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and sy
 @click.option("--keep-classes", is_flag=True, help="What is no ground keeps its class; noise stays noise.")
 @FLAGGED
 @CRS
-@click.option("--dtm", type=PATH, help="Terrain as GeoTIFF.")
-@click.option("--dsm", type=PATH, help="Highest echoes as GeoTIFF.")
-@click.option("--ndsm", type=PATH, help="Height of the highest echoes above the terrain as GeoTIFF.")
-@click.option("--hillshade", type=PATH, help="Shaded relief of the terrain as GeoTIFF.")
-@click.option("--slope", type=PATH, help="Slope of the terrain as GeoTIFF [deg].")
-@click.option("--roughness", type=PATH, help="Spread of the ground points about their plane as GeoTIFF.")
+@click.option("--dtm", type=OUTPUT, help="Terrain as GeoTIFF.")
+@click.option("--dsm", type=OUTPUT, help="Highest echoes as GeoTIFF.")
+@click.option("--ndsm", type=OUTPUT, help="Height of the highest echoes above the terrain as GeoTIFF.")
+@click.option("--hillshade", type=OUTPUT, help="Shaded relief of the terrain as GeoTIFF.")
+@click.option("--slope", type=OUTPUT, help="Slope of the terrain as GeoTIFF [deg].")
+@click.option("--roughness", type=OUTPUT, help="Spread of the ground points about their plane as GeoTIFF.")
 @click.option("--cell", type=float, metavar="METRES", help="Edge of the rasters' cells (as --set terrain.cell=0.5).")
 @click.option("--optimize", is_flag=True, help="Search the filter's parameters on labelled points; no OUT.")
 @click.option("--compare", metavar="NAME,NAME,…|all", help="Several filters side by side on one page; no OUT.")
 @click.option("--reference", type=PATH, help="With --optimize or --compare: the classes of the same points.")
-@click.option("--out", type=PATH, help="With --optimize or --compare: directory of what they write.")
+@click.option("--out", type=OUTPUT, help="With --optimize or --compare: directory of what they write.")
 @ACCEPT_IMPLAUSIBLE
 @OVERWRITE
 @JSON
@@ -136,7 +136,7 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
 
 @cli.command()
 @click.argument("source", metavar="IN", type=PATH)
-@click.argument("output", metavar="OUT", type=PATH)
+@click.argument("output", metavar="OUT", type=OUTPUT)
 @click.option("--height", type=click.Choice(["tin", "nearest", "raster"]), help="Above what (default: terrain.height).")
 @click.option("--keep-z", is_flag=True, help="Leave z; put the height into the extra byte HeightAboveGround.")
 @METHOD

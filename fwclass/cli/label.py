@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import OVERWRITE, PATH, RUN, SET, Finite, cli
+from fwclass.cli.base import OUTPUT, OVERWRITE, PATH, RUN, SET, Finite, cli
 from fwclass.cli.status import chosen_tiles, run_at
 
 
@@ -33,7 +33,7 @@ def label() -> None:
 
 @label.command()
 @click.argument("run", type=PATH)
-@click.argument("directory", metavar="DIR", type=PATH)
+@click.argument("directory", metavar="DIR", type=OUTPUT)
 @click.option("--tiles", help="Keys of the tiles, e.g. 12_34,12_35.")
 @click.option("--least-sure", type=click.IntRange(1), metavar="N", help="The N tiles whose classes are least sure.")
 @click.option("--places", type=PATH, metavar="FILE", help="The tiles with these places, e.g. of `fwclass suggest`.")
@@ -81,7 +81,7 @@ def confirm(run: Any, places: Path, who: str) -> None:
 
 @cli.command()
 @click.argument("run", type=RUN)
-@click.argument("output", metavar="OUT", type=PATH)
+@click.argument("output", metavar="OUT", type=OUTPUT)
 @click.option("--places", type=click.IntRange(1, 100_000), help="How many (default: suggest.places).")
 @click.option(
     "--size", type=Finite(1, 1000), help="Edge of a place [m] (default: suggest.size, wider where echoes are few)."

@@ -13,6 +13,7 @@ from fwclass.cli.base import (
     ACCEPT_DRIFT,
     ACCEPT_IMPLAUSIBLE,
     JSON,
+    OUTPUT,
     OVERWRITE,
     PATH,
     RUN,
@@ -28,7 +29,7 @@ from fwclass.errors import ConfigError, nearest
 
 @cli.command()
 @click.argument("conf", type=PATH)
-@click.option("--model", "target", type=PATH, help="Directory that the model is written to.")
+@click.option("--model", "target", type=OUTPUT, help="Directory that the model is written to.")
 @click.option("--method", metavar="NAME", help="forest, linear-svm, rbf-svm, sklearn-forest or boosting.")
 @click.option("--compare", metavar="all|NAME,NAME,…", help="Several classifiers side by side; no --model.")
 @click.option("--assess/--no-assess", default=True, help="Judge the model on the test areas (default: yes).")
@@ -161,7 +162,7 @@ def _code_list(context: click.Context, parameter: click.Parameter, text: str | N
 
 @cli.command()
 @click.argument("source", metavar="IN", type=PATH)
-@click.argument("output", metavar="OUT", type=PATH)
+@click.argument("output", metavar="OUT", type=OUTPUT)
 @click.option("--model", type=PATH, required=True, help="Directory of the model, or a name of `fwclass models`.")
 @click.option("--method", metavar="NAME", help="Ground filter for heights above ground (default: ground.method).")
 @click.option("--preset", metavar="NAME", help="Its preset; see docs/ground.md.")
@@ -243,7 +244,7 @@ def classify(
 @cli.command()
 @click.argument("run", type=RUN)
 @click.argument("model", type=PATH)
-@click.argument("target", metavar="OUT", type=PATH)
+@click.argument("target", metavar="OUT", type=OUTPUT)
 @SET
 @OVERWRITE
 def adapt(run: Any, model: Path, target: Path, settings: tuple[str, ...], overwrite: bool) -> None:
@@ -275,7 +276,7 @@ def models(as_json: bool) -> None:
 
 @cli.command()
 @click.argument("model", type=PATH)
-@click.argument("out", type=PATH)
+@click.argument("out", type=OUTPUT)
 @click.option("--format", "form", type=click.Choice(["onnx"]), default="onnx", show_default=True, help="File format.")
 @OVERWRITE
 def export(model: Path, out: Path, form: str, overwrite: bool) -> None:

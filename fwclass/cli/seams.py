@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, RUN, SET, Finite, cli
+from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, RUN, SET, Finite, cli
 from fwclass.cli.status import own_file, run_at
 from fwclass.errors import ConfigError
 
@@ -19,7 +19,7 @@ from fwclass.errors import ConfigError
 @click.option("--share", type=Finite(0, 1, min_open=True), help="Of the borders (default: seams.share).")
 @click.option("--length", type=Finite(0, min_open=True), help="Metres of borders instead of a share.")
 @click.option("--shift", metavar="DX,DY", help="Of the grid, metres (default: half a tile).")
-@click.option("--gpkg", type=PATH, help="Write what was computed, and what differs, as polygons and points.")
+@click.option("--gpkg", type=OUTPUT, help="Write what was computed, and what differs, as polygons and points.")
 @SET
 @OVERWRITE
 @click.option("--workflow", metavar="FILE.py", help="The workflow's file, where the run is of one.")

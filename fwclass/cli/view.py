@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import OVERWRITE, PATH, RUN, SET, cli
+from fwclass.cli.base import OUTPUT, OVERWRITE, PATH, RUN, SET, cli
 
 
 @cli.command()
@@ -16,9 +16,9 @@ from fwclass.cli.base import OVERWRITE, PATH, RUN, SET, cli
 @click.option("--no-browser", is_flag=True, help="Print the address only.")
 @click.option("--against", type=RUN, metavar="OTHER", help="Another run of the same survey, side by side.")
 @click.option("--allow-run", is_flag=True, help="Let the page start the run's last command once more.")
-@click.option("--worklist", type=PATH, metavar="FILE", help="Write the unsure places as a GeoPackage, and end.")
+@click.option("--worklist", type=OUTPUT, metavar="FILE", help="Write the unsure places as a GeoPackage, and end.")
 @click.option("--places", type=PATH, metavar="FILE", help="Go through these places, e.g. of `fwclass suggest`.")
-@click.option("--export", type=PATH, metavar="DIR", help="Write the page to a new folder for any web server, and end.")
+@click.option("--export", type=OUTPUT, metavar="DIR", help="Write the page to a new folder for web servers, and end.")
 @SET
 @OVERWRITE
 def view(

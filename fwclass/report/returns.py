@@ -31,6 +31,9 @@ SEVERAL = 0.05
 PAIRS = 100
 """Returns of a file that follow another before they tell in which order they are numbered; all fall in nine files."""
 
+WEEK = 604_800.0
+"""s; adjusted standard time has been below it since 14 September 2011 alone, for a week."""
+
 ANOTHER_SCALE = 4.0
 """Ratio of medians from which it is said; flight lines of one survey differ by 1.7."""
 
@@ -62,7 +65,7 @@ def returns_facts(
     scales, ratio = _scales(counted) if by_intensity else ("", 0.0)
     backward = _backward(counted)
     return {
-        "remarks": [t for t in (coarse, scales, backward, *_numbers(counted, many, waves), _times(counted)) if t],
+        "remarks": [t for t in (coarse, scales, backward) if t] + _numbers(counted, many, waves) + _times(counted),
         "coarse": coarse if step >= params.coarse_places else "",
         "scales": scales if ratio >= params.max_intensity_ratio else "",
         "backward": backward,
@@ -182,12 +185,21 @@ def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int]
     return remarks
 
 
-def _times(counted: Mapping[str, Mapping[str, Any]]) -> str:
-    """That GPS times do not pass."""
+def _times(counted: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """That GPS times do not pass, or are of two kinds."""
     still = [n for n, f in counted.items() if f["times"] and f["times"][0] == f["times"][1]]
-    if not still:
-        return ""
-    return (
-        f"all returns of {first_few(still, NAMED)} have one GPS time: lines, returns of a pulse and echoes that stand "
-        "twice cannot be told by it"
-    )
+    known = {n: f["times"] for n, f in counted.items() if f["times"] and n not in still}
+    weekly = [n for n, (first, last) in known.items() if first >= 0 and last <= WEEK]
+    others = [n for n in known if n not in weekly]
+    said = []
+    if still:
+        said.append(
+            f"all returns of {first_few(still, NAMED)} have one GPS time: lines, returns of a pulse and echoes that "
+            "stand twice cannot be told by it"
+        )
+    if weekly and others:
+        said.append(
+            f"GPS times of {first_few(weekly, NAMED)} are seconds of the week, those of {first_few(others, NAMED)} are "
+            "not: lines, trajectories and dates mean something else in both; bring them to one kind"
+        )
+    return said

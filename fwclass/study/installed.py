@@ -35,7 +35,8 @@ def describe(facts: Sequence[dict[str, Any]]) -> str:
     if not facts:
         named = os.environ.get(VARIABLE)
         return f"no model has a name here: install the package {PACKAGE.replace('_', '-')}, or " + (
-            f"put models into {named}, which {VARIABLE} names" + ("" if Path(named).is_dir() else ": it does not exist")
+            f"put models into {visible(named)}, which {VARIABLE} names"
+            + ("" if Path(named).is_dir() else ": it does not exist")
             if named
             else f"let {VARIABLE} name a directory of models (docs/models.md)"
         )
@@ -43,7 +44,7 @@ def describe(facts: Sequence[dict[str, Any]]) -> str:
     for one in facts:
         lines.append(f"{visible(one['name'])}")
         if "fault" in one:
-            lines += [f"  damaged: {visible(one['fault'])}", f"  {one['where']}"]
+            lines += [f"  damaged: {visible(one['fault'])}", f"  {visible(one['where'])}"]
             continue
         classes = ", ".join(f"{visible(c['name'])} {c['code']}" for c in one["classes"])
         lines.append(f"  {one['kind']} of {len(one['features'])} features: {classes}")
@@ -53,5 +54,5 @@ def describe(facts: Sequence[dict[str, Any]]) -> str:
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
             judged = []
         lines += [f"  {visible(line)}" for line in judged] or ["  its card does not say how good it is elsewhere"]
-        lines.append(f"  {one['where']}")
+        lines.append(f"  {visible(one['where'])}")
     return "\n".join(lines)
