@@ -108,6 +108,17 @@ def test_polygons_that_only_test_are_asked_too(town, tmp_path: Path, east: float
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("up", [0.0, 0.5])
+def test_a_cloud_of_other_heights_is_told(town, tmp_path: Path, up: float) -> None:
+    las = laspy.read(town[0] / "a.las")
+    las.z, las.gps_time = np.asarray(las.z) + up, np.asarray(las.gps_time) + 1e6
+    las.write(town[0] / "cloud.laz")
+    ended = run(configured(town[0], "cloud, files: [cloud.laz]"), tmp_path / "run")
+    assert ended.returncode == 0, ended.stderr
+    assert ("points of the reference cloud lie 0.50 m above" in ended.stderr) == bool(up)
+
+
+@pytest.mark.slow
 def test_polygons_where_they_are_are_nothing_to_tell(town, tmp_path: Path) -> None:
     ended = run(draw(town, 0.0), tmp_path / "run")
     assert ended.returncode == 0 and "fit the echoes best" not in ended.stderr, ended.stderr

@@ -103,8 +103,9 @@ def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
     order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
     chunk = here.chunk()
-    table = _without_implausible(chunk, from_cloud(chunk, cloud.take(order), params.max_distance))
-    return _with_counts(*_correct(here, chunk, table, reach))
+    table, above = from_cloud(chunk, cloud.take(order), params.max_distance)
+    table, facts = _with_counts(*_correct(here, chunk, _without_implausible(chunk, table), reach))
+    return table, {**facts, "above": above.tolist()}
 
 
 def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:

@@ -6,14 +6,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.grid import millimetres
 from fwclass.kernel import kernel
 from fwclass.neighbours import nearest_within
 from fwclass.schema import Table
 from fwclass.stage import Chunk, Computation
 
+HIGHEST = 100
+"""cm, from which on heights above a reference point are counted together."""
 
-def from_cloud(chunk: Chunk, cloud: Table, max_distance: float) -> Table:
-    """Class of the nearest reference point: of the same pulse if the cloud has one within reach, else of any.
+
+def from_cloud(chunk: Chunk, cloud: Table, max_distance: float) -> tuple[Table, NDArray[np.int64]]:
+    """Class of the nearest reference point: of the same pulse if the cloud has one within reach, else of any; and how
+    many labelled echoes lie how far above their point, int64 (201,), whole centimetres from -100 to 100.
 
     Parameters
     ----------
@@ -33,7 +38,9 @@ def from_cloud(chunk: Chunk, cloud: Table, max_distance: float) -> Table:
     reference = np.zeros(echoes.rows, np.uint8)
     hit = nearest >= 0
     reference[hit] = cloud["source_class"][nearest[hit]]
-    return Table({"reference": reference})
+    above = millimetres(echoes["z"][hit]) - millimetres(cloud["z"][nearest[hit]])
+    centimetres = np.clip((above + 5) // 10, -HIGHEST, HIGHEST) + HIGHEST
+    return Table({"reference": reference}), np.bincount(centimetres, minlength=2 * HIGHEST + 1).astype(np.int64)
 
 
 def _same_pulse(echoes: Table, cloud: Table, limit: float) -> NDArray[np.int64]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from fwclass.classes import BUILDING, PLANTS
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import refuse_named
@@ -17,18 +19,22 @@ more where those of four surveys were moved by 2 m."""
 WORTH = 1000
 """Echoes of plants and of buildings from which on they are compared."""
 
+OTHER_HEIGHTS = 20
+"""cm between a reference cloud and the echoes that it labels, in the median, from which it is told: flights of one
+height system differ by some centimetres."""
+
 PIERCED = 0.1
 """Share of echoes of pulses with several by which buildings may lead plants: in ten public tiles plants lead, by 0.05
 and more."""
 
 
 def label_facts(
-    labelled: Iterable[Receipt], tiles: Iterable[Receipt], params: PlausibilityParams
+    labelled: Iterable[Receipt], tiles: Iterable[Receipt], params: PlausibilityParams, clouds: Iterable[Receipt] = ()
 ) -> dict[str, Any] | None:
     """``remarks`` on labels and classes, and what of them is not sound: ``elsewhere`` and ``exchanged``, each a
     sentence or ""; None where nothing is delivered and nothing was learned.
 
-    `labelled`: of the survey's sample, and of its assessment. `tiles`: of the delivery.
+    `labelled`: of the survey's sample, and of its assessment. `tiles`: of the delivery. `clouds`: of the tiles' labels.
     """
     labelled, tiles = list(labelled), list(tiles)
     if not labelled and not tiles:
@@ -36,7 +42,7 @@ def label_facts(
     elsewhere, far = _elsewhere(labelled)
     exchanged = _exchanged(tiles)
     return {
-        "remarks": [text for text in (elsewhere, exchanged) if text],
+        "remarks": [text for text in (elsewhere, exchanged, _other_heights(clouds)) if text],
         "elsewhere": elsewhere if far > params.max_label_offset else "",
         "exchanged": exchanged,
     }
@@ -76,6 +82,20 @@ def _elsewhere(labelled: Iterable[Receipt]) -> tuple[str, float]:
                 float(max(abs(x), abs(y))),
             )
     return "", 0.0
+
+
+def _other_heights(clouds: Iterable[Receipt]) -> str:
+    """That a reference cloud has other heights than the echoes that it labels."""
+    counts = np.sum([receipt.meta["above"] for receipt in clouds if "above" in receipt.meta] or [[0]], axis=0)
+    if counts.sum() < WORTH:
+        return ""
+    median = int(np.searchsorted(np.cumsum(counts), counts.sum() / 2)) - len(counts) // 2
+    if abs(median) < OTHER_HEIGHTS:
+        return ""
+    return (
+        f"the points of the reference cloud lie {abs(median) / 100:.2f} m {'below' if median > 0 else 'above'} the "
+        f"{counts.sum():,} echoes that they label (median): another height system, unit or flight?"
+    )
 
 
 _EAST, _NORTH = ("to the east", "to the west"), ("to the north", "to the south")

@@ -191,6 +191,7 @@ def _of_the_classes(
             [r for stage in ("training", "assess") for r in receipts_of_run(runner, stage)],
             tiles if classified else (),
             config.plausibility,
+            receipts_of_run(runner, "label"),
         ),
         "accuracy": class_accuracy(runner, config),
         "automation": next(iter(metas_of_run(runner, "assess", "automation")), []),

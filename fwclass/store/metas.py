@@ -313,7 +313,7 @@ META: dict[str, Shape] = {
     },
     "echo-labels": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
     "corrections": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
-    "label": {"codes?": {CODE: COUNT}, "ambiguous?": COUNT, "corrected?": COUNT, "by_echo?": COUNT},
+    "label": {"codes?": {CODE: COUNT}, "ambiguous?": COUNT, "corrected?": COUNT, "by_echo?": COUNT, "above?": [COUNT]},
     "label-counts": _CENSUS,
     "sample-counts": {"train": [COUNT], "boxes": [[COUNT]]},
     "ground-auto": {

@@ -350,7 +350,7 @@ def work_labels(_: Path) -> Any:
     codes = np.array([2, 9, 6], np.int16)
     parts = [holed, shapely.box(3, 3, 5, 7), shapely.Point(8, 8).buffer(2)]
     polygons = Polygons.of(shapes([shapely.to_wkb(p) for p in parts], "here"), codes, codes, "here")
-    return from_cloud(chunk, cloud, 1.0), owners(*rng.integers(-900, 11_000, (2, 200)), polygons)
+    return from_cloud(chunk, cloud, 1.0)[0], owners(*rng.integers(-900, 11_000, (2, 200)), polygons)
 
 
 def work_histograms(_: Path) -> Any:
