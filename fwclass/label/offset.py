@@ -39,7 +39,7 @@ class Offset:
     x, y : what the labels would have to be moved by [m], whole cells.
     cell : edge of the cells [m].
     explained : share of the variance of the features' ranks that lies between classes there.
-    unmoved : the same where the labels are.
+    unmoved : the same by the labels where they are, of the same cells: others are differently hard to tell.
     """
 
     x: float
@@ -71,17 +71,16 @@ def measure_offset(
     else:
         return None
     steps = range(-REACH, REACH + 1)
-    every_other = {(x, y): cells.explained(x, y) for x in steps[::2] for y in steps[::2]}
-    x, y = _best(every_other)
+    x, y = _best({(x, y): cells.explained(x, y) for x in steps[::2] for y in steps[::2]})
     around = {(x + i, y + j): cells.explained(x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1)}
     x, y = _best(around)
     size = edge / 1000
-    return Offset(x * size, y * size, size, around[x, y], every_other[0, 0])
+    return Offset(x * size, y * size, size, *around[x, y])
 
 
-def _best(explained: Mapping[tuple[int, int], float]) -> tuple[int, int]:
-    """The offset that explains most, of equal ones the shortest."""
-    return max(explained, key=lambda at: (explained[at], -math.hypot(*at)))
+def _best(explained: Mapping[tuple[int, int], tuple[float, float]]) -> tuple[int, int]:
+    """The offset by which labels explain most beyond what they explain where they are, of equal ones the shortest."""
+    return max(explained, key=lambda at: (explained[at][0] - explained[at][1], -math.hypot(*at)))
 
 
 class _Cells:
@@ -108,20 +107,30 @@ class _Cells:
         both = self.number[there] == wanted
         return self.moved[both], there[both]
 
-    def explained(self, x: int, y: int) -> float:
-        """Share of the variance of the best features that classes explain when labels are moved so many cells."""
+    def explained(self, x: int, y: int) -> tuple[float, float]:
+        """Share of the variance of the best features that classes explain when labels are moved so many cells, and when
+        they stay, of the cells that have a label both ways."""
         first, second = self.pairs(x, y)
         if len(first) < PAIRS:
-            return 0.0
+            return 0.0, 0.0
         level = self.level[second].astype(np.float64)  # of whole numbers: sums are exact
-        of_class = np.zeros((len(first), self.classes))
-        of_class[np.arange(len(first)), self.label[first]] = 1.0
+        mean = level.sum(axis=0) ** 2 / len(first)
+        whole = (level**2).sum(axis=0) - mean
+        return self._share(self.label[first], level, mean, whole), self._share(self.label[second], level, mean, whole)
+
+    def _share(
+        self,
+        label: NDArray[np.int64],
+        level: NDArray[np.float64],
+        mean: NDArray[np.float64],
+        whole: NDArray[np.float64],
+    ) -> float:
+        of_class = np.zeros((len(label), self.classes))
+        of_class[np.arange(len(label)), label] = 1.0
         count, total = of_class.sum(axis=0), of_class.T @ level
         some = count > 0
-        mean = level.sum(axis=0) ** 2 / len(first)
         between = (total[some] ** 2 / count[some, None]).sum(axis=0) - mean
-        within = (level**2).sum(axis=0) - mean
-        share = np.divide(between, within, out=np.zeros(len(between)), where=within > 0)
+        share = np.divide(between, whole, out=np.zeros(len(between)), where=whole > 0)
         return float(np.sort(share)[-TELLING:].mean())
 
 
