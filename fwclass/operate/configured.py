@@ -25,13 +25,14 @@ def configured(name: str | Path, settings: tuple[str, ...] = (), classifies: boo
 def configured_as_kept(request: Request, classifies: bool, settings: tuple[str, ...] = ()) -> Config:
     """The configuration of a run by the words that its directory keeps, and by the user's own `settings`.
 
-    `ConfigError` where the kept words lead to another bucket than the run's: nobody may have read them.
+    `ConfigError` where the kept words of a directory on this host lead to object storage: nobody may have read them.
+    Who names a run in a bucket goes there anyway.
     """
     config = configured(request.conf, (*request.settings, *settings), classifies)
     for key in ("directory", "model", "base_model"):
         value = getattr(config.survey, key)
         own = any(setting.strip().startswith(f"survey.{key}=") for setting in settings)
-        if value is not None and is_url(value) and not own and _bucket(value) != _bucket(request.root):
+        if value is not None and is_url(value) and not own and not is_url(request.root):
             raise ConfigError(
                 "the words that this run directory keeps lead to object storage",
                 where=f"{request.root}: survey.{key}",
@@ -41,8 +42,3 @@ def configured_as_kept(request: Request, classifies: bool, settings: tuple[str, 
                 f"survey.{key}=ADDRESS)",
             )
     return config
-
-
-def _bucket(address: str) -> str:
-    """Scheme and bucket of an address."""
-    return "/".join(str(address).split("/")[:3])

@@ -293,10 +293,10 @@ class Directory:
             raise self._copied() from None
 
     def astray(self, name: str) -> tuple[str, ...]:
-        """What a generation has at its top and the run directory does not lead to: something else stands in its place,
-        or nothing."""
+        """What a generation has at its top, and in whose place something else stands in the run directory."""
         tops = (p.name for p in _inside(self.root / GENERATIONS / name) if p.name not in (FACTS, MANIFEST))
-        return tuple(sorted(top for top in tops if not _leads_to(self.root / top, Path(CURRENT) / top)))
+        there = [top for top in tops if os.path.lexists(self.root / top)]
+        return tuple(sorted(top for top in there if not _leads_to(self.root / top, Path(CURRENT) / top)))
 
     def _copied(self) -> StoreError:
         """What to say of a run directory whose links became files."""

@@ -30,7 +30,6 @@ def test_what_stands_in_the_place_of_a_link_is_told(delivered: Path, tmp_path: P
     code, said = verified(delivered)
     assert code == 3 and "astray   laz is no link to the delivery" in said and "move away" in said
     shutil.rmtree(delivered / "laz")
-    assert verified(delivered)[0] == 3  # gone: readers find nothing
     assert fwclass("run", tmp_path / "s.yaml", "--out", delivered, "--workers", "0").returncode == 0
     assert verified(delivered)[0] == 0
 
