@@ -11,6 +11,7 @@ import pytest
 from commandline import fwclass, process
 
 from fwclass.conf import load
+from fwclass.errors import QualityError
 from fwclass.report.judge import judge_report
 
 CONFIG = """
@@ -81,4 +82,8 @@ def test_without_bokeh_it_is_refused_before_anything_starts(survey, monkeypatch)
 
 
 def test_report_of_a_workflow_without_sources_is_judged(survey: Path) -> None:
-    judge_report({"accuracy": None}, load(survey / "c.yaml"), replaces=False)
+    config = load(survey / "c.yaml", ("plausibility.accept=false",))
+    judge_report({"accuracy": None}, config, replaces=False)
+    nowhere = {"accuracy": None, "input": {"place": {"elsewhere": True, "remarks": ["far"]}}}
+    with pytest.raises(QualityError, match="do not lie where"):
+        judge_report(nowhere, config, replaces=False)

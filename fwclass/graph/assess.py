@@ -28,7 +28,7 @@ from fwclass.conf.sections import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
 from fwclass.graph.kept import deciding_column, kept_argument
-from fwclass.graph.label_places import by_place, draw_tested, offset_of_tested
+from fwclass.graph.label_places import by_place, draw_tested, merge_tested, offset_of_tested
 from fwclass.graph.objects import judged_objects, objects_of_tiles, write_cells
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, class_index, code_index
@@ -170,7 +170,7 @@ def assess_survey(
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
     parts, counted, sure, left_out = [], [], np.zeros((3, PERCENT), np.int64), 0
-    tested = []
+    tested: dict[str, NDArray] = {}
     for tile in here.parts("confusion"):
         meta = here.inputs.meta("confusion", tile)
         matrix += counts_of(meta["matrix"], (n, n), "confusion matrices")
@@ -180,7 +180,7 @@ def assess_survey(
         left_out += meta.get("kept", 0)
         arrays, _ = here.inputs.arrays("confusion", tile, COUNTS)
         counted.append((arrays["places"], arrays["counts"]))
-        tested += [arrays] if by_place else []
+        tested = merge_tested(tested, arrays) if by_place else {}
         parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
     blocks = BlockCounts.merged(parts, n)
     write_arrays(here.directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})

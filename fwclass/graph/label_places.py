@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -38,12 +38,17 @@ def draw_tested(table: Table, classes: tuple[ClassDef, ...]) -> dict[str, NDArra
     return _smallest(dict(zip(NAMES, values, strict=True)))
 
 
-def offset_of_tested(parts: Iterable[Mapping[str, NDArray]], classes: int) -> dict[str, Any] | None:
-    """As `measure_offset` of the answers of all tiles; None where too few lie beside each other."""
-    parts = list(parts)
-    if not parts:
+def merge_tested(drawn: Mapping[str, NDArray], part: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """What was `drawn` of some tiles (empty: of none) and of one more; never more rows than `MOST` of a class."""
+    if not drawn:
+        return {name: part[name] for name in NAMES}
+    return _smallest({name: np.concatenate([drawn[name], part[name]]) for name in NAMES})
+
+
+def offset_of_tested(drawn: Mapping[str, NDArray], classes: int) -> dict[str, Any] | None:
+    """As `measure_offset`, of the answers; None where too few were drawn beside each other."""
+    if not drawn:
         return None
-    drawn = _smallest({name: np.concatenate([part[name] for part in parts]) for name in NAMES})
     answers = np.eye(classes, dtype=np.float32)[drawn["tested_answer"]]
     offset = measure_offset(answers, drawn["tested_label"], drawn["tested_place"], classes)
     return None if offset is None else asdict(offset)

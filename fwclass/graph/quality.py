@@ -33,7 +33,7 @@ from fwclass.quality.density import Density, density_remarks
 from fwclass.quality.offsets import slopes_from
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
-from fwclass.quality.roughness import roughness_facts, roughness_remarks
+from fwclass.quality.roughness import EDGES, roughness_facts, roughness_remarks
 from fwclass.quality.strips import (
     By,
     Comparison,
@@ -183,19 +183,20 @@ def _strips(
     numbers = numbers_of(pieces, by)
     strips = strips_of(pieces, [(b.box.xmin, b.box.ymin) for b in blocks], numbers, params.line_gap)
     compared, borders, lows = Comparison(params.planes, sum(int(m["pairs"]) for m in metas)), [], []
+    rough = np.zeros(len(EDGES), np.int64)
     for b, number in zip(blocks, numbers, strict=True):
         window = Window.covering(b.box, params.planes.cell)
         arrays = inputs.arrays(stage, b.key, COMPARED)[0]
         compared.add(pairs_from(arrays), slopes_from(arrays), number, (window.col, window.row))
         borders.append([arrays[name] for name in BORDERS])
         lows.append((arrays[LOWS[0]], arrays[LOWS[1]], arrays[LOWS[2]]))
+        rough += arrays["roughness"]
     first, second, step = (np.concatenate(some) for some in zip(*borders, strict=True))
     stepped = stepped_borders(first, second, step, files, params.planes.max_step)
     ways: tuple[By, ...] = ("files", "times")
     lifted = [{"by": way, **one} for way in ways for one in lifted_strips(lows, numbers_of(pieces, way))]
-    rough = np.sum([inputs.arrays(stage, b.key, COMPARED, ("roughness",))[0]["roughness"] for b in blocks], axis=0)
     facts = compared.facts(strips, files, by) | {"borders": stepped, "lifted": lifted}
-    facts["roughness"] = roughness_facts(np.asarray(rough, np.int64))
+    facts["roughness"] = roughness_facts(rough)
     return facts, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
 
 

@@ -247,8 +247,7 @@ class Stage:
         survey reads those of all tiles, or of `tiles`.
     own : columns that are read of the own tile alone.
     writes : columns of the table that it writes. Those of a stage over tiles can be read by others.
-    halo : distance around the part's place that is read [m]; None where no neighbour is. It is in no key itself: what
-        lies in it is, by its digests.
+    halo : distance around the part's place that is read [m], None for none; what lies there enters the key by digests.
     area : what the halo is around; the part's own box unless given.
     after : stages that it comes after, besides those that write its columns: it reads parts of them, or is planned by
         them.
