@@ -228,9 +228,13 @@ def _disk(where: str) -> str:
     return f"disk {path}: {usage.free / 2**20:.1f} of {usage.total / 2**20:.1f} MiB free now"
 
 
+_UNFINISHED = re.compile(r"(^|/)\.([^/]+)\.(?:[0-9a-f]{32}|\w+-\d+\.part(?:\.[^/.]+)?)(?=/|$)")
+"""A file under the name that it has until it is whole (`publish.files.whole`, `store.atomic`)."""
+
+
 def system_error(fault: OSError, where: object = "") -> FwclassError:
     """A refusal of the operating system (no such place, no permission, disk full) in words for the user."""
-    place = fault.filename or where
+    place = _UNFINISHED.sub(r"\1\2", str(fault.filename or where))
     if fault.errno in FULL:
         words = {
             errno.ENOSPC: ("the disk is full", "free some space"),
@@ -240,7 +244,7 @@ def system_error(fault: OSError, where: object = "") -> FwclassError:
         return FwclassError(
             words[0],
             where=place,
-            got=_disk(str(place)) if place else "",
+            got=_disk(place) if place else "",
             do=f"{words[1]}, then run the same command again; what is done is kept",
         )
     advice = {

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import PATH, RUN, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.survey import How, run_survey
+from fwclass.cli.survey import How, run_configuration
 
 WORKFLOW = "backscatter"
 SOURCE = click.argument("source", metavar="CONF|FILE", type=PATH)
@@ -78,4 +78,4 @@ def _run(
                 f"{named / 'generations'}; --set {key}=true delivers both",
                 err=True,
             )
-    run_survey(conf, named, settings, None, WORKFLOW, How(scheduler, workers))
+    run_configuration(conf, named, settings, None, WORKFLOW, How(scheduler, workers))

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
@@ -38,7 +38,7 @@ def _split_names(context: click.Context, parameter: click.Parameter, text: str |
     help="Which set is written: the best, or the smallest or cheapest as good within one standard error.",
 )
 @click.option(
-    "--to", "target", type=PATH, help="The feature-set file (default: OUT/select/METHOD.yaml); .json and .png beside."
+    "--to", "target", type=OUTPUT, help="The feature-set file (default: OUT/select/METHOD.yaml); .json and .png beside."
 )
 @click.option("--out", type=PATH, help="Run directory, shared with `fwclass run` (default: runs/<survey>).")
 @SET

@@ -12,6 +12,7 @@ from fwclass.cli.base import (
     ACCEPT_DRIFT,
     ACCEPT_IMPLAUSIBLE,
     JSON,
+    OUTPUT,
     OVERWRITE,
     PATH,
     SCHEDULER,
@@ -82,7 +83,7 @@ def info(recordings: tuple[Path, ...], conf: Path | None, settings: tuple[str, .
 
 @street.command()
 @click.argument("conf", type=PATH, default=Path("street-sim"))
-@click.option("--out", type=PATH, required=True, help="Parquet file that is written.")
+@click.option("--out", type=OUTPUT, required=True, help="Parquet file that is written.")
 @SET
 @OVERWRITE
 def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) -> None:
@@ -103,7 +104,7 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) 
 
 @street.command()
 @click.argument("conf", type=PATH)
-@click.option("--model", "target", type=PATH, required=True, help="Directory that the model is written to.")
+@click.option("--model", "target", type=OUTPUT, required=True, help="Directory that the model is written to.")
 @click.option("--method", metavar="NAME", help="forest, linear-svm, rbf-svm, sklearn-forest or boosting.")
 @click.option("--recordings", "directory", type=PATH, help="Where the recordings lie (default: survey.directory).")
 @click.option("--assess/--no-assess", default=True, help="Judge the model on the returns that are left (default: yes).")
@@ -136,7 +137,7 @@ def train(
 
 @street.command()
 @click.argument("recording", metavar="REC", type=PATH)
-@click.argument("output", metavar="OUT", type=PATH)
+@click.argument("output", metavar="OUT", type=OUTPUT)
 @MODEL
 @CONF
 @SET
@@ -176,7 +177,7 @@ def classify(
 @street.command()
 @click.argument("source", metavar="REC|-|tcp://HOST:PORT")
 @MODEL
-@click.option("--out", "target", type=PATH, required=True, help="Directory that answers are appended in.")
+@click.option("--out", "target", type=OUTPUT, required=True, help="Directory that answers are appended in.")
 @click.option(
     "--pace", type=click.Choice(["recorded", "fastest"]), default="fastest", help="Of a recording (default: fastest)."
 )
@@ -210,8 +211,8 @@ def run(
 @street.command()
 @click.argument("recording", metavar="REC", type=PATH)
 @click.argument("file", metavar="ANNOTATION", type=PATH)
-@click.option("--out", type=PATH, help="Parquet file that the recording is written to with its labels.")
-@click.option("--preview", type=PATH, help="Directory for pictures of the slices, and of the next one.")
+@click.option("--out", type=OUTPUT, help="Parquet file that the recording is written to with its labels.")
+@click.option("--preview", type=OUTPUT, help="Directory for pictures of the slices, and of the next one.")
 @click.option("--slice", "slice_", type=Finite(0.01), default=2.0, help="m of road of the next slice.")
 @CONF
 @SET

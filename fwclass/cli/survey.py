@@ -38,7 +38,7 @@ class How:
     verify: bool = False
 
 
-def run_survey(
+def run_configuration(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str, how: How
 ) -> None:
     """Run a workflow on the survey in `conf` and print what came of it."""
@@ -56,7 +56,7 @@ def run_survey(
 
     location = location_of_run(request, config)
     with unmade_again(location), record_run(location, request) as entry:
-        _walk(config, request, root, replace(how, workers=count), performance, entry)
+        _run(config, request, root, replace(how, workers=count), performance, entry)
 
 
 def _check_apart(root: str, config: Any) -> None:
@@ -78,74 +78,27 @@ def _check_apart(root: str, config: Any) -> None:
         )
 
 
-def _verify(runner: Any) -> None:
-    """Remove what is damaged, with all that was made from it: this run makes it anew."""
-    from fwclass.operate.status import verify as verifying
-
-    runner.display.say("verify           all files of the store and of all that was delivered are read")
-    runner.verify = True
-    verified = verifying.verify(runner.store)
-    if verified.sound:
-        runner.display.say("verify           they have the bytes that were written")
-        return
-    for line in [*verifying.rows(verified), *verifying.earlier_advice(verified, str(runner.store.where))]:
-        runner.display.say(line)
-    verifying.remove(verified, runner.store)
-
-
-def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
+def _run(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.operate.clean import clean
-    from fwclass.operate.request import replaced
+    from fwclass.operate.whole_run import run_survey
     from fwclass.report.judge import judge_report
-    from fwclass.report.summary import summary
-    from fwclass.report.write import REPORT
-    from fwclass.workflows import workflow_of
 
     with open_runner(entry.location, how.workers or 0, how.scheduler, config.run, performance) as runner:
-        runner.store.generations.check_links()
-        before, earlier = runner.store.generations.current(), request.workflow_before(runner.store)
-        request.keep(runner.store)
-        runner.fail_fast = how.fail_fast
-        entry.begin(runner)
-        if how.verify:
-            _verify(runner)
-        report: Any = None
         try:
-            report = workflow_of(request.workflow)(config, runner, request.wanted)
-            generation = runner.publish(config.run.keep_generations)
-        except (FwclassError, OSError) as fault:
-            after = report is None and isinstance(fault, FwclassError)
-            if after and (runner.pending / REPORT).exists():  # what came after the delivery has failed
-                entry.generation = runner.publish(config.run.keep_generations).number
+            done = run_survey(config, runner, request, entry, how.fail_fast, how.verify)
+        except (FwclassError, OSError):
             if runner.failures:
                 tell_failures(runner.failures, request)
             raise
-        entry.generation = generation.number
-        failures = runner.failures
-        shown = runner.store.generations.current()
-    aside = shown is not None and shown.number != generation.number
-    click.echo(summary(report, generation.where if aside or isinstance(root, str) else root), err=True)
-    if lost := entry.judged(report):
-        click.echo(lost, err=True)
-    if aside and shown is not None:
-        click.echo(
-            f"generation  {generation.name} is not whole and lies aside; {root} still shows {shown.name}", err=True
-        )
-    elif not generation.whole and failures:
-        click.echo(
-            f"generation  {generation.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
-        )
-    superseded = before if before is not None and shown is not None and before.number != shown.number else None
-    if superseded is not None:
-        for words in replaced(earlier, request.workflow, superseded, config.run.keep_generations):
-            click.echo(f"note        {root} {words}", err=True)
+    for line in done.sentences(request, root, config.run.keep_generations):
+        click.echo(line, err=True)
     if performance is not None:
         click.echo(f"dask report {performance}", err=True)
-    if failures:
-        tell_failures(failures, request)
+    if done.failures:
+        tell_failures(done.failures, request)
         sys.exit(PARTIAL)
-    judge_report(report, config, superseded is not None)
-    if not config.run.keep_intermediate and generation.whole:
+    judge_report(done.report, config, done.superseded is not None)
+    if not config.run.keep_intermediate and done.generation.whole:
         gone = clean(entry.location, "deliveries", lambda text: click.echo(text, err=True))
         click.echo(f"store       {gone.parts:,} parts removed (run.keep_intermediate), {gone.freed}", err=True)
 
@@ -209,7 +162,7 @@ def run(
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
     if only is None:
         how = How(scheduler, workers, not keep_going, report, verify)
-        run_survey(conf, out, settings, chosen_tiles(tiles, aoi), workflow, how)
+        run_configuration(conf, out, settings, chosen_tiles(tiles, aoi), workflow, how)
         return
     if tiles or aoi or scheduler or workers or verify or report is not None:
         raise ConfigError(
@@ -225,7 +178,7 @@ def run(
 @WORKERS
 def demo(out: Path, workers: int | None) -> None:
     """Simulate a small survey, run everything, print where to look."""
-    run_survey(Path("demo"), out, (), None, "classification", How(None, workers))
+    run_configuration(Path("demo"), out, (), None, "classification", How(None, workers))
     click.echo(f"look at it  fwclass view {out}", err=True)
 
 

@@ -142,7 +142,7 @@ class PlausibilityParams(Params):
     max_repeated : share of the survey's echoes that have place and time of another.
     coarse_places : step that all places of a file are multiples of [m].
     max_intensity_ratio : between the files' medians of single returns, where features of amplitude decide.
-    max_label_offset : that polygons of labels are moved by to fit the echoes best [m].
+    max_label_offset : that polygons or a cloud of labels are moved by to fit the echoes best [m].
     least : echoes, or returns, of that kind below which nothing is refused.
     accept : deliver all the same, and end as if nothing were wrong; it is still told.
     """

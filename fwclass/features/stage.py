@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from fwclass.features.cells import cells, height_in_cell
 from fwclass.features.dense import thin_dense
+from fwclass.features.names import ORIENTED, Asked
 from fwclass.features.nearest import nearest_echoes
 from fwclass.features.orientation import sides
-from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, ORIENTED, Asked, FeaturesParams
+from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, FeaturesParams
 from fwclass.features.pulses import MEASURED, pulse_variances
 from fwclass.features.spheres import optimal, spheres
 from fwclass.schema import Scale, Table, require

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.dense import Crowd, crowd_facts
-from fwclass.features.params import NORMAL, Asked, FeaturesParams, is_feature
+from fwclass.features.names import Asked, is_feature
+from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import features_of_some, sampled_columns

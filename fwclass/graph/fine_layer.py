@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fwclass.features.params import Asked
+from fwclass.features.names import Asked
 from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan
 from fwclass.model import TwoLayer

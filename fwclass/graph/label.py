@@ -19,6 +19,7 @@ from fwclass.graph.corrections import (
     reach_here,
 )
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.label.cloud_offset import HALO, compare_heights
 from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, from_polygons
 from fwclass.label.stage import LABEL, from_cloud, from_source
@@ -98,14 +99,16 @@ def label_by_source(here: StageInputs, reach: float = 0.0) -> Result:
 
 
 def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
-    """Reference classes from the nearest point of another cloud."""
+    """Reference classes from the nearest point of another cloud, and how its heights fit those of the echoes."""
     box, clouds = here.tile.box.grown(here.halo), here.parts("reference")
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
     order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
     chunk = here.chunk()
     table, above = from_cloud(chunk, cloud.take(order), params.max_distance)
     table, facts = _with_counts(*_correct(here, chunk, _without_implausible(chunk, table), reach))
-    return table, {**facts, "above": above.tolist()}
+    echoes, points = ((t["x"], t["y"], t["z"]) for t in (chunk.table, cloud))
+    sums, counts = compare_heights(echoes, points, here.tile.box)
+    return table, {**facts, "above": above.tolist(), "moved": {"sums": sums.tolist(), "counts": counts.tolist()}}
 
 
 def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
@@ -177,8 +180,12 @@ def _only_judges(plan: Plan) -> bool:
     return plan.config.survey.model is not None
 
 
+def _cloud_halo(plan: Plan) -> float:
+    return max(LABEL.halo(plan.config.label), HALO, _correction_reach(plan))
+
+
 def _clouds(plan: Plan, tile: Any) -> list[Name]:
-    box = tile.box.grown(LABEL.halo(plan.config.label))
+    box = tile.box.grown(_cloud_halo(plan))
     return [*(("reference", c) for c in plan.layout.around(box, plan.layout.clouds)), *corrections_here(plan, tile)]
 
 
@@ -215,7 +222,7 @@ LABEL_BY_CLOUD = Stage(
     silent=_OF_ECHOES,
     own=("x", "y", "z", "gps_time", "fit_flags"),
     writes=_CLASSES,
-    halo=lambda plan: max(LABEL.halo(plan.config.label), _correction_reach(plan)),
+    halo=_cloud_halo,
     after=("reference", CORRECTIONS),
     needs=_clouds,
     check=_only_judges,

@@ -8,7 +8,8 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, set_words
-from fwclass.features.params import Asked, FeaturesParams, is_feature
+from fwclass.features.names import Asked, is_feature
+from fwclass.features.params import FeaturesParams
 from fwclass.graph.quantities import quantities_by_feature
 from fwclass.model import ClassDef, Model
 from fwclass.radiometry.stage import RADIOMETRY

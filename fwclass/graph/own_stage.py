@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fwclass.classes import ClassDef
 from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import ConfigError, InputError
-from fwclass.features.params import MAX_REACH
+from fwclass.features.names import MAX_REACH
 from fwclass.graph.classify import CLASSIFY_ECHOES
 from fwclass.graph.ground import FILTER_GROUND, around_block, flags_of_block
 from fwclass.graph.key_values import plain_values

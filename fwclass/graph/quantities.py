@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from fwclass.errors import ConfigError, first_few
-from fwclass.features.params import Asked, is_feature
+from fwclass.features.names import Asked, is_feature
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.quantities import COUNTS, FITTED, READ, STEPS, Quantities, unit_of, words_of
 

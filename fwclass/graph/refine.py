@@ -14,7 +14,8 @@ from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refin
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
-from fwclass.features.params import Asked, FeaturesParams
+from fwclass.features.names import Asked
+from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.classify import classes_written, codes_of, given_model, names_that_decide, outside_facts, own_model

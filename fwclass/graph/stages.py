@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.columns import FEATURES
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
-from fwclass.features.params import MAX_REACH, NO_FEATURE, Asked, check_scale, is_feature, meant
+from fwclass.features.names import MAX_REACH, NO_FEATURE, Asked, check_scale, is_feature, meant
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
 from fwclass.graph.backscatter import (
     DELIVER_PROFILES,

@@ -10,7 +10,7 @@ import numpy as np
 from fwclass.assess.remarks import Extent, remarks
 from fwclass.classify.context import halo_of
 from fwclass.conf import Config
-from fwclass.features.params import Asked, is_feature
+from fwclass.features.names import Asked, is_feature
 
 OF_A_GIVEN_MODEL = (
     "The model, or its base, was given, and nothing here tells where it learned: if it was in this survey, the figure "

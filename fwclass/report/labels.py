@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from fwclass.classes import BUILDING, PLANTS
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import refuse_named
+from fwclass.label.cloud_offset import CELL, offset_of_cloud
 from fwclass.store.receipts import Receipt
 
 GAIN = 0.05
@@ -23,6 +25,9 @@ OTHER_HEIGHTS = 20
 """cm between a reference cloud and the echoes that it labels, in the median, from which it is told: flights of one
 height system differ by some centimetres."""
 
+ASIDE = 0.5
+"""m to the east or north by which a reference cloud lies aside, from which it is told: it is known to 0.2 m."""
+
 PIERCED = 0.2
 """Share of echoes of pulses with several by which buildings may lead plants: in ten public tiles plants of all heights
 lead, by 0.2 and more; where low ones are the only ones, by 0.04."""
@@ -34,12 +39,13 @@ def label_facts(
     """``remarks`` on labels and classes, and what of them is not sound: ``elsewhere`` and ``exchanged``, each a
     sentence or ""; None where nothing is delivered and nothing was learned.
 
-    `labelled`: of the survey's sample, and of its assessment. `tiles`: of the delivery. `clouds`: of the tiles' labels.
+    `labelled`: of the survey's sample, and of its assessment. `tiles`: of the delivery. `clouds`: of the tiles' labels,
+    which tell of clouds alone.
     """
-    labelled, tiles = list(labelled), list(tiles)
+    labelled, tiles, clouds = list(labelled), list(tiles), list(clouds)
     if not labelled and not tiles:
         return None
-    elsewhere, far = _elsewhere(labelled)
+    elsewhere, far = max(_elsewhere(labelled), _aside(clouds), key=lambda said: said[1])
     exchanged = _exchanged(tiles)
     return {
         "remarks": [text for text in (elsewhere, exchanged, _other_heights(clouds)) if text],
@@ -53,10 +59,10 @@ def judge_labels(facts: Mapping[str, Any] | None, params: PlausibilityParams, wh
     ways = (
         (
             "elsewhere",
-            "the polygons of the labels do not lie where the echoes are",
-            f"polygons that fit best within {params.max_label_offset:g} m of where they are "
+            "the labels do not lie where the echoes are",
+            f"labels that fit best within {params.max_label_offset:g} m of where they are "
             "(plausibility.max_label_offset)",
-            "bring them into the survey's system (survey.reference.crs), or mend their places",
+            "bring them into the survey's system (polygons by survey.reference.crs), or mend their places",
         ),
         (
             "exchanged",
@@ -73,15 +79,40 @@ def _elsewhere(labelled: Iterable[Receipt]) -> tuple[str, float]:
     for offset in (receipt.meta["offset"] for receipt in labelled if receipt.meta.get("offset")):
         x, y = offset["x"], offset["y"]
         if offset["explained"] - offset["unmoved"] >= GAIN and (x, y) != (0, 0):
-            ways = [f"{abs(v):g} m {names[v < 0]}" for v, names in ((x, _EAST), (y, _NORTH)) if v]
             return (
-                f"the labels' polygons fit the echoes best when they are moved by {' and '.join(ways)}, to within "
+                f"the labels' polygons fit the echoes best when they are moved by {_ways(x, y)}, to within "
                 f"{offset['cell']:g} m: their classes "
                 f"explain {100 * offset['explained']:.0f} % of what the echoes differ by there, and "
                 f"{100 * offset['unmoved']:.0f} % where they lie",
                 float(max(abs(x), abs(y))),
             )
     return "", 0.0
+
+
+def _aside(clouds: Iterable[Receipt]) -> tuple[str, float]:
+    """That a reference cloud fits the echoes better where it does not lie, and how far off that is [m]."""
+    moved = [receipt.meta["moved"] for receipt in clouds if "moved" in receipt.meta]
+    if not moved:
+        return "", 0.0
+    sums, counts = (np.array([m[name] for m in moved], np.int64).sum(axis=0) for name in ("sums", "counts"))
+    offset = offset_of_cloud(sums, counts)
+    if offset is None or max(abs(offset.x), abs(offset.y)) < ASIDE:
+        return "", 0.0
+    text = (
+        f"the points of the reference cloud fit the echoes best when they are moved by "
+        f"{_ways(round(offset.x, 1), round(offset.y, 1))}{' or more' if offset.edge else ''}, to within 0.2 m"
+    )
+    if offset.least < offset.unmoved:  # in other cells than their own
+        text += (
+            f": the highest in cells of {CELL:g} m differ by {offset.least:.2f} m there, and by {offset.unmoved:.2f} m "
+            "where they lie"
+        )
+    return text, math.hypot(offset.x, offset.y)
+
+
+def _ways(x: float, y: float) -> str:
+    named = ((x, ("to the east", "to the west")), (y, ("to the north", "to the south")))
+    return " and ".join(f"{abs(v):g} m {names[v < 0]}" for v, names in named if v)
 
 
 def _other_heights(clouds: Iterable[Receipt]) -> str:
@@ -96,9 +127,6 @@ def _other_heights(clouds: Iterable[Receipt]) -> str:
         f"the points of the reference cloud lie {abs(median) / 100:.2f} m {'below' if median > 0 else 'above'} the "
         f"{counts.sum():,} echoes that they label (median): another height system, unit or flight?"
     )
-
-
-_EAST, _NORTH = ("to the east", "to the west"), ("to the north", "to the south")
 
 
 def _exchanged(tiles: Iterable[Receipt]) -> str:

@@ -19,7 +19,7 @@ from fwclass.classify.unsure import by_percent, unsure_facts
 from fwclass.conf.checks import refuse_regularized
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd
-from fwclass.features.params import Asked, is_feature
+from fwclass.features.names import Asked, is_feature
 from fwclass.graph.classify import CLASSIFY_ECHOES, OUTSIDE, codes_on_lines
 from fwclass.graph.context import CLASSIFY_IN_CONTEXT, SHARE_FIRST
 from fwclass.graph.features import COMPUTE_FEATURES

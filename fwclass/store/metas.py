@@ -40,6 +40,7 @@ _FAULTS = {TEXT: COUNT}
 _ROWS = {"rows": COUNT}
 _OUTSIDE = {TEXT: (COUNT, COUNT)}
 _OFFSET = Maybe({**dict.fromkeys(("x", "y"), FINITE), **dict.fromkeys(("cell", "explained", "unmoved"), NUMBER)})
+_MOVES = ((COUNT,) * 11,) * 11
 _TRIAL = {"rows": COUNT, "counts": [COUNT]}
 
 EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": _REMARKS}
@@ -313,7 +314,14 @@ META: dict[str, Shape] = {
     },
     "echo-labels": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
     "corrections": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
-    "label": {"codes?": {CODE: COUNT}, "ambiguous?": COUNT, "corrected?": COUNT, "by_echo?": COUNT, "above?": [COUNT]},
+    "label": {
+        "codes?": {CODE: COUNT},
+        "ambiguous?": COUNT,
+        "corrected?": COUNT,
+        "by_echo?": COUNT,
+        "above?": (COUNT,) * 201,
+        "moved?": {"sums": _MOVES, "counts": _MOVES},
+    },
     "label-counts": _CENSUS,
     "sample-counts": {"train": [COUNT], "boxes": [[COUNT]]},
     "ground-auto": {

@@ -83,10 +83,11 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
             why = f"{fault.what}{fault.got and f' ({fault.got})'}"
             plain["remarks"] += [f"Nothing tells how good it is elsewhere, for it cannot be cross-validated: {why}."]
     judged_by = (runner.store.receipt(stage, "all") for stage in (("training", "assess") if assess else ("training",)))
-    plain["labels"] = label_facts([r for r in judged_by if r], (), config.plausibility)
+    known = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
+    labelled = [receipt for receipt in known if receipt]
+    plain["labels"] = label_facts([r for r in judged_by if r], (), config.plausibility, labelled)
     plain["remarks"] += (plain["labels"] or {}).get("remarks", [])
-    labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
-    plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
+    plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled)
     return plain
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, several
 from fwclass.grid import Box
 from fwclass.survey.files import box_text
 from fwclass.survey.layout import Layout
@@ -43,8 +44,9 @@ class Area:
                 do="check the export of the polygons",
             )
 
-    def tiles(self, layout: Layout, crs: str | None) -> frozenset[str]:
-        """Keys of the tiles of `layout` that share area with a polygon; `crs` is the survey's (WKT).
+    def tiles(self, layout: Layout, crs: str | None, say: Callable[[str], None] | None = None) -> frozenset[str]:
+        """Keys of the tiles of `layout` that share area with a polygon; `crs` is the survey's (WKT). Polygons that lie
+        outside of the survey are told by `say`.
 
         Raises
         ------
@@ -72,7 +74,20 @@ class Area:
                 do="check the polygons, and the coordinate system that their file names"
                 + (f" ({own.name})" if own is not None else ""),
             )
+        if say is not None and (outside := _outside(shapes, layout.box)):
+            say(
+                f"remark           {outside} of {several(shapes.parts, 'polygon')} of {self.path} outside of the survey"
+            )
         return chosen
+
+
+def _outside(shapes: Shapes, box: Box) -> int:
+    """How many polygons lie outside of `box`, by their extents."""
+    ends = shapes.ring_start[shapes.part_start[:-1]]
+    least = np.minimum.reduceat(shapes.x, ends), np.minimum.reduceat(shapes.y, ends)
+    most = np.maximum.reduceat(shapes.x, ends), np.maximum.reduceat(shapes.y, ends)
+    apart = (most[0] < box.xmin) | (least[0] > box.xmax) | (most[1] < box.ymin) | (least[1] > box.ymax)
+    return int(apart.sum())
 
 
 def edges(

@@ -11,7 +11,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.features.params import is_feature
+from fwclass.features.names import is_feature
 from fwclass.features.stage import FEATURE_COMPUTATION
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.read.quantities import Quantities

@@ -163,6 +163,10 @@ class Server(ThreadingHTTPServer):
         """Whoever hangs up, or comes too late, is not told of."""
 
 
+NO_REQUEST = frozenset({400, 414, 431, 501, 505})
+"""Codes by which Python's server refuses what is no request, in words that repeat it."""
+
+
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True  # an answer's head waited 40 ms for the browser's word that it came
@@ -187,7 +191,7 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Also of requests that are none; their words are never repeated."""
         self.close_connection = True
-        self._answer(code, JSON, json.dumps({"error": message if code != 400 else "no such request"}).encode())
+        self._answer(code, JSON, json.dumps({"error": "no such request" if code in NO_REQUEST else message}).encode())
 
     def do_GET(self) -> None:
         """Answer, or say why not."""

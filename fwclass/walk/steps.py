@@ -242,7 +242,7 @@ def until_report(
     """
     layout, config = plan.layout, plan.config
     check_altitude(layout)
-    keys = tiles.tiles(layout, plan.survey.crs) if isinstance(tiles, Area) else tiles
+    keys = tiles.tiles(layout, plan.survey.crs, runner.display.say) if isinstance(tiles, Area) else tiles
     stages = tuple(stages)
     graph = graph_of(plan, (SIMULATE, *TO_TILES, *stages))
     tasks = tasks_of(plan, stages)

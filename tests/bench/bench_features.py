@@ -27,7 +27,8 @@ import numpy as np
 import yaml
 
 from fwclass.conf.sets import feature_set
-from fwclass.features.params import FeaturesParams, is_feature
+from fwclass.features.names import is_feature
+from fwclass.features.params import FeaturesParams
 from fwclass.features.spheres import spheres
 from fwclass.features.stage import features
 from fwclass.grid import TileGrid

@@ -11,7 +11,8 @@ from fwclass import conf
 from fwclass.features import orientation, spheres
 from fwclass.features.dense import Crowd, crowd_facts, thin_dense
 from fwclass.features.gather import slices
-from fwclass.features.params import NORMAL, Asked
+from fwclass.features.names import Asked
+from fwclass.features.params import NORMAL
 from fwclass.features.stage import features
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import Table

@@ -9,7 +9,8 @@ from pydantic import ValidationError
 from fwclass import conf
 from fwclass.columns import FEATURES as DECLARED
 from fwclass.errors import InputError
-from fwclass.features.params import NORMAL, Asked, FeaturesParams, is_feature
+from fwclass.features.names import Asked, is_feature
+from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import Table, column

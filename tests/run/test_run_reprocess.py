@@ -11,7 +11,7 @@ import pytest
 from runmaker import delivered, looked, walk
 
 from fwclass import conf
-from fwclass.features.params import Asked, is_feature
+from fwclass.features.names import Asked, is_feature
 from fwclass.grid import Box, TileGrid
 from fwclass.store.cells import CELL
 from fwclass.survey.numbering import NUMBERS, assign_numbers

@@ -59,6 +59,16 @@ def test_an_area_on_the_borders_takes_no_neighbour(tmp_path):
     assert Area(path).tiles(layout(), None) == {"1_1", "2_1"}
 
 
+def test_polygons_outside_of_the_survey_are_told(tmp_path):
+    far = shapely.box(5_000_000, 10, 5_000_010, 20)
+    path = write(tmp_path / "a.gpkg", shapely.box(12, 12, 18, 18), far, shapely.union(shapely.box(22, 2, 28, 8), far))
+    lines = []
+    assert Area(path).tiles(layout(), None, lines.append) == {"1_1", "2_0"}
+    assert len(lines) == 1 and "2 of 4 polygons" in lines[0] and "outside of the survey" in lines[0]
+    Area(write(tmp_path / "b.gpkg", shapely.box(12, 12, 18, 18))).tiles(layout(), None, lines.append)
+    assert len(lines) == 1
+
+
 def test_an_area_may_be_in_degrees(tmp_path):
     tile = TileGrid(100.0).tile("5120_54030")
     inner = shapely.box(*tile.box.grown(-5.0).bounds)

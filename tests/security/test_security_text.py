@@ -18,11 +18,12 @@ from pyproj import CRS
 from rich.console import Console
 
 from fwclass.classes import ClassDef
-from fwclass.errors import ConfigError, InputError, set_words, visible
+from fwclass.errors import ConfigError, InputError, set_words, system_error, visible
 from fwclass.grid import Window
 from fwclass.label.values import codes_of
 from fwclass.publish.cog import write_cog
 from fwclass.publish.figures import class_map
+from fwclass.publish.files import whole_directory
 from fwclass.publish.params import PublishParams
 from fwclass.publish.report import environment, render_report
 from fwclass.read.info import describe, info
@@ -219,6 +220,19 @@ def test_a_record_with_markup_is_read_and_told(tmp_path: Path) -> None:
     head[100:104] = (int.from_bytes(data[100:104], "little") + 1).to_bytes(4, "little")
     path.write_bytes(bytes(head) + data[start:])
     assert not controls(describe(info(path)))
+
+
+def test_a_fault_names_what_the_user_named_not_what_is_written_beside_it(tmp_path: Path) -> None:
+    target = tmp_path / "page"
+    target.symlink_to(tmp_path / "gone" / "elsewhere")
+    with pytest.raises(OSError) as fault, whole_directory(target):
+        pass
+    assert ".part" in str(fault.value)
+    assert system_error(fault.value).where == str(target)
+    for name in (".a.laz.host-12.part.laz", ".a.laz." + 32 * "0"):
+        assert system_error(PermissionError(13, "no", f"/x/{name}")).where == "/x/a.laz"
+    for name in ("/x/.a.laz.part", "/x/a.b", "/x/.hidden/y"):
+        assert system_error(PermissionError(13, "no", name)).where == name
 
 
 def test_a_line_of_a_file_does_not_pass_for_one_of_the_message() -> None:

@@ -178,6 +178,9 @@ def test_nothing_but_garbage(tmp_path):
 def test_an_address_that_is_none(tmp_path):
     with pytest.raises(ConfigError, match="no address"):
         run_online(tmp_path, "tcp://localhost")
+    with pytest.raises(ConfigError, match="no user") as fault:
+        run_online(tmp_path, "tcp://me:secret@localhost:5000")
+    assert "secret" not in str(fault.value)
 
 
 def command(*words):

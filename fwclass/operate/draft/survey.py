@@ -19,7 +19,7 @@ from fwclass import conf
 from fwclass.classify.context import halo_of
 from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, several, visible
-from fwclass.features.params import Asked, is_feature
+from fwclass.features.names import Asked, is_feature
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at

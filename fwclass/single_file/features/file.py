@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from fwclass import compiling, conf
 from fwclass.errors import ConfigError, first_few
 from fwclass.features.dense import Crowd
-from fwclass.features.params import MAX_REACH, Asked, FeaturesParams, is_feature
+from fwclass.features.names import MAX_REACH, Asked, is_feature
+from fwclass.features.params import FeaturesParams
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.geoparquet import bounds_of, short_coordinates, write_geoparquet_parts

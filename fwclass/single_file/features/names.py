@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fwclass.columns import FEATURES
 from fwclass.conf.sets import feature_set, listed_once
 from fwclass.errors import ConfigError
-from fwclass.features.params import NO_FEATURE, Asked, check_scale, is_feature, meant
+from fwclass.features.names import NO_FEATURE, Asked, check_scale, is_feature, meant
 from fwclass.ground.terrain.params import HEIGHTS
 from fwclass.radiometry.params import RADIOMETRIC
 from fwclass.waveforms import ECHO_COLUMNS

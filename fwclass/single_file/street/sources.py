@@ -123,6 +123,14 @@ def standard_input(params: StreamParams, ended: Callable[[], bool]) -> Stream:
 def place_of(address: str) -> tuple[str, int]:
     """Host and port of ``tcp://host:port``; without a host it is this machine's own."""
     host, mark, port = address.removeprefix("tcp://").rpartition(":")
+    if "@" in host:
+        raise ConfigError(
+            "an address to listen at has no user",
+            where="tcp://",
+            expected="tcp://host:port",
+            got="a user, or what may be a password",
+            do="leave it out; it is not checked, and shown to whoever lists this host's processes",
+        )
     if not mark or not port.isdigit() or not 0 <= int(port) < 65536:
         raise ConfigError("this is no address to listen at", where=address, expected="tcp://host:port", got=address)
     return host.strip("[]") or "127.0.0.1", int(port)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.features.params import Asked, FeaturesParams, is_feature
+from fwclass.features.names import Asked, is_feature
+from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.grid import Tile
 from fwclass.run.inputs import PartInputs

@@ -9,7 +9,7 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
-from fwclass.features.params import is_feature
+from fwclass.features.names import is_feature
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import providers
 from fwclass.publish.files import whole

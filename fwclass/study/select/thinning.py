@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.conf import Config
-from fwclass.features.params import Asked
+from fwclass.features.names import Asked
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import within
 from fwclass.graph.stage import Plan

@@ -1,0 +1,112 @@
+"""One run of a survey by a workflow: parts are made, the delivery is shown, and what came of it is put into words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.errors import FwclassError
+from fwclass.operate.history import Entry
+from fwclass.operate.request import Request, replaced
+from fwclass.operate.status import verify as verifying
+from fwclass.report.summary import summary
+from fwclass.report.write import REPORT
+from fwclass.run.part import Outcome
+from fwclass.run.runner import Runner
+from fwclass.store.generations import Generation
+from fwclass.store.url import Url
+from fwclass.workflows import workflow_of
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """What came of a run.
+
+    Attributes
+    ----------
+    report : as `report.json` has it.
+    generation : what it delivered.
+    shown : the generation that readers see now, `before` the one that they saw; None for none.
+    earlier : name of the workflow that the run directory's last run was of, None for none.
+    failures : its failed parts.
+    loss : a sentence where it lost accuracy against its predecessor, else empty.
+    """
+
+    report: Any
+    generation: Generation
+    shown: Generation | None
+    before: Generation | None
+    earlier: str | None
+    failures: list[Outcome]
+    loss: str
+
+    @property
+    def superseded(self) -> Generation | None:
+        """The generation that readers saw before, where they see another now."""
+        before, shown = self.before, self.shown
+        return before if before is not None and shown is not None and before.number != shown.number else None
+
+    def sentences(self, request: Request, place: Path | Url, keep: int) -> Iterator[str]:
+        """What to say of it. `place`: the run directory as the user named it; `keep`: generations that are kept
+        (`run.keep_generations`)."""
+        own, shown = self.generation, self.shown
+        aside = shown is not None and shown.number != own.number
+        yield summary(self.report, own.where if aside or isinstance(own.where, Url) else place)
+        if self.loss:
+            yield self.loss
+        if aside and shown is not None:
+            yield f"generation  {own.name} is not whole and lies aside; {place} still shows {shown.name}"
+        elif not own.whole and self.failures:
+            yield f"generation  {own.name} is not whole: parts failed; it is shown, as no whole one is there"
+        if self.superseded is not None:
+            for words in replaced(self.earlier, request.workflow, self.superseded, keep):
+                yield f"note        {place} {words}"
+
+
+def run_survey(
+    config: Config, runner: Runner, request: Request, entry: Entry, fail_fast: bool = False, verify: bool = False
+) -> Delivered:
+    """Make all parts of the workflow that are not there, write the report, and show what is delivered.
+
+    `entry`: the run's place in the history. `fail_fast`: end at the first part that fails. `verify`: first read all
+    that is there, and remove what is damaged with all that was made from it.
+
+    Raises
+    ------
+    FwclassError
+        No report came about. Where what comes behind it has failed, all that it tells is delivered nevertheless.
+    """
+    runner.store.generations.check_links()
+    before, earlier = runner.store.generations.current(), request.workflow_before(runner.store)
+    request.keep(runner.store)
+    runner.fail_fast = fail_fast
+    entry.begin(runner)
+    if verify:
+        _remove_damaged(runner)
+    report: Any = None
+    try:
+        report = workflow_of(request.workflow)(config, runner, request.wanted)
+        generation = runner.publish(config.run.keep_generations)
+    except FwclassError:
+        if report is None and (runner.pending / REPORT).exists():  # what came after the delivery has failed
+            entry.generation = runner.publish(config.run.keep_generations).number
+        raise
+    entry.generation = generation.number
+    shown = runner.store.generations.current()
+    return Delivered(report, generation, shown, before, earlier, runner.failures, entry.judged(report))
+
+
+def _remove_damaged(runner: Runner) -> None:
+    say = runner.display.say
+    say("verify           all files of the store and of all that was delivered are read")
+    runner.verify = True
+    verified = verifying.verify(runner.store)
+    if verified.sound:
+        say("verify           they have the bytes that were written")
+        return
+    for line in [*verifying.rows(verified), *verifying.earlier_advice(verified, str(runner.store.where))]:
+        say(line)
+    verifying.remove(verified, runner.store)
