@@ -7,6 +7,7 @@ import os
 import stat
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -69,6 +70,18 @@ def relative_fault(name: object) -> str:
     return next((fault for fault in map(name_fault, name.split("/")) if fault), "")
 
 
+@lru_cache(maxsize=64)
+def _real(directory: str) -> str:
+    return os.path.realpath(directory)
+
+
+def _is_below(parent: str, root: str, name: str, links: bool) -> bool:
+    """Whether the directory `parent` of `name` is that of ``root/name``; with `links` anywhere below `root`."""
+    if links:
+        return parent == root or parent.startswith(f"{root.rstrip('/')}/")
+    return parent == f"{root.rstrip('/')}/{name}".rpartition("/")[0]
+
+
 def below(directory: Path, name: str, links: bool = True) -> Path:
     """``directory / name``, which lies below `directory` whatever links there are on the way; without `links` there
     are none.
@@ -79,21 +92,23 @@ def below(directory: Path, name: str, links: bool = True) -> Path:
         `name` is absolute, leads elsewhere, or cannot be a file's name; or a link below `directory` leads out of it.
     """
     fault = relative_fault(name)
-    path = directory / name if not fault else directory
     if not fault:
+        path = directory / name
         # Path.resolve has a RuntimeError for links that lead in a ring: what opens them has better words
-        root, parent = Path(os.path.realpath(directory)), Path(os.path.realpath(path.parent))
-        if not parent.is_relative_to(root) or not (links or parent == (root / name).parent):
-            fault = f"a link on the way leads to {parent}"
-    if fault:
-        raise InputError(
-            "a name leads out of the directory that it belongs to",
-            where=directory,
-            expected="a name of a file below it, without links to elsewhere",
-            got=f"{name!r}: {fault}",
-            do="remove what has that name, or give the file another one",
-        )
-    return path
+        parent = os.path.realpath(path.parent)
+        if _is_below(parent, _real(str(directory)), name, links):
+            return path
+        _real.cache_clear()  # the directory itself may be elsewhere by now
+        if _is_below(parent, _real(str(directory)), name, links):
+            return path
+        fault = f"a link on the way leads to {parent}"
+    raise InputError(
+        "a name leads out of the directory that it belongs to",
+        where=directory,
+        expected="a name of a file below it, without links to elsewhere",
+        got=f"{name!r}: {fault}",
+        do="remove what has that name, or give the file another one",
+    )
 
 
 def open_below(directory: Path, name: str, flags: int) -> int:

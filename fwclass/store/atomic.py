@@ -7,8 +7,9 @@ import hashlib
 import json
 import os
 import shutil
+import threading
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -135,33 +136,36 @@ def read_json(path: Path) -> Any:
 
 @contextmanager
 def staged(parent: Path, *below: str) -> Iterator[Path]:
-    """A fresh directory to write into, ``parent/<unique>/*below``; what is still there at the end is removed."""
-    own = parent / uuid.uuid4().hex
+    """A fresh directory to write into, ``parent/<unique>/*below``; what is still there at the end is removed.
+
+    The unique directory is that of the thread, which stages one after another, and stays: to make and remove it for
+    every small part took as long as the part.
+    """
+    directory = _own_below(parent).joinpath(*below)
     try:
-        own.mkdir()
-    except FileNotFoundError:
-        own.mkdir(parents=True)
-    directories = [own.joinpath(*below[:k]) for k in range(len(below) + 1)]
-    for directory in directories[1:]:
         directory.mkdir()
+    except FileNotFoundError:  # the first of its kind, or somebody cleared it away
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        directory.mkdir()
+    except FileExistsError:  # of the same part, under way around this one
+        directory = (parent / uuid.uuid4().hex).joinpath(*below)
+        directory.mkdir(parents=True)
     try:
-        yield directories[-1]
+        yield directory
     finally:
-        _remove_staged(directories)
+        shutil.rmtree(directory, ignore_errors=True)  # mostly it was renamed
 
 
-def _remove_staged(directories: Sequence[Path]) -> None:
-    """Remove directories, each in the one before it. Mostly the last was renamed and the others are empty by then, and
-    trying costs less than looking."""
-    try:
-        for directory in reversed(directories[:-1]):
-            directory.rmdir()
-    except OSError:
-        pass
-    else:
-        if len(directories) > 1:
-            return
-    shutil.rmtree(directories[0], ignore_errors=True)
+_own = threading.local()
+
+
+def _own_below(parent: Path) -> Path:
+    """The directory below `parent` that no other thread, and no process that this one has become by a fork, has."""
+    who = parent, os.getpid()
+    if getattr(_own, "who", None) != who:
+        _own.who, _own.path = who, parent / uuid.uuid4().hex
+    path: Path = _own.path
+    return path
 
 
 def move_into_place(source: Path, target: Path, flush: bool = True) -> None:

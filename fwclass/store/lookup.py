@@ -62,6 +62,27 @@ class _Remembered:
 _remembered = _Remembered()
 
 
+class _Parsed:
+    """Receipts by their bytes and where these lie: what this process wrote, or has read, is not parsed again."""
+
+    def __init__(self) -> None:
+        self._receipts: OrderedDict[tuple[str, bytes], Receipt] = OrderedDict()
+        self._bytes, self._guard = 0, threading.Lock()
+
+    def get(self, where: str, data: bytes) -> Receipt | None:
+        return self._receipts.get((where, data))
+
+    def keep(self, where: str, data: bytes, receipt: Receipt) -> None:
+        with self._guard:
+            self._bytes += 0 if (where, data) in self._receipts else len(data)
+            self._receipts[where, data] = receipt
+            while self._bytes > REMEMBERED:
+                self._bytes -= len(self._receipts.popitem(last=False)[0][1])
+
+
+_parsed = _Parsed()
+
+
 class Lookup:
     """Receipts below `files`; None for none, and no receipt where it is damaged.
 
@@ -125,10 +146,15 @@ class Lookup:
     def _read(self, key: str, data: tuple[bytes, Mark] | None) -> tuple[Receipt | None, Mark] | None:
         if data is None:
             return None
-        try:
-            return parse_receipt(data[0], key, str(self._files.where / key)), data[1]
-        except DamagedError:
-            return None, data[1]
+        where = str(self._files.where / key)
+        receipt = _parsed.get(where, data[0])
+        if receipt is None:
+            try:
+                receipt = parse_receipt(data[0], key, where)
+            except DamagedError:
+                return None, data[1]
+            _parsed.keep(where, data[0], receipt)
+        return receipt, data[1]
 
     def _keep(self, name: Name, entry: tuple[Receipt | None, Mark, int] | None) -> None:
         self._drop(name)
@@ -141,8 +167,14 @@ class Lookup:
         entry = self._receipts.pop(name, None)
         self._bytes -= entry[2] if entry else 0
 
+    def wrote(self, name: Name, receipt: Receipt, mark: Mark, data: bytes) -> None:
+        """What this process has written of a part."""
+        where = str(self._files.where / receipt_key(*name))
+        _parsed.keep(where, data, Receipt.written(json.loads(data), where))
+        self.remember(name, receipt, mark, data)
+
     def remember(self, name: Name, receipt: Receipt, mark: Mark, data: bytes) -> None:
-        """What was just read or written of a part, and of its files if it is younger than the list."""
+        """What was just read of a part, or written, and of its files if it is younger than the list."""
         if not self._keeps:
             return
         self._keep(name, (receipt, mark, len(data)))

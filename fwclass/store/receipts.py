@@ -107,6 +107,12 @@ class Receipt:
             raise StoreError("not a receipt", where=where, got=wrong, do="remove the file; the part is made anew")
         return replace(receipt, meta=Meta(receipt.meta, receipt.stage, where))
 
+    @classmethod
+    def written(cls, value: Any, where: object) -> Receipt:
+        """As `from_json`, of what this process has just written: it is not looked at again."""
+        receipt = cls(**unseal(value))
+        return replace(receipt, meta=Meta(receipt.meta, receipt.stage, where, checked=True))
+
     def _fault(self) -> str:
         """What in it no writer of receipts wrote; "" if nothing."""
         for what, name in (("stage", self.stage), ("part", self.part)):
@@ -123,8 +129,8 @@ class Meta(Mapping[str, Any]):
     """What a receipt tells, held to what its stage tells (`metas`) when it is first asked; `DamagedError` where it is
     something else, as who makes digests fit can write anything."""
 
-    def __init__(self, values: Mapping[str, Any], stage: str, where: object) -> None:
-        self._values, self._stage, self._where, self._checked = dict(values), stage, str(where), False
+    def __init__(self, values: Mapping[str, Any], stage: str, where: object, checked: bool = False) -> None:
+        self._values, self._stage, self._where, self._checked = dict(values), stage, str(where), checked
 
     def _told(self) -> dict[str, Any]:
         if not self._checked:

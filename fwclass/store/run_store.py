@@ -239,7 +239,7 @@ class Store:
             if twin is None or (twin.key, twin.digest) != (receipt.key, receipt.digest):
                 raise
             return twin
-        self._lookup.remember(name, receipt, own, text.encode())
+        self._lookup.wrote(name, receipt, own, text.encode())
         return receipt
 
     # small pieces of plain data
