@@ -113,12 +113,12 @@ def _no_address_inside(inner: Callable[[str], bool]) -> None:
             nowhere = rtsys.library.get_pointer_to_function("nrt_unresolved_abort")
             module, name = fndesc.lookup_module(), fndesc.qualname.split(".")[-1]
             return _dynfunc.make_function(module, name, "for compiled code alone", nowhere, env, (library,))
-        made = executable(context, library, fndesc, env)
+        function = executable(context, library, fndesc, env)
         for value in library._final_module.global_variables:
             there = lookup_environment(value.name)
             if there is not None:
                 library.codegen.set_env(value.name, there)
-        return made
+        return function
 
     def set_where_it_is(codegen: Any, name: str, env: Any) -> None:
         if codegen._engine.get_global_value_address(name):

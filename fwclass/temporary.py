@@ -29,7 +29,7 @@ def temporary_directory(kind: str, beside: Path | None = None) -> Iterator[Path]
     prefix = f"{'.' if beside is not None else ''}fwclass-{kind}-"
     for left in place.glob(f"{prefix}*"):
         _remove_left(left)
-    directory, handle = _made(place, prefix)
+    directory, handle = _make_locked(place, prefix)
     try:
         yield directory
     finally:
@@ -48,7 +48,7 @@ def array_in_file(file: IO[bytes], dtype: DTypeLike, shape: tuple[int, ...]) -> 
     return np.memmap(file, dtype, "r+", shape=shape)
 
 
-def _made(place: Path, prefix: str) -> tuple[Path, int]:
+def _make_locked(place: Path, prefix: str) -> tuple[Path, int]:
     """A directory, and the handle that holds its lock."""
     while True:
         directory = Path(tempfile.mkdtemp(prefix=prefix, dir=place))

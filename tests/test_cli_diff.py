@@ -79,6 +79,7 @@ def test_the_words_say_what_was_lost(runs):
     assert "LOST        overall accuracy, kappa, mean iou" in ended.stdout and "from bush to ground" in ended.stdout
 
 
+@pytest.mark.slow
 def test_other_tiles_change_no_class(runs):
     found = json.loads(fwclass("diff", "r", "s", "--json", cwd=runs).stdout)
     assert found["echoes"]["common"] == 6000 and found["echoes"]["only_second"] == 0

@@ -54,6 +54,7 @@ def echoes(run: Path) -> dict[str, np.ndarray]:
     return {n: v[order] for n, v in rows.items()}
 
 
+@pytest.mark.slow
 def test_every_square_has_its_own_parameters_and_says_by_what_evidence(run: Path) -> None:
     told = json.loads((run / "report.json").read_text())["ground"]
     level, steep, few = sorted(told["auto"]["squares"], key=lambda s: s["bounds"])
@@ -71,6 +72,7 @@ def test_every_square_has_its_own_parameters_and_says_by_what_evidence(run: Path
     assert "ground-auto" in {s["name"] for s in json.loads((run / "report.json").read_text())["stages"]}
 
 
+@pytest.mark.slow
 def test_neither_hall_nor_hillside_is_lost_as_with_one_set(land: Path, run: Path) -> None:
     told = fwclass("run", land / "two.yaml", "--out", land / "one", *WORDS[:4])
     assert told.returncode == 0, told.stderr
@@ -100,6 +102,7 @@ def test_tiles_and_workers_change_nothing(land: Path, run: Path, setting: tuple[
         assert (tmp_path / "run" / name).read_bytes() == (run / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_plan_status_and_seams_know_it(land: Path, run: Path) -> None:
     assert "parts are done" in fwclass("status", run).stdout
     planned = fwclass("plan", land / "two.yaml", *WORDS[:2], *WORDS[4:], "--out", land / "plan", "--json")
@@ -110,6 +113,7 @@ def test_plan_status_and_seams_know_it(land: Path, run: Path) -> None:
     assert again.returncode == 0 and "computed" not in again.stdout + again.stderr
 
 
+@pytest.mark.slow
 def test_quality_and_a_file_of_its_own(land: Path, tmp_path: Path) -> None:
     told = fwclass("run", land / "two.yaml", "--out", tmp_path, "--workflow", "quality", *WORDS[2:])
     assert told.returncode == 0 and "ground-auto" in told.stdout + told.stderr

@@ -79,6 +79,7 @@ def run(config: Path, out: Path, *more: str):
     return fwclass("run", config, "--out", out, "--workers", "0", *more)
 
 
+@pytest.mark.slow
 def test_polygons_that_lie_elsewhere_end_with_4(town, tmp_path: Path) -> None:
     ended = run(draw(town, 4.0), tmp_path / "run")
     assert ended.returncode == 4, ended.stderr

@@ -82,6 +82,31 @@ def test_words_alone_state_nothing() -> None:
         assert not STATES.search(text), text
 
 
+def bindings(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """(line, name) of all variables, arguments, attributes and functions that get their name there."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.attr
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.FunctionDef):
+            yield node.lineno, node.name
+
+
+def test_names_say_what_they_hold():
+    """What was `found`, `made` or `told` has a name of its own."""
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+    empty = [
+        f"{path.relative_to(PACKAGE.parent)}:{line}: {name}"
+        for path, tree in trees.items()
+        for line, name in bindings(tree)
+        if name.strip("_") in ("found", "made", "told")
+    ]
+    assert not empty, "\n".join(empty)
+
+
 if __name__ == "__main__":
     rows = {room: counted(room) for room in ROOMS}
     for room, (total, bare, silent) in rows.items():

@@ -58,10 +58,10 @@ def _checked(value: Any, param: click.Parameter | None, ctx: click.Context | Non
     if value == "":
         raise click.BadParameter("it is empty; name a file or a directory (. is the current one)", ctx, param)
     if not _is_utf8(place := Path(value).absolute()):
-        told = (
+        words = (
             f"{visible(place)} is no name in UTF-8, which other programs need; rename it, or choose another directory"
         )
-        raise click.BadParameter(told, ctx, param)
+        raise click.BadParameter(words, ctx, param)
     if kind := strange_kind(value):
         raise click.BadParameter(f"{value} is {kind}; name a file or a directory", ctx, param)
     if re.match(rf"({'|'.join(SCHEMES)}):/?[^/]", str(value)):

@@ -76,8 +76,8 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
     for path in files:
         try:
             with unchanged(path):
-                told = facts_of(path)
-            facts.append(told)
+                fact = facts_of(path)
+            facts.append(fact)
         except FwclassError as fault:
             faults.append(fault)
             click.echo(f"fwclass: {fault}", err=True)

@@ -120,21 +120,23 @@ def with_water(
     standard error.
     """
     answers = _answers(fits, waves, params, pulse, asked)
-    found = answers[:, FOUND]
-    rows = np.flatnonzero(found > 0)
-    kept = np.flatnonzero(found[fits.row] == 0)
-    deep = rows[found[rows] == BOTTOM]
+    count = answers[:, FOUND]
+    rows = np.flatnonzero(count > 0)
+    kept = np.flatnonzero(count[fits.row] == 0)
+    deep = rows[count[rows] == BOTTOM]
     pulses, pulse_of = pulses_of(waves, pulse)
     widths = np.array([p.fwhm for p in pulses])[pulse_of]
-    made = [_echoes(answers, some, at, widths) for some, at in ((rows, _AT_SURFACE), (deep, _AT_BOTTOM)) if len(some)]
+    of_water = [
+        _echoes(answers, some, at, widths) for some, at in ((rows, _AT_SURFACE), (deep, _AT_BOTTOM)) if len(some)
+    ]
     columns = {f.name: getattr(fits, f.name) for f in fields(Fits)}
     kind = np.concatenate([np.zeros(len(kept)), np.full(len(rows), SURFACE), np.full(len(deep), BOTTOM)])
-    echoes = {n: np.concatenate([columns[n][kept], *(m[n] for m in made)]) for n in _PER_ECHO}
+    echoes = {n: np.concatenate([columns[n][kept], *(m[n] for m in of_water)]) for n in _PER_ECHO}
     order = np.lexsort((echoes["time"], echoes["row"]))
     echoes = {n: v[order].astype(columns[n].dtype) for n, v in echoes.items()}
     kind, row = kind[order].astype(np.uint8), echoes["row"]
     whole = {n: columns[n].copy() for n in _PER_WAVEFORM}
-    whole["count"][rows] = found[rows].astype(np.int64)
+    whole["count"][rows] = count[rows].astype(np.int64)
     for name, at in (("baseline", LEVEL), ("noise", NOISE), ("misfit", MISFIT)):
         whole[name][rows] = answers[rows, at]
     decay = np.where(kind > 0, answers[row, DECAY], np.nan)
@@ -152,18 +154,18 @@ def _echoes(
     answers: NDArray[np.float64], rows: NDArray[np.int64], at: Mapping[str, int], widths: NDArray[np.float64]
 ) -> dict[str, NDArray]:
     """Columns of `Fits` for the surfaces or the bottoms of `rows`."""
-    found = {name: answers[rows, k] for name, k in at.items()}
+    values = {name: answers[rows, k] for name, k in at.items()}
     return {
         "row": rows,
-        "amplitude": found["amplitude"],
-        "time": found["time"],
+        "amplitude": values["amplitude"],
+        "time": values["time"],
         "width": widths[rows],
-        "energy": AREA_PER_FWHM * found["amplitude"] * widths[rows],
-        "amplitude_sigma": np.sqrt(found["var"]),
-        "time_sigma": np.sqrt(found["var_time"]),
+        "energy": AREA_PER_FWHM * values["amplitude"] * widths[rows],
+        "amplitude_sigma": np.sqrt(values["var"]),
+        "time_sigma": np.sqrt(values["var_time"]),
         "width_sigma": np.full(len(rows), np.nan),
-        "deviation": found["deviation"],
-        "flags": found["flags"],
+        "deviation": values["deviation"],
+        "flags": values["flags"],
     }
 
 

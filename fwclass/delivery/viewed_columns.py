@@ -72,13 +72,13 @@ class ColourColumns:
 
     def of_tile(self, key: str, name: str) -> NDArray[np.uint8]:
         """Of all echoes of a tile, in the table's order."""
-        return self._kept(key, name, lambda: self._made(key, name))
+        return self._kept(key, name, lambda: self._make(key, name))
 
     def _kept(self, key: str, name: str, make: Callable[[], NDArray[np.uint8]]) -> NDArray[np.uint8]:
         version = self._classes.version(key) if name == CORRECTED else 0
         return np.asarray(self._open.cache.get(("bytes", key, name, version), make))
 
-    def _made(self, key: str, name: str) -> NDArray[np.uint8]:
+    def _make(self, key: str, name: str) -> NDArray[np.uint8]:
         if name == RIGHT:
             return self._verdicts(key)
         if name == CORRECTED:

@@ -78,9 +78,9 @@ def without_paths(crs: CRS) -> tuple[CRS, list[str]]:
         raise CRSError("a coordinate system nested too deep") from fault
     if left:
         raise CRSError(f"a coordinate system made by the file {left[0]}")
-    made = CRS.from_json_dict(plain) if paths else crs
-    made.to_2d()
-    return made, paths
+    system = CRS.from_json_dict(plain) if paths else crs
+    system.to_2d()
+    return system, paths
 
 
 def _unbound(node: Any, paths: list[str]) -> Any:

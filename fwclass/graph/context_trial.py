@@ -42,7 +42,7 @@ class Trial:
         pair = (at.reshape(-1) * classes + truth) * classes
         shape = (len(squares), classes, classes)
         counts = (
-            np.bincount(pair + told, minlength=len(squares) * classes**2).reshape(shape) for told in (first, both)
+            np.bincount(pair + layer, minlength=len(squares) * classes**2).reshape(shape) for layer in (first, both)
         )
         return cls(squares, *counts)
 

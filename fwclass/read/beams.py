@@ -194,10 +194,10 @@ def _distance_fault(crossing: Meeting, firsts: FirstSamples, ranged: bool) -> st
     stored = float(np.median(known)) if len(known) else np.nan
     if not len(known) or crossing.away / AS_FAR <= stored <= AS_FAR * crossing.away:
         return ""
-    told = f"{stored:.0f}" if abs(stored) < 1e9 else f"{stored:.3g}"
+    length = f"{stored:.0f}" if abs(stored) < 1e9 else f"{stored:.3g}"
     return (
         f"the beams of neighbouring pulses meet {crossing.away:.0f} m before the first samples, where the sensor was; "
-        f"by the file it was {told} m away: the distance from the sensor to the place of a row (range_m, optical "
+        f"by the file it was {length} m away: the distance from the sensor to the place of a row (range_m, optical "
         f"centre) is wrong, or {BEGIN}"
     )
 

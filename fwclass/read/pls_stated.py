@@ -67,12 +67,12 @@ def stated_fault(source: PulseSource, records: NDArray[Any], pulses: Pulses, kin
             f"{100 * _alike(ends, stated).mean():.0f} % of them as their own pulse does"
         )
     length = ends[:, 1:] - ends[:, :1]
-    told = _wrapped((stated[:, 1:] - stated[:, :1]).astype(np.float64))
-    long = np.flatnonzero((length[:, 0] > 0.0) & (told[:, 0] > 0.0))
+    stated_length = _wrapped((stated[:, 1:] - stated[:, :1]).astype(np.float64))
+    long = np.flatnonzero((length[:, 0] > 0.0) & (stated_length[:, 0] > 0.0))
     if len(long) >= FEW and (np.abs(_wrapped(ends - stated))[long, 0] <= 1.0).mean() >= ALL:
-        ratio = float(np.median(told[long, 0] / length[long, 0]))
+        ratio = float(np.median(stated_length[long, 0] / length[long, 0]))
         unlike = abs(ratio - 1.0) > ANOTHER
-        if unlike and (np.abs(told - ratio * length)[long, 0] <= 1.0 + ratio).mean() >= ALL:
+        if unlike and (np.abs(stated_length - ratio * length)[long, 0] <= 1.0 + ratio).mean() >= ALL:
             return (
                 f"waves begin as the pulses state it, and last {1 / ratio:.3g} times as long: the sample spacing of "
                 "their descriptor is another"

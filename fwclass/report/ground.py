@@ -44,12 +44,12 @@ def sunken_remarks(height: NDArray[np.floating], codes: NDArray[np.uint8]) -> li
 
     `height` above it [m], NaN for none, and class of every echo, (n,) each.
     """
-    told = np.isfinite(height) & ~np.isin(codes, (LOW_NOISE, HIGH_NOISE, WATER))
-    below = int((height[told] < -SUNKEN[0]).sum())
-    if below <= SUNKEN[1] * int(told.sum()):
+    known = np.isfinite(height) & ~np.isin(codes, (LOW_NOISE, HIGH_NOISE, WATER))
+    below = int((height[known] < -SUNKEN[0]).sum())
+    if below <= SUNKEN[1] * int(known.sum()):
         return []
     return [
-        f"{below:,} of {int(told.sum()):,} points lie more than {SUNKEN[0]:g} m below what the file calls ground "
+        f"{below:,} of {int(known.sum()):,} points lie more than {SUNKEN[0]:g} m below what the file calls ground "
         "(class 2): that class is something else there, or stands alone high up"
     ]
 

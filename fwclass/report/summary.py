@@ -37,11 +37,11 @@ def object_lines(objects: Mapping[str, Any] | None) -> list[str]:
     lines = []
     for one in (objects or {}).get("classes", ()):
         large = one["sizes"][-1]
-        found = f"{one['found']:,} of {one['reference']:,} found"
+        share = f"{one['found']:,} of {one['reference']:,} found"
         if 0 < large["reference"] < one["reference"]:
-            found += f" ({large['found']:,} of {large['reference']:,} from {large['from']:g} m² on)"
+            share += f" ({large['found']:,} of {large['reference']:,} from {large['from']:g} m² on)"
         false = one["predicted"] - one["correct"]
-        lines.append(f"{one['name']}: {found}, {one['split']:,} split; {false:,} false, {one['merged']:,} of several")
+        lines.append(f"{one['name']}: {share}, {one['split']:,} split; {false:,} false, {one['merged']:,} of several")
     return lines
 
 

@@ -231,14 +231,14 @@ def _check_own(about: Mapping[str, Any], name: str) -> None:
     installed, and among these are some that swell without bound, or unpickle."""
     (codec,) = about["codecs"]
     of = codec["configuration"]
-    told = [
+    described = [
         [codec["name"], *(c["name"] for c in of["codecs"]), *(c["name"] for c in of["index_codecs"])],
         about["chunk_grid"]["name"],
         about["chunk_key_encoding"],
         about.get("storage_transformers") or [],
     ]
     written: list[Any] = [_CODECS, "regular", {"name": "default", "configuration": {"separator": "/"}}, []]
-    if told != written or about["data_type"] not in _NUMBERS:
+    if described != written or about["data_type"] not in _NUMBERS:
         raise ValueError(f"{name}: numbers of type {about['data_type']!r}, in codecs that are not those of a run")
 
 

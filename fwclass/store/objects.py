@@ -145,13 +145,13 @@ class Objects:
         import obstore
 
         def read() -> list[StoredObject]:
-            found: dict[str, StoredObject] = {}
+            objects: dict[str, StoredObject] = {}
             for one in itertools.chain.from_iterable(obstore.list(self._store, below or None, chunk_size=1000)):
                 key = one["path"]
-                if key in found:  # a server whose pages go round would be listened to for ever
+                if key in objects:  # a server whose pages go round would be listened to for ever
                     raise OSError(f"the list has {key!r} twice")
-                found[key] = StoredObject(key, one["size"], _mark(one), one["last_modified"].timestamp())
-            return list(found.values())
+                objects[key] = StoredObject(key, one["size"], _mark(one), one["last_modified"].timestamp())
+            return list(objects.values())
 
         yield from self._again(read, below)
 

@@ -132,7 +132,7 @@ class Meta(Mapping[str, Any]):
     def __init__(self, values: Mapping[str, Any], stage: str, where: object, checked: bool = False) -> None:
         self._values, self._stage, self._where, self._checked = dict(values), stage, str(where), checked
 
-    def _told(self) -> dict[str, Any]:
+    def _sound(self) -> dict[str, Any]:
         if not self._checked:
             wrong = misfit_of(self._stage, self._values)
             if wrong:
@@ -147,26 +147,26 @@ class Meta(Mapping[str, Any]):
         return self._values
 
     def __getitem__(self, name: str) -> Any:
-        told = self._told()
-        if name not in told and is_told(self._stage, name):
+        values = self._sound()
+        if name not in values and is_told(self._stage, name):
             raise DamagedError(
                 "a receipt lacks what its stage tells",
                 where=self._where,
                 expected=f"meta.{name}",
-                got=", ".join(told)[:200] or "nothing",
+                got=", ".join(values)[:200] or "nothing",
                 do="remove the file; the part is made anew",
             )
-        return told[name]
+        return values[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._told()
+        return name in self._sound()
 
     def get(self, name: str, default: Any = None) -> Any:
         """What is told under `name`, `default` where nothing is."""
-        return self._told().get(name, default)
+        return self._sound().get(name, default)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._told())
+        return iter(self._sound())
 
     def __len__(self) -> int:
         return len(self._values)

@@ -169,14 +169,14 @@ def limit_library() -> None:
         """`ValueError` for one that names a file twice, or more topics than there are."""
 
         def load(self, text: str) -> Any:
-            made = super().load(text)
-            about = made["rosbag2_bagfile_information"]
+            metadata = super().load(text)
+            about = metadata["rosbag2_bagfile_information"]
             names = [PurePath(name).name for name in about["relative_file_paths"]]
             if len(set(names)) < len(names):
                 raise ValueError("a metadata.yaml that names a file twice")
             if len(about["topics_with_message_count"]) > TOPICS:
                 raise ValueError(f"a metadata.yaml of more than {TOPICS} topics")
-            return made
+            return metadata
 
     two.YAML = Metadata
 
@@ -199,14 +199,14 @@ def open_first(path: BagPath) -> Any:
 
     class Once(Reader):  # type: ignore[misc]
         def read_connection(self) -> Any:
-            made = super().read_connection()
-            _once(made.id, self._seen, "a connection")
-            return made
+            connection = super().read_connection()
+            _once(connection.id, self._seen, "a connection")
+            return connection
 
         def read_chunk(self) -> Any:
-            made = super().read_chunk()
-            _once(made.datapos, self._seen_chunks, "a chunk")
-            return made
+            chunk = super().read_chunk()
+            _once(chunk.datapos, self._seen_chunks, "a chunk")
+            return chunk
 
         def read_index_data(self, pos: int, indexes: Any) -> None:
             before = self.bio.tell()
@@ -234,14 +234,14 @@ class _BagDirectory:
     it goes with the next."""
 
     def __init__(self) -> None:
-        self._made = temporary_directory("bag")
+        self._directory = temporary_directory("bag")
 
     def __enter__(self) -> str:
-        self.name = str(self._made.__enter__())
+        self.name = str(self._directory.__enter__())
         return self.name
 
     def __exit__(self, *fault: Any) -> None:
-        self._made.__exit__(*fault)
+        self._directory.__exit__(*fault)
 
 
 class _Swelling:

@@ -115,13 +115,13 @@ def percentiles(values: NDArray[np.float64], counts: NDArray[np.int64], of: tupl
     """As `numpy.percentile` of `values` (n,), each as often as `counts` (n,) says."""
     order = np.argsort(values, kind="stable")
     ends = np.cumsum(counts[order])
-    made = []
+    quantiles = []
     for share in of:
         at = (int(ends[-1]) - 1) * (share / 100.0)
         low = math.floor(at)
         a, b = (float(values[order][np.searchsorted(ends, min(k, ends[-1] - 1), "right")]) for k in (low, low + 1))
-        made.append(b - (b - a) * (1.0 - (at - low)) if at - low >= 0.5 else a + (b - a) * (at - low))
-    return made
+        quantiles.append(b - (b - a) * (1.0 - (at - low)) if at - low >= 0.5 else a + (b - a) * (at - low))
+    return quantiles
 
 
 class Prescriber:

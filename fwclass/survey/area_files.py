@@ -133,8 +133,8 @@ def boxes_of(a: NDArray[np.float64], b: NDArray[np.float64], cell: float) -> Ite
     """Boxes of the squares of edge `cell` [m] of the global grid whose middles lie in polygons with edges `a` to `b`,
     (n, 2) each [m]; holes are left out. No two share area."""
     growing: dict[tuple[int, int], int] = {}
-    for row, found in _runs(a, b, cell):
-        runs = set(found)
+    for row, in_row in _runs(a, b, cell):
+        runs = set(in_row)
         for run in [r for r in growing if r not in runs]:
             yield Box(run[0] * cell, growing.pop(run) * cell, run[1] * cell, row * cell)
         growing |= {run: row for run in sorted(runs) if run not in growing}

@@ -34,7 +34,8 @@ def undisturbed(request, times):
     return (request.getfixturevalue("finished"), ()) if times < 10 else (request.getfixturevalue("longer"), LONGER)
 
 
-@pytest.mark.parametrize("times", [2, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [2, 50])
 def test_killed_workers_change_nothing(survey, request, tmp_path, times):
     whole, more = undisturbed(request, times)
     root = tmp_path / "run"

@@ -9,7 +9,7 @@ from fwclass.run.cluster import Cluster
 from fwclass.run.lost import MEMORY
 from fwclass.run.part import Task
 
-pytestmark = pytest.mark.faults
+pytestmark = [pytest.mark.faults, pytest.mark.slow]
 
 MEMORY_GIB = 0.6
 

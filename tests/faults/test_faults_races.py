@@ -74,7 +74,7 @@ def receipts(bucket: Bucket, place: str, stage: str, part: str) -> list[Receipt]
     return [Receipt.from_json(json.loads(c.data), c.key) for c in bucket.log if c.key == key and c.data]
 
 
-@pytest.mark.parametrize("lost", [0.0, 0.15])
+@pytest.mark.parametrize("lost", [0.0, pytest.param(0.15, marks=pytest.mark.slow)])
 def test_of_writers_without_a_lock_each_commit_that_is_told_was_done_once(tmp_path, monkeypatch, place, lost):
     """As of a host that slept, and has not noticed that its lock is gone."""
     for name, value in {**KEYS, "FWCLASS_SCRATCH": str(tmp_path / "copies")}.items():

@@ -102,6 +102,7 @@ def test_content_of_another_kind_under_any_name_does_no_harm(server: Child) -> N
     assert wrong(server, lines) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", QUICK)
 def test_drawn_inputs_do_no_harm(command: str, server: Child) -> None:
     assert wrong(server, [f"{command} * {k}" for k in range(QUICK[command])]) == []

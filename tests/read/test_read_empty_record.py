@@ -25,9 +25,7 @@ def with_empty_record(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "point_format", [pytest.param(1, marks=pytest.mark.slow), 4, pytest.param(6, marks=pytest.mark.slow), 9]
-)
+@pytest.mark.parametrize("point_format", [9, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 4, 6))])
 def test_is_copied_and_read_with_all_else(tmp_path: Path, point_format: int) -> None:
     r = np.random.default_rng(0)
     xyz = np.c_[500_000 + r.uniform(0, 10, (40, 2)), 100 + r.random(40)]

@@ -274,6 +274,7 @@ def test_damage_anywhere_ends_in_waveforms_or_in_words(tmp_path, params, sound, 
         assert "where" in str(error)
 
 
+@pytest.mark.slow
 def test_real_pulses(shared_data, params, tmp_path, monkeypatch):
     """A GeoLas file, compressed by the encoder of the tests; without what is taken apart of it where it is not."""
     monkeypatch.setattr(pls_read, "_runs_together", lambda _: False)

@@ -202,6 +202,7 @@ def test_the_context_of_a_base_model_may_be_left_out_or_be_another(contextual, t
     assert "features" not in ended.stderr.split("do not suffice")[0], "before anything dear is computed"
 
 
+@pytest.mark.slow
 def test_where_it_pays_a_base_model_in_context_brings_its_own_and_one_without_keeps_its_classes(
     contextual, made, tmp_path
 ):
@@ -236,6 +237,7 @@ def test_rows_are_kept_with_their_context_where_it_pays(why, made, tmp_path, mon
 RENAMED = "survey.classes=[{name: Boden, code: 20, codes: [2]}, {name: Busch, code: 5, codes: [1, 5]}]"
 
 
+@pytest.mark.slow
 def test_rows_are_matched_by_what_codes_mean(contextual, tmp_path):
     """The same model, whatever the classes are called and written as."""
     roots = {}

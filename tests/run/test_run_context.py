@@ -248,6 +248,7 @@ def given_up(survey, begun):
     return root, report
 
 
+@pytest.mark.slow
 def test_where_a_second_layer_does_not_pay_a_run_answers_as_with_one(given_up, one_layer):
     root, report = given_up
     assert answers(root) == answers(one_layer)

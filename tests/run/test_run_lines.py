@@ -43,6 +43,7 @@ def echoes_that_trained(root):
     return (within(echoes, areas) & (echoes["reference"] > 0))[order]
 
 
+@pytest.mark.slow
 def test_classes_change_and_it_is_said(survey, lined, tmp_path):
     runner, _ = walk(survey, tmp_path / "without", *AWAY)
     assert not runner.failures

@@ -79,6 +79,7 @@ def test_variants_are_judged_on_the_same_echoes(fan) -> None:
     assert list(facts["splits"]) == ["3", "4", "5", "6"]
 
 
+@pytest.mark.slow
 def test_classes_that_the_paper_lacks_are_told_but_do_not_count(fan) -> None:
     _, facts = fan
     assert sum(facts["unscored"]["artificial"].values()) == facts["rows"]["artificial"][1] > 0
@@ -87,6 +88,7 @@ def test_classes_that_the_paper_lacks_are_told_but_do_not_count(fan) -> None:
     assert np.sum(facts["every_class"]["confusion"]) == sum(n for _, n in facts["rows"].values())
 
 
+@pytest.mark.slow
 def test_three_features_per_split_is_the_run_s_own_forest(fan) -> None:
     """int(lb 6 + 1) = 3: the variant must repeat the run's own trees; seed 1 with waveforms is the same forest too."""
     _, facts = fan
@@ -95,6 +97,7 @@ def test_three_features_per_split_is_the_run_s_own_forest(fan) -> None:
     assert facts["splits"]["3"]["out_of_bag"] == pytest.approx(own["out_of_bag"]["accuracy"])
 
 
+@pytest.mark.slow
 def test_differences_are_those_of_the_accuracies(fan) -> None:
     _, facts = fan
     for k, seed in enumerate(facts["thesis"]["seeds"]):
@@ -105,6 +108,7 @@ def test_differences_are_those_of_the_accuracies(fan) -> None:
     assert facts["thesis"]["features"]["without"] == ["zc", "echo_number", "echo_ratio_r100", "inclination_r100"]
 
 
+@pytest.mark.slow
 def test_every_claim_has_a_verdict_and_the_page_stands_alone(fan) -> None:
     root, facts = fan
     assert len(facts["claims"]) == 14
@@ -116,6 +120,7 @@ def test_every_claim_has_a_verdict_and_the_page_stands_alone(fan) -> None:
         assert claim["verdict"] in page
 
 
+@pytest.mark.slow
 def test_a_second_run_makes_nothing(fan, survey: Path) -> None:
     root, facts = fan
     runner, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
@@ -131,6 +136,7 @@ def looked_at(name: str, survey: Path, root: Path, *settings: str) -> RunStatus:
     return look_at(root, lambda runner: WORKFLOWS[name](config, runner))
 
 
+@pytest.mark.slow
 def test_status_tells_the_page_s_own_parts(fan, survey: Path) -> None:
     root, _ = fan
     settings = ("survey.features=fan2013-six", "features.also=[backscatter]")

@@ -137,6 +137,7 @@ def walked(survey: Path, finished: tuple[Path, dict]):
     return make_plan(begin(config), survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
 
 
+@pytest.mark.slow
 def test_what_the_headers_tell_is_what_the_run_finds(walked) -> None:
     plan, _, report = walked
     counts = report["counts"]

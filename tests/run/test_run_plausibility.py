@@ -134,6 +134,7 @@ def test_ground_of_a_decomposed_file_does_not_see_them(haunted, tmp_path):
         assert raster.read(1, masked=True).min() > 264.0
 
 
+@pytest.mark.slow
 def test_a_run_tells_keeps_its_terrain_and_ends_with_4(haunted, tmp_path):
     (tmp_path / "strip_01.las").write_bytes(haunted.read_bytes())
     (tmp_path / "strip_01.wdp").write_bytes(haunted.with_suffix(".wdp").read_bytes())

@@ -54,6 +54,7 @@ def of_run(root, columns):
     return table.take(np.argsort(canonical_key(table)))
 
 
+@pytest.mark.slow
 def test_the_pulse_of_a_large_strip_and_its_echoes_are_the_run_s(whole, strip):
     run = PartInputs(Store(whole))
     with strip_of(open_source(strip), (SAMPLED, *SETTINGS, *DEMO)) as one:

@@ -75,6 +75,7 @@ def test_echoes_that_the_vendor_lacks_are_counted(survey: Path, tmp_path: Path) 
     assert "no echo fitted; vendor returns at [ns]: 40.00" in text
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_chunks(survey: Path, tmp_path: Path) -> None:
     answers = []
     for k, size in enumerate((100_000, 7)):

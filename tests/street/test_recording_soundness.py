@@ -140,6 +140,7 @@ def test_a_trajectory_of_another_day(tmp_path: Path) -> None:
     assert ended.returncode == 0 and "frames are outside the trajectory's time" in ended.stdout, ended.stdout
 
 
+@pytest.mark.slow
 def test_commands_end_with_4_after_their_work(tmp_path: Path) -> None:
     sets = [word for s in SHORT for word in ("--set", s)]
     wrong = write(tmp_path / "a.parquet", {"time": 1000 * columns()["time"]})
@@ -172,6 +173,7 @@ def test_the_model_knows_its_mounting(tmp_path: Path) -> None:
     assert "remark" not in ended.stderr
 
 
+@pytest.mark.slow
 def test_what_the_model_has_not_seen_is_told_alike_online_and_whole(tmp_path: Path) -> None:
     near = write(tmp_path / "a.parquet", {"ranges": 0.4 * columns()["ranges"]})
     drifts = []

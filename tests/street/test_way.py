@@ -54,6 +54,7 @@ def test_sound_drives_are_not_told(seed: int, pitch: float, leaves: bool) -> Non
     assert told == [] and 0.6 < facts["stretch"] < 1.6 and facts["lean_share"] < 0.35, facts
 
 
+@pytest.mark.slow
 @pytest.mark.statistics
 def test_a_speed_in_kilometres_an_hour() -> None:
     facts, told = seen(drive(11, 0.0), 3.6, 0.0)

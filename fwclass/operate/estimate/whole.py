@@ -60,7 +60,7 @@ def make_plan(
 ) -> Plan:
     """The plan of `stages`, which are planned by `begun` (`Workflow.begin`), by the costs of section `plan`, or, as far
     as it goes, by receipts of a dry run, `trial`."""
-    config, told = begun.config, facts
+    config, of_waveforms = begun.config, facts
     begun, facts = with_returns(begun, facts)
     size, counts = config.tile.size, Counts.of(config, facts)
     observed = measure_costs(trial, config.plan.stages, amounts(begun, facts, size, stages)) if trial else None
@@ -75,7 +75,7 @@ def make_plan(
     best = propose_size(config, list(compared))
     return Plan(
         begun,
-        told,
+        of_waveforms,
         counts,
         spread_of(counts.pieces(facts), size),
         tile_halo(begun, stages),

@@ -98,18 +98,18 @@ def search_summary(
 
 def _at_the_edge(pairs: Sequence[tuple[float, float]], c: float, gamma: float) -> str:
     """What to tell of a choice beyond which nothing was tried; "" of one inside."""
-    told = []
+    sentences = []
     for name, setting, value, tried in (
         ("C", "c", c, sorted({a for a, _ in pairs})),
         ("gamma", "gamma", gamma, sorted({b for _, b in pairs})),
     ):
         if len(tried) > 1 and value in (tried[0], tried[-1]):
             end, further = ("smallest", "smaller") if value == tried[0] else ("largest", "larger")
-            told.append(
+            sentences.append(
                 f"{name} = {value:g} is the {end} that was tried, a {further} one may do better "
                 f"(compare.rbf_svm.{setting})"
             )
-    return "; ".join(told)
+    return "; ".join(sentences)
 
 
 def search(sample: Sample, folding: Folding, svm: RbfSvmParams, scaling: str, weights: Any) -> dict[str, Any]:
