@@ -97,6 +97,7 @@ class Waveforms:
     outgoing, outgoing_offsets : the same for the recorded outgoing pulses; a row without one is empty, and its
         `outgoing_start` is NaN. The outgoing pulse has the row's sample spacing and saturation.
     faults : counts of bad data met, by name, for example ``{"packet past the end": 3}``.
+    scan_angle : of every return, from the vertical [degrees], float32 (returns,); None where the file tells none.
     """
 
     pulses: Table
@@ -106,6 +107,7 @@ class Waveforms:
     faults: Mapping[str, int] = field(default_factory=dict)
     outgoing: NDArray[np.uint8] | NDArray[np.uint16] = field(default_factory=lambda: np.empty(0, np.uint8))
     outgoing_offsets: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    scan_angle: NDArray[np.float32] | None = None
 
     @property
     def wide(self) -> NDArray[np.uint16]:

@@ -64,6 +64,17 @@ def backward(part):
     part.z = np.asarray(part.z)[3 * pulse] + 0.3 * number
 
 
+def in_feet(part):
+    """Pulses of two returns along beams of 15 to 25 degrees, heights in feet."""
+    pulse, number = np.divmod(np.arange(len(part.points)), 2)
+    angle = np.random.default_rng(3).uniform(15, 25, len(pulse))[pulse]
+    x, y, z = (np.asarray(v)[2 * pulse] for v in (part.x, part.y, part.z))
+    part.gps_time, part.return_number, part.number_of_returns = 0.1 * pulse, number + 1, np.full(len(pulse), 2)
+    part.x, part.y = x + 6.0 * number * np.tan(np.radians(angle)), y
+    part.z = (z + 6.0 * (1 - number)) / 0.3048
+    part.scan_angle = np.rint(angle / 0.006).astype(np.int16)
+
+
 def cut(part):
     part.number_of_returns[:], part.return_number[:] = 2, 1
 
@@ -74,6 +85,7 @@ def cut(part):
         (rounded, 4, "places lie on a lattice, as if they were rounded (b.las: z 1 m)"),
         (stretched, 4, "single returns of b.las have an intensity of some"),
         (backward, 4, "returns that follow another of their pulse"),
+        (in_feet, 4, "heights are in feet, where places are in metres"),
         *(
             pytest.param(*only_told, marks=pytest.mark.slow)
             for only_told in (
@@ -115,6 +127,9 @@ def test_of_one_file_too(tmp_path):
     assert fwclass(*line, "--overwrite", "--accept-implausible").returncode == 0
     told = fwclass("info", path.parent / "b.las").stdout
     assert "! places lie on a lattice, as if they were rounded: z 1 m" in told
+    two_files(tmp_path, in_feet)
+    ended = fwclass(*line, "--overwrite")
+    assert ended.returncode == 4 and "heights are in feet" in ended.stderr, ended.stderr
     two_files(tmp_path, still)
     assert "! all GPS times are 0.000 s" in fwclass("info", path.parent / "b.las").stdout
 

@@ -141,7 +141,7 @@ def _facts(waves: Waveforms) -> dict[str, Any]:
         "waveforms": waves.pulses.rows,
         "returns_without_packet": int((~waves.returns["has_packet"]).sum()),
         "faults": {k: int(v) for k, v in sorted(waves.faults.items()) if v},
-        "values": count_returns(waves.returns),
+        "values": count_returns(waves.returns, waves.scan_angle),
     }
 
 

@@ -17,7 +17,8 @@ from fwclass.grid import quantise
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
-from fwclass.read.points import PointReader, coordinates, flags_of
+from fwclass.read.points import BLOCK, PointReader, coordinates, flags_of, gps_times, scan_angles
+from fwclass.read.return_counts import count_slants
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
 
@@ -32,6 +33,7 @@ _FIELDS = (
     | DecompressionSelection.CLASSIFICATION
     | DecompressionSelection.FLAGS
 )
+_BEAM_FIELDS = DecompressionSelection.GPS_TIME | DecompressionSelection.SCAN_ANGLE
 
 
 _CUT = [FAULTS.index(name) for name in ("packet past the end", "packet cut short")]
@@ -54,6 +56,7 @@ class PointCloud:
     flagged : bool (n,), withheld or synthetic.
     unfinished : points without a finite coordinate.
     absurd : points beyond any place on earth.
+    slants : `return_counts.count_slants` of the first points of a LAS file; empty for a text.
     cut_packets : what to tell of waveform packets that reach past the end of the packets there are.
     """
 
@@ -71,6 +74,7 @@ class PointCloud:
     unfinished: int
     absurd: int
     cut_packets: tuple[str, ...] = ()
+    slants: tuple[int, ...] = ()
 
     @property
     def points(self) -> int:
@@ -139,7 +143,18 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     x, y, z, last, classes, flagged = (np.concatenate(column) for column in zip(*parts, strict=True))
     xyz = x * units.xy, y * units.xy, z * units.z
     remarks = (f"{cut:,} of {len(z):,} waveform packets reach past the end of those there are",) if cut else ()
-    return replace(_cloud(source.path, source, crs, units, xyz, last, classes, flagged), cut_packets=remarks)
+    cloud = _cloud(source.path, source, crs, units, xyz, last, classes, flagged)
+    return replace(cloud, cut_packets=remarks, slants=_slants(source, units))
+
+
+def _slants(source: LasSource, units: LinearUnits) -> tuple[int, ...]:
+    """Those of the first points alone: times and angles are else not unpacked."""
+    with PointReader(source, _FIELDS | _BEAM_FIELDS) as reader:
+        points = reader.read(0, min(source.n_points, BLOCK))
+    x, y, z = coordinates(source, points)
+    returns = {"x": x * units.xy, "y": y * units.xy, "z": z * units.z, "gps_time": gps_times(source, points)}
+    returns |= {name: np.asarray(points[name]) for name in ("return_number", "number_of_returns")}
+    return tuple(count_slants(returns, scan_angles(source, points)))
 
 
 def _cloud(

@@ -19,7 +19,7 @@ from fwclass.read.packets import (
     pulses_of,
 )
 from fwclass.read.params import ReadParams
-from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, flags_of, gps_times
+from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, flags_of, gps_times, scan_angles
 from fwclass.read.segments import Rows, segment_links
 from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
 from fwclass.schema import Table
@@ -111,13 +111,15 @@ def read_las(source: LasSource, span: Span, use_flagged: bool = False, waves: bo
     columns["intensity"] = np.asarray(points["intensity"])
     columns["source_class"] = np.asarray(points["classification"], np.uint8)
     columns["withheld"] = flags_of(points) & (not use_flagged)
+    angle = scan_angles(source, points)
     faults = _return_faults(columns)
     if not (source.has_waves and waves):
         pulse = np.arange(span.first_point, span.first_point + len(points))
         nothing = np.zeros(len(points), np.bool_)
         columns |= {"pulse": pulse, "has_packet": nothing, "location": np.full(len(points), np.nan)}
         none = np.empty(0, np.dtype(source.sample_dtype))
-        return Waveforms(Table.empty(PULSE_COLUMNS), _returns(columns), none, np.zeros(1, np.int64), faults)
+        returns = _returns(columns)
+        return Waveforms(Table.empty(PULSE_COLUMNS), returns, none, np.zeros(1, np.int64), faults, scan_angle=angle)
     rows = Rows.of_points(source, points)
     refs = rows.refs
     packet, pulse = pulses_of(rows.key, span.shared, segment_links(source, rows))
@@ -127,7 +129,7 @@ def read_las(source: LasSource, span: Span, use_flagged: bool = False, waves: bo
     columns["location"] = np.where(np.isfinite(refs.location), refs.location, 0.0) + packets.shift
     pulses = _pulses(columns, refs, packets, span.first_pulse)
     faults |= packets.faults
-    return Waveforms(pulses, _returns(columns), packets.samples, packets.offsets, faults)
+    return Waveforms(pulses, _returns(columns), packets.samples, packets.offsets, faults, scan_angle=angle)
 
 
 def _returns(columns: dict[str, NDArray]) -> Table:

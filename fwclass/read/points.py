@@ -23,6 +23,9 @@ ZEROS = 16
 """Points without any value, right on the file's offset, that a block may hold; a page of a disk that was never written
 is 4096 bytes, 60 to 200 points."""
 
+FIRST_OF_14, ANGLE_STEP = 6, 0.006
+"""Point formats of LAS 1.4, and their unit of scan angles [degrees]; those before have whole degrees."""
+
 _BROKEN = (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError, InputError)
 
 WAVE_FIELDS = DecompressionSelection.XY_RETURNS_CHANNEL | DecompressionSelection.WAVEPACKET
@@ -149,6 +152,13 @@ def coordinates(source: LasSource, points: Any) -> tuple[NDArray[np.float64], ..
         np.asarray(points[name], np.float64) * scale + offset
         for name, scale, offset in zip("XYZ", source.scales, source.offsets, strict=True)
     )
+
+
+def scan_angles(source: LasSource, points: Any) -> NDArray[np.float32]:
+    """Angle of every point's beam from the vertical [degrees], as the file has it, float32 (points,)."""
+    if source.header.point_format >= FIRST_OF_14:
+        return np.asarray(points["scan_angle"], np.float32) * np.float32(ANGLE_STEP)
+    return np.asarray(points["scan_angle_rank"], np.float32)
 
 
 def gps_times(source: LasSource, points: Any) -> NDArray[np.float64]:

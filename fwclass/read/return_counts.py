@@ -32,28 +32,40 @@ EDGES = np.unique(np.rint(2.0 ** (np.arange(65) / 4.0)).astype(np.int64))
 PAIRED = 50_000
 """Returns of pulses with several that are looked at in a span for how they follow each other."""
 
+ASIDE, FALL = (10.0, 60.0), 2.0
+"""Degrees from the vertical and m of height between two returns whose slant is looked at: nearer the vertical a beam
+leans by the aircraft's pitch as much as by its scan."""
+
+SLANTS = 2.0 ** np.linspace(-3, 3, 61)
+"""Classes of ratios of slants, of 7 % each."""
+
 FIRST_LOOK = 1_000
 """Places that are looked at first."""
+
+SLANTED = 200
+"""Pairs of returns of a file whose slants say something."""
 
 FINE = 20
 """mm; a lattice of so few among the first places is looked into no further."""
 
 
-def count_returns(returns: Table) -> dict[str, Any]:
-    """Plain data of the returns of a span, as `join_counts` joins them.
+def count_returns(returns: Table, scan_angle: NDArray[np.float32] | None = None) -> dict[str, Any]:
+    """Plain data of the returns of a span and their scan angles [degrees], as `join_counts` joins them.
 
     ``intensities``: single returns by class of `EDGES` (the number of edges not above the value), where intensity is
     what a return's amplitude is, else empty. ``intensity``: least and greatest. ``times``: first and last GPS time [s],
     None without one. ``several``: returns of pulses with more than one. ``missing``: returns that such pulses lack at
     least. ``following``: among the first `PAIRED` of them, those that follow another of their pulse by number, and of
-    these the ones that do not lie higher. ``lattice``: for x, y and z [mm] the least and the greatest, and the longest
-    step of which all are multiples from there on; 0 where all are alike, and at most `FINE` where it need not be the
-    longest.
+    these the ones that do not lie higher. ``slants``: of these, aside of the vertical, how many have which ratio, by
+    class of `SLANTS`, of the slant by their places to that by their scan angle. ``lattice``: for x, y and z [mm] the
+    least and the greatest, and the longest step of which all are multiples from there on; 0 where all are alike, and at
+    most `FINE` where it need not be the longest.
     """
     number, of = (np.minimum(returns[n].astype(np.int64), MOST - 1) for n in ("return_number", "number_of_returns"))
     intensity, time = returns["intensity"], returns["gps_time"]
     time = time[np.isfinite(time)]
     singles = intensity[of <= 1] if np.isnan(returns["vendor_amplitude"]).all() else intensity[:0]
+    first, second = _pairs(returns)
     kinds, counts = np.unique(np.searchsorted(EDGES, singles, "right"), return_counts=True)
     pairs = np.bincount(number * MOST + of, minlength=MOST**2).reshape(MOST, MOST)
     return {
@@ -62,7 +74,8 @@ def count_returns(returns: Table) -> dict[str, Any]:
         "times": [float(time.min()), float(time.max())] if len(time) else None,
         "several": int((of > 1).sum()),
         "missing": missing_returns(pairs),
-        "following": _following(returns),
+        "following": [len(first), int((returns["z"][second] <= returns["z"][first]).sum())],
+        **({} if scan_angle is None else {"slants": count_slants(returns, scan_angle, (first, second))}),
         "lattice": [lattice_of(returns[axis]) for axis in "xyz"],
     }
 
@@ -81,6 +94,7 @@ def join_counts(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         "several": sum(p["several"] for p in parts),
         "missing": sum(p["missing"] for p in parts),
         "following": [sum(p.get("following", (0, 0))[k] for p in parts) for k in (0, 1)],
+        "slants": [sum(column) for column in zip(*(p["slants"] for p in parts if "slants" in p), strict=True)],
         "lattice": [join_lattices(p["lattice"][k] for p in parts) for k in range(3)] if parts else None,
     }
 
@@ -96,6 +110,15 @@ def coarse_step(lattice: Sequence[int]) -> int:
     """The step of a coarse lattice [mm], 0 for another one."""
     least, greatest, step = lattice
     return step if step >= COARSE and greatest - least >= LEVELS * step else 0
+
+
+def slant_ratio(slants: Sequence[int]) -> tuple[float, float]:
+    """Median of ratios by class of `SLANTS`, and third quartile over first; NaN for fewer than `SLANTED` ratios."""
+    if sum(slants) < SLANTED:
+        return np.nan, np.nan
+    middle = np.concatenate([SLANTS[:1], np.sqrt(SLANTS[1:] * SLANTS[:-1]), SLANTS[-1:]])
+    low, median, high = (middle[np.searchsorted(np.cumsum(slants), share * sum(slants))] for share in (0.25, 0.5, 0.75))
+    return float(median), float(high / low)
 
 
 def median_intensity(intensities: Mapping[str, int]) -> int:
@@ -118,14 +141,33 @@ def missing_returns(pairs: NDArray[np.int64]) -> int:
     return missing
 
 
-def _following(returns: Table) -> list[int]:
-    """Pairs of returns of one time and neighbouring numbers, and those whose second does not lie higher."""
+def count_slants(
+    returns: Mapping[str, NDArray], scan_angle: NDArray[np.float32], pairs: tuple[NDArray, NDArray] | None = None
+) -> list[int]:
+    """How many returns that follow another of their pulse have which ratio of the slant by their places to that by
+    their scan angle, by class of `SLANTS`.
+
+    returns : x, y, z [m], gps_time [s], return_number and number_of_returns, (n,) each; scan_angle [degrees], (n,).
+    """
+    first, second = _pairs(returns) if pairs is None else pairs
+    fall = returns["z"][first] - returns["z"][second]
+    angle = np.abs(scan_angle[first].astype(np.float64))
+    far = (fall >= FALL) & (angle >= ASIDE[0]) & (angle <= ASIDE[1])
+    first, second = first[far], second[far]
+    aside = np.hypot(*(returns[axis][first] - returns[axis][second] for axis in "xy"))
+    ratio = aside / fall[far] / np.tan(np.radians(angle[far]))
+    counts: list[int] = np.bincount(np.searchsorted(SLANTS, ratio), minlength=len(SLANTS) + 1).tolist()
+    return counts
+
+
+def _pairs(returns: Mapping[str, NDArray] | Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of returns of one time and neighbouring numbers, among the first `PAIRED` of pulses with several."""
     time, number, of, z = (returns[n] for n in ("gps_time", "return_number", "number_of_returns", "z"))
     some = np.flatnonzero((of > 1) & np.isfinite(time) & np.isfinite(z))[:PAIRED]
     some = some[np.lexsort((number[some], time[some]))]
     first, second = some[:-1], some[1:]
     pair = (time[first] == time[second]) & (number[first].astype(int) + 1 == number[second]) & (of[first] == of[second])
-    return [int(pair.sum()), int((pair & (z[second] <= z[first])).sum())]
+    return first[pair], second[pair]
 
 
 def lattice_of(values: NDArray[np.float64]) -> list[int]:

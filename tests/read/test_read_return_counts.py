@@ -12,6 +12,7 @@ from fwclass.read.return_counts import (
     lattice_of,
     median_intensity,
     missing_returns,
+    slant_ratio,
 )
 from fwclass.schema import Table
 
@@ -99,3 +100,52 @@ def test_returns_that_are_missing():
     pairs = np.zeros((16, 16), np.int64)
     pairs[1, 2], pairs[2, 2], pairs[3, 3] = 5, 3, 4
     assert missing_returns(pairs) == 2 + 8
+
+
+def slanted(per_metre=1.0, spread=0.0, rows=2_000):
+    """Pulses of two returns along their beams, heights in so many units a metre; and scan angles [degrees]."""
+    r = np.random.default_rng(4)
+    pulse, number = np.divmod(np.arange(rows), 2)
+    angle, way, fall = (
+        r.uniform(-30, 30, rows)[pulse],
+        r.uniform(0, 2 * np.pi, rows)[pulse],
+        r.uniform(1, 20, rows)[pulse],
+    )
+    aside = number * fall * np.tan(np.radians(np.abs(angle)))
+    told = angle + spread * r.normal(size=rows)[pulse]
+    table = Table(
+        {
+            "x": 5e5 + aside * np.cos(way),
+            "y": 5e6 + aside * np.sin(way),
+            "z": per_metre * (200.0 - number * fall),
+            "gps_time": pulse * 1e-5,
+            "return_number": number + 1,
+            "number_of_returns": np.full(rows, 2),
+            "intensity": np.ones(rows, np.int64),
+            "vendor_amplitude": np.full(rows, np.nan),
+        }
+    )
+    return table, told.astype(np.float32)
+
+
+@pytest.mark.parametrize(("per_metre", "ratio"), [(1.0, 1.0), (1 / 0.3048, 0.3048), (0.3048, 1 / 0.3048)])
+def test_beams_lean_as_their_scan_angles_tell_unless_units_differ(per_metre, ratio):
+    table, angle = slanted(per_metre)
+    counted = count_returns(table, angle)
+    known = (np.abs(angle[::2]) >= 10) & (-np.diff(table["z"])[::2] >= 2)
+    assert sum(counted["slants"]) == known.sum()
+    median, wide = slant_ratio(counted["slants"])
+    assert median == pytest.approx(ratio, rel=0.05) and wide < 1.1
+    shuffled = np.random.default_rng(5).permutation(table.rows)
+    assert count_returns(table.take(shuffled), angle[shuffled])["slants"] == counted["slants"]
+    assert join_counts([counted, counted, count_returns(returns(0))])["slants"] == [2 * n for n in counted["slants"]]
+
+
+def test_of_beams_without_angles_or_too_few_nothing_is_said():
+    table, angle = slanted(rows=200)
+    assert "slants" not in count_returns(table)
+    assert np.isnan(slant_ratio(count_returns(table, angle)["slants"])[0])
+    assert np.isnan(slant_ratio(join_counts([count_returns(table)])["slants"])[0])
+    assert sum(count_returns(table, 0 * angle)["slants"]) == 0
+    wide = count_returns(*slanted(spread=12.0))["slants"]
+    assert slant_ratio(wide)[1] > 1.3

@@ -23,7 +23,7 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
-from fwclass.report.returns import coarse_places
+from fwclass.report.returns import places_facts
 from fwclass.schema import Table
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
@@ -113,7 +113,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     written = write_points(cloud, job.output, classes, publish)
     rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
-    stray, place, returns = stray_points(cloud, shown), place_of_cloud(cloud), coarse_cloud(cloud, job.source)
+    stray, place, returns = stray_points(cloud, shown), place_of_cloud(cloud), places_of_cloud(cloud, job.source)
     odd = [*cloud.cut_packets, *place["remarks"], *returns["remarks"]]
     return {
         "input": str(job.source),
@@ -250,10 +250,11 @@ def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
     return place_facts(cloud.crs, low, high, getattr(cloud.source, "header", None))
 
 
-def coarse_cloud(cloud: PointCloud, source: Path) -> dict[str, Any]:
-    """Whether the points lie on a coarse lattice, as `report.returns.judge_returns` takes it."""
+def places_of_cloud(cloud: PointCloud, source: Path) -> dict[str, Any]:
+    """Whether the points lie on a coarse lattice, or heights are in another unit, as `report.returns.judge_returns`
+    takes it."""
     places = [values[cloud.usable] for values in (cloud.x, cloud.y, cloud.z)]
-    return coarse_places(places, source.name, conf.section("plausibility"))
+    return places_facts(places, cloud.slants, source.name, conf.section("plausibility"))
 
 
 def _notes(

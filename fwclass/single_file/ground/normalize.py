@@ -23,9 +23,9 @@ from fwclass.report.ground import sunken_remarks
 from fwclass.single_file.ground.file import (
     came_as_noise,
     classes_of,
-    coarse_cloud,
     filter_cloud,
     place_of_cloud,
+    places_of_cloud,
     shown_points,
     some_shown,
 )
@@ -104,7 +104,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     height[rows] = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)["height_above_ground"]
     tell("writing")
     written = _write(cloud, flags, height, job)
-    known, place, returns = height[np.isfinite(height)], place_of_cloud(cloud), coarse_cloud(cloud, job.source)
+    known, place, returns = height[np.isfinite(height)], place_of_cloud(cloud), places_of_cloud(cloud, job.source)
     sunken = sunken_remarks(height, cloud.classes) if method is None and cloud.classes is not None else []
     return {
         "input": str(job.source),
