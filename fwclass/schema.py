@@ -21,6 +21,10 @@ _CODED = re.compile(r"^(?P<base>[a-z_]+)_(?P<code>0|[1-9]\d{0,2})$")
 
 IDENTITY = ("strip", "pulse", "echo_number")
 
+MOVED = 1.0
+"""m along an axis between two echoes of one identity, from which they are different ones: no other decomposition moves
+an echo so far, and where a file's points were sorted anew its pulses have other numbers."""
+
 
 class Scale(NamedTuple):
     """What a feature is taken over: a `kind` of `columns.SCALES`; `size` in centimetres, or echoes (k), 0 for opt."""
@@ -173,6 +177,14 @@ def canonical_key(table: Table) -> NDArray[np.uint64]:
     strip = table["strip"].astype(np.uint64) << np.uint64(40)
     pulse = table["pulse"].astype(np.uint64) << np.uint64(8)
     return np.asarray(strip | pulse | table["echo_number"].astype(np.uint64), np.uint64)
+
+
+def lie_apart(
+    first: Mapping[str, NDArray], i: NDArray[np.int64], second: Mapping[str, NDArray], j: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Whether rows `i` of the first are, though of one identity, other echoes than rows `j` of the second, (n,) each:
+    by x, y and z [m], `MOVED`."""
+    return np.logical_or.reduce([np.abs(first[axis][i] - second[axis][j]) > MOVED for axis in "xyz"])
 
 
 def require(table: Table, names: Iterable[str], where: object) -> None:

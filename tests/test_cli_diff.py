@@ -13,6 +13,7 @@ import rasterio
 from commandline import fwclass
 from smallsurvey import small_survey
 
+from fwclass.delivery.viewed_colours import compare_classes
 from fwclass.operate.difference.deliveries import _echo_lines, _height_lines, describe
 from fwclass.operate.difference.rasters import raster_changes
 
@@ -33,6 +34,25 @@ def runs(tmp_path_factory):
 
 def classes_of(place, name):
     return np.asarray(laspy.read(place / name / "laz" / "strips" / "a.laz").classification)
+
+
+def test_points_in_another_order_are_told_and_not_compared(tmp_path):
+    """They have other pulses' names: half of them were told to be of another class, and no word."""
+    small_survey(tmp_path)
+    for out in ("r", "q"):
+        assert fwclass("run", "s.yaml", "--out", out, "--workers", 0, cwd=tmp_path).returncode == 0
+        points = laspy.read(tmp_path / "a.las")
+        points.points = points.points[np.random.default_rng(1).permutation(len(points.points))]
+        points.write(tmp_path / "a.las")
+    ended = fwclass("diff", "r", "q", "--json", cwd=tmp_path)
+    echoes = json.loads(ended.stdout)["echoes"]
+    assert echoes["apart"] > 3000 and echoes["common"] < 100, echoes
+    assert "lie more than 1 m apart, and are not compared" in fwclass("diff", "r", "q", cwd=tmp_path).stdout
+    assert compare_classes(*tiles(tmp_path / "r"), [*tiles(tmp_path / "q")]).sum() < 50
+
+
+def tiles(run):
+    return sorted((run / "parquet").glob("*.parquet"))[:1]
 
 
 def test_two_generations(runs):
@@ -117,7 +137,7 @@ def test_a_report_that_was_changed_is_refused_in_words(runs):
 
 def test_deliveries_without_a_common_echo_are_told() -> None:
     """As where the later one is of the survey's quality alone, and has no tiles."""
-    nothing = {"common": 0, "only_first": 6000, "only_second": 0, "changed": 0, "classes": [], "matrix": []}
+    nothing = {"common": 0, "only_first": 6000, "only_second": 0, "apart": 0, "changed": 0, "classes": [], "matrix": []}
     assert list(_echo_lines(nothing))[1].split() == ["6,000", "in", "the", "first", "alone"]
 
 

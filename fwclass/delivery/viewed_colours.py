@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns
-from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.schema import IDENTITY, Table, canonical_key, lie_apart
 from fwclass.view.blocks import NO_VALUE
 
 RIGHT, DIFFERS, CORRECTED = "right_or_wrong", "differs", "corrected"
@@ -51,11 +51,14 @@ def kinds(part: str, files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
 
 def compare_classes(tile: Path, others: Iterable[Path]) -> NDArray[np.uint8]:
     """0 for an echo that none of the other run's tiles `others` has, 1 where the classes are the same, 2 where not."""
-    mine = table_columns(tile, (*IDENTITY, "classification"))
+    columns = (*IDENTITY, *"xyz", "classification")
+    mine = table_columns(tile, columns)
     out, who = np.zeros(len(mine["strip"]), np.uint8), _key(mine)
     for other in others:
-        theirs = table_columns(other, (*IDENTITY, "classification"))
+        theirs = table_columns(other, columns)
         _, here, there = np.intersect1d(who, _key(theirs), assume_unique=True, return_indices=True)
+        same = ~lie_apart(mine, here, theirs, there)
+        here, there = here[same], there[same]
         out[here] = np.where(mine["classification"][here] == theirs["classification"][there], 1, 2)
     return out
 

@@ -10,14 +10,11 @@ import numpy as np
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import InputError
-from fwclass.schema import IDENTITY
+from fwclass.schema import IDENTITY, MOVED, lie_apart
 from fwclass.store.run_location import address_of
 
 TOLD = ("classification", "confidence")
 """Of an echo, beside the other run's."""
-
-MOVED = 1.0
-"""m, further than another decomposition moves an echo."""
 
 
 def check_same_place(one: Delivery, other: Delivery) -> None:
@@ -56,8 +53,10 @@ def same_echo(other: Delivery, values: Mapping[str, Any]) -> dict[str, Any] | No
     x, y = values["x"], values["y"]
     near = {"bounds": [x - MOVED, y - MOVED, 0.0, x + MOVED, y + MOVED, 0.0]}
     for tile in tiles_of(other, near):
-        columns = table_columns(other.table(tile), (*IDENTITY, *TOLD))
+        columns = table_columns(other.table(tile), (*IDENTITY, *"xyz", *TOLD))
         rows = np.flatnonzero(np.logical_and.reduce([columns[n] == values[n] for n in IDENTITY]))
+        own = {axis: np.array([values[axis]]) for axis in "xyz"}
+        rows = rows[~lie_apart(columns, rows, own, np.zeros(len(rows), np.int64))]
         if len(rows):
             return {n: columns[n][rows[0]] if n in columns else np.nan for n in TOLD}
     return None

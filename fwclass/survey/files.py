@@ -25,7 +25,11 @@ def find_files(
     """
     matching: dict[Location, None] = {}
     for pattern in patterns:
-        matches = _matches(pattern, directory, params)
+        matches = (
+            sorted(find_remote(pattern, directory, params), key=str)
+            if isinstance(directory, Url)
+            else matching_files(pattern, directory)
+        )
         if not matches:
             raise InputError(
                 "no file matches",
@@ -38,9 +42,8 @@ def find_files(
     return sorted(matching, key=lambda p: (p.name, str(p)))
 
 
-def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[Location]:
-    if isinstance(directory, Url):
-        return sorted(find_remote(pattern, directory, params), key=str)
+def matching_files(pattern: str, directory: Path) -> list[Path]:
+    """Files of this host whose paths below `directory` match, sorted; `InputError` for a pipe, a device or a socket."""
     parts = Path(pattern).parts
     fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))
     wild = parts[len(fixed) :]
@@ -51,9 +54,9 @@ def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[L
     return _files(sorted(map(Path, glob.glob(wanted, recursive=True))))  # noqa: PTH207
 
 
-def _files(paths: Iterable[Path]) -> list[Location]:
-    """Those that are files; `InputError` for a pipe, a device or a socket: nothing is left out unseen."""
-    files: list[Location] = []
+def _files(paths: Iterable[Path]) -> list[Path]:
+    """Those that are files: nothing is left out unseen."""
+    files: list[Path] = []
     for path in paths:
         if kind := strange_kind(path):
             raise InputError(

@@ -246,6 +246,20 @@ def test_a_delivery_again_keeps_the_older_one_and_says_so(post):
             assert older.suffix == ".wdp" or older.read_bytes() == contents[-2]
 
 
+def test_a_delivery_again_replaces_the_older_one_where_that_lies(tmp_path):
+    inbox = Inbox(tmp_path / "inbox", Places((str(tmp_path / "survey" / "**" / "*.las"),), None), None)
+    inbox.directory.mkdir()
+    for name in ("day1/a.las", "day1/b.las", "day2/b.las"):
+        path = tmp_path / "survey" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    whole_place = tmp_path / "survey"
+    assert inbox.places.home("a.laz", whole_place) == tmp_path / "survey" / "day1"
+    assert inbox.places.home("A.las", whole_place) == tmp_path / "survey" / "day1"
+    assert inbox.places.home("b.las", whole_place) == whole_place  # which of the two is for a person to say
+    assert inbox.places.home("c.las", whole_place) == whole_place
+
+
 def test_links_below_replaced_are_not_followed(post, tmp_path):
     """Files elsewhere were removed as older versions, and older versions written elsewhere."""
     box, elsewhere = post(), tmp_path / "elsewhere"
@@ -381,6 +395,9 @@ def test_an_inbox_where_the_survey_looks_is_refused(tmp_path):
     for sources, inbox in (('["strips/*.las"]', "strips"), ('["**/*.las"]', "in"), ('["*/*.las"]', "in")):
         with pytest.raises(ConfigError, match="where the survey looks"):
             places_of(config_of(tmp_path, sources), tmp_path / "data" / inbox)
+    for sources in ('["*/*/*.las"]', '["in/replaced/*/a.las"]', '["in/*/*/*.las"]'):  # nor what it keeps of older files
+        with pytest.raises(ConfigError, match="or an older version"):
+            places_of(config_of(tmp_path, sources, "schedule.into=y/f"), tmp_path / "data" / "in")
     with pytest.raises(ConfigError, match="simulated"):
         places_of(conf.load("demo"), tmp_path)
 

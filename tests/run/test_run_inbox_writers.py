@@ -169,3 +169,16 @@ def test_a_schedule_runs_again_what_was_written_to_after_the_move(tmp_path: Path
         unwritten(tmp_path / "data" / "strips" / "a.las", 0, 1)
         until(lambda: log.read_text().count("run ended") == 2)
     assert "a.las: changed after the move into the survey: run again" in log.read_text()
+
+
+@pytest.mark.parametrize(
+    "note",
+    ['{"owed": 5}', '{"owed": {"a": 1}}', '{"owed": [1, null, "a.las"]}', "[]", '{"last": 7}', "{"]
+    + [f'{{"last_tick": {tick}}}' for tick in ("-1e300", "NaN", "Infinity", "-1e11", "1e12", '"x"', "true")],
+)
+def test_a_note_of_another_kind_ends_no_schedule(intake: Intake, tmp_path: Path, note: str) -> None:
+    """`schedule.json` may be anybody's: each start ended with a traceback until it was removed."""
+    (tmp_path / "r" / "schedule.json").write_text(note)
+    intake.state.resume()
+    assert intake.state.last_tick in (None, 1.0) and intake.state.owed in ([], ["a.las"])
+    intake.state.write(Now(0.0, 0.0), always=True)

@@ -9,7 +9,6 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from commandline import fwclass
@@ -25,9 +24,8 @@ from fwclass.store.directory import Directory, _size
 from fwclass.store.history import append as append_history
 from fwclass.store.history import lines as history_lines
 from fwclass.store.lock import SCHEDULE, WRITER, holder, writer
-from fwclass.store.params import StoreParams
 from fwclass.store.run_store import Store
-from fwclass.survey.files import _matches
+from fwclass.survey.files import matching_files
 from fwclass.survey.gather import require_distinct
 
 NAMES = [
@@ -108,22 +106,22 @@ TREE = ("a.las", "x/a.las", "x/y/b.las", "x/y/z/c.LAS", ".h/d.las", "x/.h/e.las"
         "none/**/*.las",
     ],
 )
-def test_patterns_find_what_glob_finds(pattern: str, tmp_path: Path, base: dict[str, Any]) -> None:
+def test_patterns_find_what_glob_finds(pattern: str, tmp_path: Path) -> None:
     root = tmp_path / "s"
     for name in TREE:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).touch()
     there = glob.glob(f"{root}/{pattern}", recursive=True)  # noqa: PTH207 - what surveys were found by
     wanted = sorted({Path(p) for p in there if Path(p).is_file()})
-    assert sorted(_matches(pattern, root, StoreParams(**base["store"]))) == wanted
+    assert sorted(matching_files(pattern, root)) == wanted
 
 
-def test_links_that_lead_back_are_walked_once(tmp_path: Path, base: dict[str, Any]) -> None:
+def test_links_that_lead_back_are_walked_once(tmp_path: Path) -> None:
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "a.las").touch()
     for name in "bcdefgh":
         (tmp_path / "d" / name).symlink_to(tmp_path)
-    found = _matches("**/*.las", tmp_path, StoreParams(**base["store"]))
+    found = matching_files("**/*.las", tmp_path)
     assert found == [tmp_path / "d" / "a.las"]
 
 

@@ -15,6 +15,7 @@ from fwclass.formats.geoparquet import header
 from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
 from fwclass.operate.difference.rasters import DIFFERS, raster_changes
+from fwclass.schema import MOVED
 from fwclass.store.atomic import move_into_place, read_json
 from fwclass.store.delivered import REPORT, held
 from fwclass.store.digests import digest_now
@@ -125,7 +126,8 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
 
     ``settings``, ``libraries``: by key, before and after, null where it was not there. ``files``: ``added``,
     ``removed``, ``changed``. ``accuracy``: figures before and after, of how many ``tested`` echoes; ``paired`` with
-    intervals where both are runs with the same test echoes, else null and ``why`` not. ``echoes``: counts, ``classes``
+    intervals where both are runs with the same test echoes, else null and ``why`` not. ``echoes``: counts (``apart``:
+    pairs of one name that lie apart and are not compared), ``classes``
     and ``matrix`` (rows before, columns after). ``heights``: `raster_changes` of terrain and surface. ``places``: boxes
     with most changed echoes.
     """
@@ -149,6 +151,7 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
             "common": changes.common,
             "only_first": changes.only[0],
             "only_second": changes.only[1],
+            "apart": changes.apart,
             "changed": changes.changed,
             "classes": [visible(names.get(code, str(code))) for code in codes],
             "codes": codes,
@@ -308,6 +311,12 @@ def _echo_lines(echoes: Mapping[str, Any]) -> Iterator[str]:
     for key, word in (("only_first", "first"), ("only_second", "second")):
         if echoes[key]:
             yield f"{'':<12}{echoes[key]:,} in the {word} alone"
+    if apart := echoes["apart"]:
+        yield (
+            f"{'NOTE':<12}{apart:,} echoes of one strip, pulse and number lie more than {MOVED:g} m apart, and are not "
+            "compared: a file's points were put in another order, or are others; what is told of echoes is told of the "
+            "rest alone"
+        )
     names = echoes["classes"]
     matrix = np.array(echoes["matrix"], np.int64).reshape(len(names), len(names))
     moves = [(int(matrix[i, j]), i, j) for i, j in np.argwhere(matrix) if i != j]

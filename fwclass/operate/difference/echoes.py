@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Box, Tile, TileGrid, groups
-from fwclass.schema import IDENTITY, Table
+from fwclass.schema import IDENTITY, Table, lie_apart
 from fwclass.store.tables import read_table
 
 CELL = 10.0
@@ -21,16 +21,18 @@ CELL = 10.0
 LEAST = 5
 """Changed echoes of a cell below which it makes no place."""
 
-_COLUMNS = (*IDENTITY, "x", "y", "classification")
+_COLUMNS = (*IDENTITY, "x", "y", "z", "classification")
 
 
 @dataclass
 class ClassChanges:
     """`matrix[before, after]`: echoes of both deliveries by class codes (256, 256). `only`: echoes of the first and the
-    second alone. `cells`: changed echoes by cell of `CELL` m."""
+    second alone. `apart`: of these, pairs of one identity in one tile that lie apart: other echoes have their numbers.
+    `cells`: changed echoes by cell of `CELL` m."""
 
     matrix: NDArray[np.int64] = field(default_factory=lambda: np.zeros((256, 256), np.int64))
     only: tuple[int, int] = (0, 0)
+    apart: int = 0
     cells: Counter[tuple[int, int]] = field(default_factory=Counter)
 
     @property
@@ -67,6 +69,9 @@ def class_changes(first: Path, second: Path, sizes: tuple[float, float]) -> Clas
         _, first_rows, second_rows = np.intersect1d(
             _keys(before), _keys(after), assume_unique=True, return_indices=True
         )
+        same = ~lie_apart(before, first_rows, after, second_rows)
+        changes.apart += int((~same).sum())
+        first_rows, second_rows = first_rows[same], second_rows[same]
         only += before.rows - len(first_rows), 0
         was, now = before["classification"][first_rows], after["classification"][second_rows]
         changes.matrix += np.bincount(was.astype(np.int64) * 256 + now, minlength=1 << 16).reshape(256, 256)

@@ -10,8 +10,8 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from fwclass.operate.schedule.inbox import REPLACED, Delivery
-from fwclass.operate.schedule.places import WAVES, Places
+from fwclass.operate.schedule.inbox import Delivery
+from fwclass.operate.schedule.places import REPLACED, WAVES, Places
 from fwclass.operate.schedule.watch import mark_of
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.store.atomic import sync

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from fwclass.read.las import LasSource
     from fwclass.read.pulsewaves import PulseSource
 
-REPLACED = "replaced"
-"""Directory in the inbox where older versions of files that came again are kept."""
-
 EXTERNAL, INTERNAL = 4, 2
 """Bits of a LAS file's global encoding: its waveforms lie beside it, or in it."""
 
@@ -138,7 +135,9 @@ class Inbox:
         if known is None or known[0] != state or known[1]:  # a fault may pass without a change: waveforms in place
             self._judged[head] = (state, fault_of(head, beside, target, bool(markers)))
         fault = self._judged[head][1]
-        return WaitingFile(head.name, fault) if fault else Delivery(head.name, files, markers, target)
+        if fault:
+            return WaitingFile(head.name, fault)
+        return Delivery(head.name, files, markers, self.places.home(head.name, target))
 
 
 def _marks(directory: Path) -> dict[Path, Mark]:

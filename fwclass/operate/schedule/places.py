@@ -7,8 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from fwclass.conf import Config
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, InputError
 from fwclass.paths import WAVEFORM_ENDINGS, path_matches
+from fwclass.survey.files import matching_files
+
+REPLACED = "replaced"
+"""Directory in the inbox where older versions of files that came again are kept, each in one named by the time."""
 
 WAVES = frozenset(ending for endings in WAVEFORM_ENDINGS.values() for ending in endings)
 
@@ -31,6 +35,17 @@ class Places:
             if (self.into or not any(map(_wild, parents))) and self.finds(place / name):
                 return place
         return None
+
+    def home(self, name: str, place: Path) -> Path:
+        """The directory of the one source that has this name, whatever its ending, or `place` where there is none or
+        several are."""
+        stem = PurePath(name).stem.lower()
+        try:
+            paths = {path for pattern in self.patterns for path in matching_files(pattern, Path("/"))}
+        except InputError:  # which the run will tell
+            return place
+        homes = {p.parent for p in paths if p.stem.lower() == stem and p.suffix.lower() in WAVEFORM_ENDINGS}
+        return homes.pop() if len(homes) == 1 else place
 
     def finds(self, path: Path) -> bool:
         """The survey takes `path` for one of its sources."""
@@ -56,10 +71,12 @@ def places_of(config: Config, inbox: Path) -> Places:
     directory = (config.path.parent / named).resolve()
     patterns = tuple(str(Path(glob.escape(str(directory))) / p) for p in config.survey.sources)
     into = None if config.schedule.into is None else (directory / config.schedule.into).resolve()
+    kept = inbox / REPLACED / "0"
     for pattern in patterns:
-        if path_matches(inbox.parts, PurePath(pattern).parts[:-1]):
+        if any(path_matches(place.parts, PurePath(pattern).parts[:-1]) for place in (inbox, inbox / REPLACED, kept)):
             raise ConfigError(
-                "the inbox lies where the survey looks for its sources: half a file would be classified",
+                "the inbox, or what it keeps of older files, lies where the survey looks for its sources: half a file "
+                "would be classified, or an older version",
                 where=inbox,
                 expected=f"a directory that {pattern} does not reach",
                 do="choose another inbox",

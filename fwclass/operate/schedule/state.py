@@ -20,6 +20,9 @@ from fwclass.store.lock import STATE as NAME
 from fwclass.store.refusals import LostRace
 from fwclass.store.run_location import RunLocation, address_of, held_by, read_note, write_note
 
+LATEST = 253_402_300_799
+"""s since the epoch, the end of the year 9999: what a date can tell."""
+
 WAITING, RUNNING, STOPPED = "waiting", "running", "stopped"
 
 
@@ -61,9 +64,9 @@ class State:
         except StoreError:
             state = {}
         if isinstance(state, dict):
-            self.owed = [str(n) for n in state.get("owed") or ()]
-            tick, last = state.get("last_tick"), state.get("last")
-            self.last_tick = float(tick) if isinstance(tick, (int, float)) else None
+            owed, tick, last = (state.get(name) for name in ("owed", "last_tick", "last"))
+            self.owed = [name for name in owed if isinstance(name, str)] if isinstance(owed, list) else []
+            self.last_tick = float(tick) if isinstance(tick, (int, float)) and 0 <= tick <= LATEST else None
             self.last = last if isinstance(last, dict) else None
 
     def write(self, now: Now, always: bool = False) -> None:
