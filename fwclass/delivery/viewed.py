@@ -101,7 +101,7 @@ class ViewedRun:
         ]
         return {
             "name": report["survey"],
-            "crs": report["place"].get("crs"),
+            "crs": (report["place"] or {}).get("crs"),
             "delivery": self.name,
             "rows": self.relabel.corrections.rows().all.rows,
             "echoes": self.echoes,

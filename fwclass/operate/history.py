@@ -25,6 +25,7 @@ from fwclass.operate.request import Request
 from fwclass.redact import redacted, redacted_setting
 from fwclass.store import history
 from fwclass.store.refusals import Unreachable
+from fwclass.store.shapes import COUNT, NUMBER, TEXT, WHOLE, Maybe, Shape, misfit
 
 if TYPE_CHECKING:
     from fwclass.store.run_location import (
@@ -44,17 +45,17 @@ WORDS = {
 }
 REFUSED, RUNNING = "refused", "running"
 
-_KINDS = {
-    "why": dict,
-    "parts": dict,
-    "told": dict,
-    "settings": list,
-    "tiles": list,
-    "exit_code": int,
-    "generation": int,
-    "seconds": int | float,
-    "accuracy": dict,
-    "echoes": int,
+_LINE: dict[str, Shape] = {
+    **dict.fromkeys(("began?", "word?"), TEXT),
+    **dict.fromkeys(("workflow?", "only?", "aoi?", "message?"), Maybe(TEXT)),
+    **dict.fromkeys(("settings?", "tiles?"), Maybe([TEXT])),
+    **dict.fromkeys(("generation?", "echoes?"), Maybe(COUNT)),
+    "exit_code?": Maybe(WHOLE),
+    "seconds?": Maybe(NUMBER),
+    "parts?": Maybe({TEXT: COUNT}),
+    "accuracy?": Maybe({TEXT: Maybe(NUMBER)}),
+    "why?": Maybe({"files?": Maybe([{}])}),
+    "told?": Maybe({TEXT: {}}),
 }
 """What the values of a line are, where they are there."""
 
@@ -263,7 +264,7 @@ def _join_lines(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     runs: dict[str, dict[str, Any]] = {}
     for line in lines:
         name = str(line.get("id"))
-        if any(not isinstance(line.get(word), kind | None) for word, kind in _KINDS.items()):
+        if misfit(line, _LINE):
             continue
         if line.get("record") in ("begin", "end", "told"):
             runs[name] = {**runs.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}

@@ -35,7 +35,7 @@ _SHARE = Maybe(NUMBER)
 REPORT: Shape = {
     "survey": TEXT,
     "classes": [{"name": TEXT, "code": _CODE}],
-    "place": {"crs?": Maybe(TEXT)},
+    "place": Maybe({"crs?": Maybe(TEXT)}),
     "model": {"features?": Maybe([TEXT]), "classes?": _CLASSES},
     "input": {"files": [{"path": TEXT, "strip": COUNT}]},
     "libraries": {"here": {TEXT: ANY}},

@@ -142,6 +142,19 @@ def test_words_of_signals():
         b'{"record": "end", "id": "x", "began": "now", "word": "done", "why": "it", "tiles": 3}',
         b'{"record": "end", "id": "x", "began": "now", "word": "done", "settings": 7}',
         b'{"record": "end", "id": "x", "began": "now", "word": "done", "seconds": Infinity}',
+        *(
+            b'{"record": "end", "id": "x", "began": "now", "word": "done", ' + inner + b"}"
+            for inner in (
+                b'"why": {"files": 5}',
+                b'"why": {"files": ["a"]}',
+                b'"told": {"webhook": 5}',
+                b'"tiles": [5]',
+                b'"workflow": ["x"]',
+                b'"seconds": 1' + b"0" * 400,
+                b'"accuracy": {"overall_accuracy": 1' + b"0" * 400 + b"}",
+                b'"accuracy": {"overall_accuracy": "x"}',
+            )
+        ),
     ],
 )
 def test_a_damaged_line_hides_no_other(tmp_path, damage):
@@ -153,6 +166,8 @@ def test_a_damaged_line_hides_no_other(tmp_path, damage):
     runs = past_runs(tmp_path)
     assert [run["exit_code"] for run in runs if run["id"] != "x"] == [0, 0]
     assert table(runs).count("manual") == 2
+    with record_run(tmp_path, request(tmp_path)) as entry:
+        assert entry.judged({"accuracy": {"overall_accuracy": 0.5, "kappa": 0.1}}) == ""
 
 
 @pytest.mark.parametrize(("overall", "kappa"), [(None, None), (1.0, None), (0.5, 0.0)])

@@ -49,7 +49,7 @@ def whole_blocks(
     for block in blocks:
         near = [t.key for t in grid.touching(reads(block)) if t.key in keys]
         names = [(s, t) for t in near for s in ("ground", "height")] + ([(stage, block.key)] if stage else [])
-        if near and all(look.states[n].standing == "done" for n in names):
+        if near and all(n in look.states and look.states[n].standing == "done" for n in names):
             whole.append(block)
     return whole
 
