@@ -23,8 +23,23 @@ def _messages(frames, store, ros2):
         yield at, bytes(write(laser, "sensor_msgs/msg/LaserScan"))
 
 
-def write_bag(path: Path, frames, compression=None) -> None:
-    """A ROS 1 bag with one topic of scans; `compression`: bz2, lz4 or None."""
+def _odometry(speed, at, store):
+    """`nav_msgs/Odometry` that tells a speed along x, in the bytes of ROS 1."""
+    t = store.types
+    point, turn, vector = (t[f"geometry_msgs/msg/{n}"] for n in ("Point", "Quaternion", "Vector3"))
+    pose = t["geometry_msgs/msg/Pose"](point(0.0, 0.0, 0.0), turn(0.0, 0.0, 0.0, 1.0))
+    twist = t["geometry_msgs/msg/Twist"](vector(speed, 0.0, 0.0), vector(0.0, 0.0, 0.0))
+    stamp = t["builtin_interfaces/msg/Time"](sec=at // 10**9, nanosec=at % 10**9)
+    head = t["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="odom")
+    place = t["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36))
+    moves = t["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36))
+    message = t["nav_msgs/msg/Odometry"](head, "base", place, moves)
+    return bytes(store.serialize_ros1(message, "nav_msgs/msg/Odometry"))
+
+
+def write_bag(path: Path, frames, compression=None, speeds=()) -> None:
+    """A ROS 1 bag with one topic of scans; `compression`: bz2, lz4 or None; `speeds` that odometry tells before the
+    first frames."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -34,7 +49,10 @@ def write_bag(path: Path, frames, compression=None) -> None:
         writer.set_compression(writer.CompressionFormat[compression.upper()])
     with writer:
         connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
-        for at, raw in _messages(frames, store, False):
+        wheels = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store) if len(speeds) else None
+        for k, (at, raw) in enumerate(_messages(frames, store, False)):
+            if k < len(speeds):
+                writer.write(wheels, at - 1, _odometry(float(speeds[k]), at - 1, store))
             writer.write(connection, at, raw)
 
 

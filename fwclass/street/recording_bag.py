@@ -17,6 +17,9 @@ from fwclass.street.recording_columns import MOST_BEAMS, frame_of
 
 SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 
+STALE = 1_000_000_000
+"""ns after which a speed is none any more: its source has fallen silent."""
+
 LARGEST = 64 << 30
 """Bytes of a bag."""
 
@@ -38,7 +41,8 @@ def _storages(reader: Any) -> list[Any]:
 
 
 class BagRecording:
-    """Scans of a topic; the vehicle's speed from `nav_msgs/Odometry`, the last one before a scan, if the bag has it."""
+    """Scans of a topic; the vehicle's speed from `nav_msgs/Odometry`, the last one within `STALE` before a scan, if the
+    bag has it."""
 
     def __init__(self, path: Path, scan: Scan, topic: str | None) -> None:
         self.path, self._scan = path, scan
@@ -118,7 +122,7 @@ class BagRecording:
         """As `Recording.frames`."""
         from rosbags.typesys import Stores, get_typestore
 
-        speed = math.nan
+        speed, spoke = math.nan, 0
         store = get_typestore(Stores.ROS2_HUMBLE if self._ros2 else Stores.ROS1_NOETIC)  # a bag's own might be anything
         read = store.deserialize_cdr if self._ros2 else store.deserialize_ros1
         with self._open() as reader:
@@ -127,7 +131,7 @@ class BagRecording:
             at = 0
             while True:
                 try:
-                    connection, _, raw = next(coming)
+                    connection, when, raw = next(coming)
                     if len(raw) > MESSAGE:
                         raise ValueError(f"a message of {len(raw)} bytes")
                     WORK.take(len(raw))
@@ -137,9 +141,9 @@ class BagRecording:
                 except Exception as fault:
                     raise self._damaged(fault, at) from None
                 if connection.msgtype == ODOMETRY:
-                    speed = float(message.twist.twist.linear.x)
+                    speed, spoke = float(message.twist.twist.linear.x), when
                     continue
-                yield self._frame(message, at, speed)
+                yield self._frame(message, at, speed if when - spoke <= STALE else math.nan)
                 at += 1
 
     def _frame(self, message: Any, at: int, speed: float) -> Frame:

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from bagmaker import write_bag
 from streetmaker import config, drive
 
 from fwclass.errors import InputError
@@ -79,6 +80,16 @@ def test_bags_of_both_kinds(tmp_path, ros2):
     placed, track = taken(frames)
     assert len(placed) == 2
     assert track.counts()["missing"] == {"below range_min": 2, "above range_max": 0, "NaN": 0, "infinite": 2}
+
+
+def test_odometry_that_falls_silent_tells_no_speed(tmp_path):
+    """The last speed was held to the end of the drive, and nobody was told."""
+    for name, told in (("whole", len(drive())), ("silent", 20)):
+        write_bag(tmp_path / f"{name}.bag", drive(), speeds=[f.speed for f in drive()[:told]])
+        facts = info(tmp_path / f"{name}.bag", config("street.speed=null").street)
+        without = facts["faults"].get("no speed", 0)
+        assert without == 0 if name == "whole" else len(drive()) - 70 < without < len(drive()) - 50
+        assert any("speed" in remark for remark in facts["remarks"]) == (name == "silent"), facts["remarks"]
 
 
 def test_a_bag_with_no_or_two_topics_of_scans(tmp_path):
