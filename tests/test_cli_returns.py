@@ -130,6 +130,9 @@ def test_of_one_file_too(tmp_path):
     two_files(tmp_path, in_feet)
     ended = fwclass(*line, "--overwrite")
     assert ended.returncode == 4 and "heights are in feet" in ended.stderr, ended.stderr
+    told = fwclass("info", path.parent / "b.las").stdout
+    assert "! returns below others of their pulse lie 0.3" in told and "heights are in feet" in told
+    assert "feet" not in fwclass("info", path.parent / "a.las").stdout
     two_files(tmp_path, still)
     assert "! all GPS times are 0.000 s" in fwclass("info", path.parent / "b.las").stdout
 

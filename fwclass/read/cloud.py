@@ -144,11 +144,12 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     xyz = x * units.xy, y * units.xy, z * units.z
     remarks = (f"{cut:,} of {len(z):,} waveform packets reach past the end of those there are",) if cut else ()
     cloud = _cloud(source.path, source, crs, units, xyz, last, classes, flagged)
-    return replace(cloud, cut_packets=remarks, slants=_slants(source, units))
+    return replace(cloud, cut_packets=remarks, slants=first_slants(source, units))
 
 
-def _slants(source: LasSource, units: LinearUnits) -> tuple[int, ...]:
-    """Those of the first points alone: times and angles are else not unpacked."""
+def first_slants(source: LasSource, units: LinearUnits) -> tuple[int, ...]:
+    """`return_counts.count_slants` of the first points of a file that has some: times and angles are else not
+    unpacked."""
     with PointReader(source, _FIELDS | _BEAM_FIELDS) as reader:
         points = reader.read(0, min(source.n_points, BLOCK))
     x, y, z = coordinates(source, points)

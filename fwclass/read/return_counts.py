@@ -3,9 +3,9 @@ lattice that their places lie on."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from math import gcd
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,13 @@ FIRST_LOOK = 1_000
 
 SLANTED = 200
 """Pairs of returns of a file whose slants say something."""
+
+FOOT = 0.3048
+"""m"""
+
+NEAR_UNIT, OF_ONE_UNIT = 0.15, 1.3
+"""Logarithm by which the ratio of slants may be off a foot's, and third quartile over first: in nine public files it is
+0.99 to 1.1 and 1.01 to 1.15, on a drone whose angles count from its own axes 0.6 and 2.5."""
 
 FINE = 20
 """mm; a lattice of so few among the first places is looked into no further."""
@@ -121,6 +128,16 @@ def slant_ratio(slants: Sequence[int]) -> tuple[float, float]:
     return float(median), float(high / low)
 
 
+def unit_fault(slants: Sequence[int]) -> str:
+    """That heights are in feet where places are in metres, or the other way round, by `count_slants`; "" for nothing
+    of the kind."""
+    ratio, wide = slant_ratio(slants)
+    for factor, words in ((FOOT, "heights are in feet, where places"), (1 / FOOT, "places are in feet, where heights")):
+        if abs(math.log(ratio / factor)) < NEAR_UNIT and wide < OF_ONE_UNIT:
+            return f"lie {ratio:.2f} times as far aside as their scan angles tell: {words} are in metres"
+    return ""
+
+
 def median_intensity(intensities: Mapping[str, int]) -> int:
     """Where the class of `EDGES` begins that the median of so many intensities lies in; 0 without any."""
     total, seen = sum(intensities.values()), 0
@@ -188,7 +205,7 @@ def join_lattices(lattices: Iterable[list[int]]) -> list[int]:
     if not known:
         return [0, 0, 0]
     least = min(low for low, _, _ in known)
-    step = gcd(*(its for _, _, its in known), *(low - least for low, _, _ in known))
+    step = math.gcd(*(its for _, _, its in known), *(low - least for low, _, _ in known))
     return [least, max(high for _, high, _ in known), step]
 
 

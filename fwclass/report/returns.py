@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_named, visible
 from fwclass.graph.quantities import quantity_of_feature
 from fwclass.graph.sources import strip_of
-from fwclass.read.return_counts import coarse_step, coarse_steps, join_counts, lattice_of, median_intensity, slant_ratio
+from fwclass.read.return_counts import coarse_step, coarse_steps, join_counts, lattice_of, median_intensity, unit_fault
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Strip
 
@@ -31,13 +30,6 @@ SEVERAL = 0.05
 
 PAIRS = 100
 """Returns of a file that follow another before they tell in which order they are numbered; all fall in nine files."""
-
-FOOT = 0.3048
-"""m"""
-
-NEAR_UNIT, OF_ONE_UNIT = 0.15, 1.3
-"""Logarithm by which the ratio of slants may be off a foot's, and third quartile over first: in nine public files it is
-0.99 to 1.1 and 1.01 to 1.15, on a drone whose angles count from its own axes 0.6 and 2.5."""
 
 WEEK = 604_800.0
 """s; adjusted standard time has been below it since 14 September 2011 alone, for a week."""
@@ -186,17 +178,12 @@ def _backward(counted: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _units(counted: Mapping[str, Mapping[str, Any]]) -> str:
     """That beams lean as they would if heights were in feet where places are in metres, or the other way round."""
-    ratios = {n: slant_ratio(f["slants"]) for n, f in counted.items() if f["slants"]}
-    for factor, words in ((FOOT, "heights are in feet"), (1 / FOOT, "places are in feet")):
-        names = [n for n, (r, wide) in ratios.items() if abs(math.log(r / factor)) < NEAR_UNIT and wide < OF_ONE_UNIT]
-        if names:
-            pairs, ratio = sum(sum(counted[n]["slants"]) for n in names), ratios[names[0]][0]
-            other = "places" if factor < 1 else "heights"
-            return (
-                f"{pairs:,} returns below others of their pulse ({first_few(names, NAMED)}) lie {ratio:.2f} times as "
-                f"far aside as their scan angles tell: {words}, where {other} are in metres"
-            )
-    return ""
+    faults = {n: fault for n, f in counted.items() if (fault := unit_fault(f["slants"]))}
+    if not faults:
+        return ""
+    pairs = sum(sum(counted[n]["slants"]) for n in faults)
+    first = next(iter(faults.values()))
+    return f"{pairs:,} returns below others of their pulse ({first_few(list(faults), NAMED)}) {first}"
 
 
 def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int], waves: bool) -> list[str]:
