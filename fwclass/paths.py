@@ -111,6 +111,16 @@ def below(directory: Path, name: str, links: bool = True) -> Path:
     )
 
 
+def run_around(path: Path) -> Path | None:
+    """The run directory whose store or delivery `path` lies in, whatever links lead there; None for none."""
+    resolved = path.resolve()
+    for own in (resolved, *resolved.parents):
+        run = own.parent
+        if own.name in ("store", "generations") and all((run / n).is_dir() for n in ("store", "generations")):
+            return run
+    return None
+
+
 def open_below(directory: Path, name: str, flags: int) -> int:
     """A handle of ``directory / name``, a file on a disk that is no link: opened by `flags`, without waiting.
 

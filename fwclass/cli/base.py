@@ -12,7 +12,7 @@ import click
 
 from fwclass import __version__
 from fwclass.errors import visible
-from fwclass.paths import strange_kind
+from fwclass.paths import run_around, strange_kind
 from fwclass.store.url import SCHEMES, is_url, url_of
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
@@ -88,16 +88,13 @@ class OutputPath(LocalPath):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         path = super().convert(value, param, ctx)
-        resolved = Path(path).resolve()
-        for own in (resolved, *resolved.parents):
-            run = own.parent
-            if own.name in ("store", "generations") and all((run / n).is_dir() for n in ("store", "generations")):
-                self.fail(
-                    f"{path} lies in what the run {run} has made and delivers, which commands leave as it is; name "
-                    "another place",
-                    param,
-                    ctx,
-                )
+        if run := run_around(Path(path)):
+            self.fail(
+                f"{path} lies in what the run {run} has made and delivers, which commands leave as it is; name another "
+                "place",
+                param,
+                ctx,
+            )
         return path
 
 

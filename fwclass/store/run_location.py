@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import FwclassError
+from fwclass.errors import ConfigError, FwclassError
+from fwclass.paths import run_around
 from fwclass.store.atomic import from_json, to_json
 from fwclass.store.bucket import Remote, files_at
 from fwclass.store.lock import WRITER, Lock, holder, writer
@@ -89,10 +90,19 @@ def write_note(location: RunLocation, name: str, value: Any, lock: Lock) -> None
 @contextmanager
 def unmade_again(location: RunLocation) -> Iterator[None]:
     """A run directory that is not there yet is taken away again, with its new parents, where a refusal leaves it
-    without a single part; nothing that was there before is touched. On object storage nothing is."""
+    without a single part; nothing that was there before is touched. On object storage nothing is. `ConfigError` for
+    one that would lie in another's store or delivery."""
     if isinstance(location, Remote) or location.exists():
         yield
         return
+    if around := run_around(location):
+        raise ConfigError(
+            "the run directory would lie in what another run has made and delivers",
+            where="--out",
+            expected="a directory outside of the store and the deliveries of a run",
+            got=f"{location}, in the run {around}",
+            do="name another place",
+        )
     parents = [p for p in location.parents if not p.exists()]
     try:
         yield

@@ -14,7 +14,7 @@ import pytest
 from commandline import fwclass
 
 from fwclass import paths
-from fwclass.errors import InputError, StoreError
+from fwclass.errors import ConfigError, InputError, StoreError
 from fwclass.operate.request import Request
 from fwclass.paths import below, path_matches
 from fwclass.run.logs import log_attempt, remove_logs
@@ -24,6 +24,7 @@ from fwclass.store.directory import Directory, _size
 from fwclass.store.history import append as append_history
 from fwclass.store.history import lines as history_lines
 from fwclass.store.lock import SCHEDULE, WRITER, holder, writer
+from fwclass.store.run_location import unmade_again
 from fwclass.store.run_store import Store
 from fwclass.survey.files import matching_files
 from fwclass.survey.gather import require_distinct
@@ -216,6 +217,18 @@ def test_a_part_is_not_moved_through_a_link(name: str, where: str, tmp_path: Pat
 def test_a_part_has_a_name_of_its_own(part: str, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="cannot be the name of a part"):
         Store(tmp_path).receipt("tile", part)
+
+
+@pytest.mark.parametrize("place", ["store", "store/x/y", "current/laz", "generations"])
+def test_no_run_is_made_in_what_another_has_made(place: str, tmp_path: Path) -> None:
+    for name in ("store", "generations/0001/laz"):
+        (tmp_path / "r" / name).mkdir(parents=True)
+    (tmp_path / "r" / "current").symlink_to("generations/0001")
+    with pytest.raises(ConfigError, match="what another run has made"), unmade_again(tmp_path / "r" / place / "new"):
+        (tmp_path / "r" / place / "new").mkdir(parents=True)
+    assert not (tmp_path / "r" / place / "new").exists()
+    with unmade_again(tmp_path / "r" / "beside"):
+        pass
 
 
 def test_a_pending_delivery_that_is_a_link_is_not_written_through(tmp_path: Path) -> None:
