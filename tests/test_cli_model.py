@@ -14,8 +14,10 @@ from pyproj import CRS
 from smallsurvey import small_survey
 from tolerances import FLOAT32_UNIT
 
+from fwclass import conf
 from fwclass.cli import cli
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.model import FORMAT, LEAF, LinearMachine, assemble
 from fwclass.store.models import load_model, save_model
 
@@ -195,6 +197,8 @@ def stump(names, **more):
         ("zc", {}, "cell_x"),
         ("height_std_k20", {"nearest_reach": 1.0}, "nearest_reach"),
         ("linearity_opt", {"optimal_radii": [1.0]}, "optimal_radii"),
+        ("pulse_intensity_variance", {"pulse_reach": 5.0}, "pulse_reach"),
+        ("pulse_intensity_variance", {"noise_counts": True}, "noise_counts"),
     ],
 )
 def test_features_computed_in_another_way_are_refused(tmp_path, name, computed, told):
@@ -203,10 +207,11 @@ def test_features_computed_in_another_way_are_refused(tmp_path, name, computed, 
     assert isinstance(made.exception, ConfigError) and told in str(made.exception)
 
 
-def test_other_classes_than_the_survey_s_are_refused():
-    from fwclass import conf
-    from fwclass.graph.model_fit import check_model
+def test_a_card_that_is_silent_on_parameters_said_later_is_accepted():
+    check_computed(stump(("pulse_intensity_variance",), computed={}), conf.section("features"), "m")
 
+
+def test_other_classes_than_the_survey_s_are_refused():
     config = conf.load("demo")
     codes = [c.code for c in config.classes]
     check_model(

@@ -60,7 +60,7 @@ def by_percent(confidence: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.bincount(percent_of(confidence[known]), minlength=PERCENT).astype(np.int64)
 
 
-UNCALIBRATED = ("rbf-svm",)
+UNCALIBRATED = ("linear-svm", "rbf-svm")
 """Classifiers whose confidences are no probabilities; the bounds were measured with forests."""
 
 
@@ -96,7 +96,7 @@ def unsure_facts(
     before = _as_a_stranger(given) if given is not None and params.unsure == MEASURED_BELOW else ""
     if given is not None and (before or share > SAID_FROM):
         many = (
-            ": those of a kernel machine are no probabilities, and nothing follows from how many are low"
+            ": those of a support vector machine are no probabilities, and nothing follows from how many are low"
             if not judged
             else f". Where models that left home were unsure of more than {100 * SAID_FROM:g} %, 4 to 27 % of the "
             "classes were wrong: look at the least sure places (`fwclass view`), and label some (`fwclass suggest`)"

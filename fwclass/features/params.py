@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from pydantic import Field, field_validator, model_validator
 
 from fwclass.params import Params
@@ -20,9 +22,9 @@ class FeaturesParams(Params):
     ----------
     also : features that are computed and delivered besides those that the classifier decides by.
     cell_x, cell_y : edges of the cells of `zc` [m].
-    normal_radius : sphere whose normals are kept, for radiometry [m].
+    normal_radius : sphere whose normals are kept, for radiometry [m]; whole centimetres.
     orientation_rounds : steps of one radius over which the side of a normal spreads from sure ones.
-    optimal_radii : spheres that the optimal one is chosen from [m].
+    optimal_radii : spheres that the optimal one is chosen from [m]; whole millimetres.
     nearest_reach : no nearest echo is looked for further away [m].
     pulse_reach : echoes of a pulse further apart in plan are not compared [m].
     noise_counts : echoes that the noise filter takes out are neighbours like all others.
@@ -52,7 +54,16 @@ class FeaturesParams(Params):
     def _rising(cls, radii: tuple[float, ...]) -> tuple[float, ...]:
         if min(radii) <= 0 or any(b <= a for a, b in zip(radii, radii[1:], strict=False)):
             raise ValueError("radii must be positive and rise")
+        if not all(_is_whole(radius * 1000) for radius in radii):
+            raise ValueError("radii must be whole millimetres")
         return radii
+
+    @field_validator("normal_radius")
+    @classmethod
+    def _whole_centimetres(cls, radius: float) -> float:
+        if not _is_whole(radius * 100):
+            raise ValueError("must be whole centimetres")
+        return radius
 
     @model_validator(mode="after")
     def _whole_cubes(self) -> FeaturesParams:
@@ -61,3 +72,7 @@ class FeaturesParams(Params):
             if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9:
                 raise ValueError(f"{part} must divide {whole}")
         return self
+
+
+def _is_whole(number: float) -> bool:
+    return math.isclose(number, round(number), rel_tol=1e-9)

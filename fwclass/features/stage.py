@@ -24,7 +24,7 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
 
     What each is stands in `fwclass.columns.FEATURES`; names carry the scale. The echo itself and echoes at the same
     place count as neighbours; one at exactly the radius does. ``normal_x, normal_y, normal_z`` is the upward unit
-    normal at ``params.normal_radius``, NaN where the neighbours are nearly collinear (`params.COLLINEAR`).
+    normal at ``params.normal_radius``, NaN where the neighbours are nearly collinear (`features.params.COLLINEAR`).
 
     With fewer than three neighbours, or all at one place, everything that comes from the covariance is NaN; on a line
     the inclination, the normal and what refers to the fitted plane are NaN. Heights and shares always have a value;
@@ -44,15 +44,24 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     """
     request = Asked.of(names)
     require(chunk.table, request.columns(params), chunk.tile.key)
-    if params.noise_counts or not chunk.table["noise"].any():
-        return _features(chunk, request, params)
-    noise = chunk.table["noise"]
-    sound, is_noise = np.flatnonzero(~noise), noise[chunk.core]
-    core = np.searchsorted(sound, chunk.core[~is_noise])
-    parts = [_features(Chunk(chunk.table.take(sound), core, chunk.tile), request, params)]
+    sound = without_noise(chunk, params)
+    parts = [_features(sound, request, params)]
+    if sound is chunk:
+        return parts[0]
+    is_noise = chunk.table["noise"][chunk.core]
     if is_noise.any():
         parts.append(_features(Chunk(chunk.table, chunk.core[is_noise], chunk.tile), request, params))
     return Table.concat(parts).take(np.argsort(np.argsort(is_noise, kind="stable")))
+
+
+def without_noise(chunk: Chunk, params: FeaturesParams) -> Chunk:
+    """`chunk` without its noise; the same one where noise counts, or there is none."""
+    if params.noise_counts or not chunk.table["noise"].any():
+        return chunk
+    noise = chunk.table["noise"]
+    sound = np.flatnonzero(~noise)
+    core = np.searchsorted(sound, chunk.core[~noise[chunk.core]])
+    return Chunk(chunk.table.take(sound), core, chunk.tile)
 
 
 def _features(chunk: Chunk, request: Asked, params: FeaturesParams) -> Table:
@@ -119,5 +128,5 @@ def name_features(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDA
     return {f"{base}_{scale.suffix}": values for base, values in by_base.items()}
 
 
-FEATURE_COMPUTATION = Computation(name="features", version=8, writes=NORMAL)
+FEATURE_COMPUTATION = Computation(name="features", version=9, writes=NORMAL)
 """It reads and writes what a list of names asks for: `Asked.columns`, within `Asked.halo`."""

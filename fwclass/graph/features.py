@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.names import Asked, is_feature
 from fwclass.features.params import NORMAL, FeaturesParams
-from fwclass.features.stage import FEATURE_COMPUTATION, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features, without_noise
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import features_of_some, sampled_columns
 from fwclass.schema import Table
@@ -27,7 +27,7 @@ def compute_features(here: StageInputs, params: FeaturesParams, names: tuple[str
         some = None if sampled is None else sampled[these]
         tables.append(features(chunk, names, params) if some is None else features_of_some(chunk, some, names, params))
         rows.append(these)
-        crowds.append(crowd_facts(chunk, params))
+        crowds.append(crowd_facts(without_noise(chunk, params), params))
     crowded = Crowd.of_parts(crowds)
     return tile_table(tables, rows), ({"dense": crowded.facts()} if crowded else {})
 

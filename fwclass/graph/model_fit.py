@@ -10,10 +10,14 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, set_words
 from fwclass.features.names import Asked, is_feature
 from fwclass.features.params import FeaturesParams
+from fwclass.features.pulses import MEASURED
 from fwclass.graph.quantities import quantities_by_feature
 from fwclass.model import ClassDef, Model
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.quantities import Quantities
+
+SAID_LATER = ("noise_counts", "pulse_reach")
+"""Parameters that older models' cards do not name: where one is missing, any value is accepted."""
 
 
 def feature_parameters(
@@ -25,6 +29,7 @@ def feature_parameters(
 ) -> dict[str, Any]:
     """Of the section `features` what the values of `names` depend on, besides their own scales; plain data.
 
+    The parameters ``dense_*`` are left out: they change values only where echoes are denser than those of any survey.
     With height above ground among them also the `ground` filter that made it and what it is the `height` above
     (`terrain.height`), and with features of amplitudes or echo
     widths which `quantities` these are, where it is known.
@@ -39,7 +44,8 @@ def feature_parameters(
         "optimal_radii": "o" in kinds or "optimal_radius" in request.plain,
         "orientation_rounds": "oriented_inclination" in request.bases,
         "normal_radius": any(n in RADIOMETRY.writes for n in names),
-        "noise_counts": bool(kinds),
+        "pulse_reach": any(n in MEASURED for n in request.plain),
+        "noise_counts": bool(request.names),
     }
     plain = params.model_dump(mode="json")
     parameters = {name: plain[name] for name, yes in needed.items() if yes}
@@ -54,8 +60,8 @@ def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
     ours = feature_parameters(model.features, params)
     theirs = model.card.get("computed", {})
     for name, value in ours.items():
-        if name == "noise_counts" and name not in theirs:
-            continue  # an older card does not say
+        if name in SAID_LATER and name not in theirs:
+            continue
         if name not in theirs or theirs[name] != value:
             setting = shlex.quote(f"features.{name}={theirs.get(name)}".replace(" ", ""))
             raise ConfigError(

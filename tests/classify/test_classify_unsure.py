@@ -180,8 +180,9 @@ def test_a_code_that_is_a_class_is_refused(tmp_path):
     assert ended.returncode == 2 and "code of a class" in ended.stderr and not (tmp_path / "r").exists()
 
 
-def test_confidences_of_a_kernel_machine_are_told_and_not_judged():
-    told = facts(300, given={"method": "rbf-svm"})
+@pytest.mark.parametrize("method", ["rbf-svm", "linear-svm"])
+def test_confidences_of_a_support_vector_machine_are_told_and_not_judged(method):
+    told = facts(300, given={"method": method})
     assert "no probabilities" in told["remarks"][0]
     judge_unsure(told, PARAMS, "m")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import laspy
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from fwclass.features.gather import slices
 from fwclass.features.names import Asked
 from fwclass.features.params import NORMAL
 from fwclass.features.stage import features
+from fwclass.graph.features import compute_features
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import Table
 from fwclass.stage import Chunk
@@ -124,6 +127,17 @@ def test_up_to_the_bound_all_echoes_count():
         assert (thin_dense(whole(table), PARAMS) is not None) == dense
         assert (crowd_facts(whole(table), PARAMS) is not None) == dense
     assert thin_dense(whole(table_of(*np.empty((3, 0)))), PARAMS) is None
+
+
+def test_a_cube_that_only_noise_makes_dense_is_not_reported():
+    n = PARAMS.dense_echoes
+    x, y, z = np.random.default_rng(5).uniform(0.0, 0.099, (3, n + 50))
+    table = table_of(x, y, z)
+    inputs = SimpleNamespace(own={}, chunks=lambda: [(np.arange(n + 50), whole(noisy))])
+    for noise, dense in ((np.arange(n + 50) >= n, False), (np.arange(n + 50) < 40, True)):
+        noisy = Table({**table, "noise": noise})
+        _, facts = compute_features(inputs, PARAMS.model_copy(update={"noise_counts": False}), NAMES[:1])
+        assert ("dense" in facts) == dense
 
 
 def test_what_counts_is_bounded_by_the_room_it_fills():

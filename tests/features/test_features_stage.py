@@ -234,6 +234,8 @@ def test_names_that_are_no_features():
         {"optimal_radii": (-1.0, 1.0)},
         {"cell_x": 0.0},
         {"normal_radius": 0.0},
+        {"normal_radius": 0.504},
+        {"optimal_radii": (0.5, 0.5004)},
         {"nearest_reach": 1000.0},
         {"orientation_rounds": 0},
         {"radii": (1.0,)},
