@@ -6,11 +6,12 @@ import gc
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
 from fwclass import __version__
+from fwclass.classifiers import ClassifierMethod
 from fwclass.errors import visible
 from fwclass.paths import run_around, strange_kind
 from fwclass.store.url import SCHEMES, is_url, url_of
@@ -139,6 +140,7 @@ ACCEPT_IMPLAUSIBLE = click.option(
     is_flag=True,
     help="Do not end with exit code 4 where echoes are implausible (plausibility).",
 )
+CLASSIFIER = click.option("--method", metavar="NAME", help=f"{', '.join(get_args(ClassifierMethod))}.")
 ACCEPT_DRIFT = click.option(
     "--accept-drift",
     is_flag=True,

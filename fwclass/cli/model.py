@@ -12,6 +12,7 @@ import click
 from fwclass.cli.base import (
     ACCEPT_DRIFT,
     ACCEPT_IMPLAUSIBLE,
+    CLASSIFIER,
     JSON,
     OUTPUT,
     OVERWRITE,
@@ -30,7 +31,7 @@ from fwclass.errors import ConfigError, nearest
 @cli.command()
 @click.argument("conf", type=PATH)
 @click.option("--model", "target", type=OUTPUT, help="Directory that the model is written to.")
-@click.option("--method", metavar="NAME", help="forest, linear-svm, rbf-svm, sklearn-forest or boosting.")
+@CLASSIFIER
 @click.option("--compare", metavar="all|NAME,NAME,…", help="Several classifiers side by side; no --model.")
 @click.option("--assess/--no-assess", default=True, help="Judge the model on the test areas (default: yes).")
 @click.option("--leave-out", is_flag=True, help="Judge it on each of survey.sources, left out in turn.")

@@ -11,6 +11,7 @@ import click
 from fwclass.cli.base import (
     ACCEPT_DRIFT,
     ACCEPT_IMPLAUSIBLE,
+    CLASSIFIER,
     JSON,
     OUTPUT,
     OVERWRITE,
@@ -105,7 +106,7 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) 
 @street.command()
 @click.argument("conf", type=PATH)
 @click.option("--model", "target", type=OUTPUT, required=True, help="Directory that the model is written to.")
-@click.option("--method", metavar="NAME", help="forest, linear-svm, rbf-svm, sklearn-forest or boosting.")
+@CLASSIFIER
 @click.option("--recordings", "directory", type=PATH, help="Where the recordings lie (default: survey.directory).")
 @click.option("--assess/--no-assess", default=True, help="Judge the model on the returns that are left (default: yes).")
 @SET

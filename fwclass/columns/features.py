@@ -10,7 +10,7 @@ from typing import Any
 
 from fwclass.columns.record import NAN, Column
 
-XIONG, FAN, WEINMANN = "Xiong 2018", "Fan 2013", "Weinmann 2015"
+XIONG, WEINMANN = "Xiong 2018", "Weinmann 2015"
 PV = "Shi 2019, PV"
 ALL = "rckgo"
 SHAPE = "rko"

@@ -30,7 +30,7 @@ VENDOR_KEPT, FAR_FROM_VENDOR, UNFITTED = 16, 32, 64
 
 LINK_COLUMNS = ("pulse", "echo_number")
 MOST = 255
-"""Echoes of a pulse at most, all its segments together: `echo_number` has one byte. LazyModule ones are left out."""
+"""Echoes of a pulse at most, all its segments together: `echo_number` has one byte. Later ones are left out."""
 
 
 def decompose(

@@ -21,7 +21,7 @@ ORIENTED = "oriented_inclination"
 """The feature whose sides spread beyond its sphere."""
 
 MAX_REACH = 100.0
-"""m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
+"""m, no feature reaches further: larger ones describe a district, not a point's surroundings."""
 
 NO_FEATURE = ("strip", "pulse", "source_class", "origin", "gps_time", "x", "y", "z")
 """Columns that no forest may decide by: they name an echo, its place, or the class that it came with."""
@@ -158,6 +158,6 @@ class Asked:
         return float(max(reach))
 
     def halo(self, params: FeaturesParams) -> float:
-        """What a tile reads around it [m]: an echo's column and those that its neighbours lie in are looked at
-        whole."""
+        """What a tile reads around it [m]: a dense column (`dense_column`) is always read completely, also those of
+        neighbours."""
         return self.reach(params) + 2 * params.dense_column

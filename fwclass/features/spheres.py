@@ -35,17 +35,14 @@ POOL = 1 << 14
 
 
 def spheres(chunk: Chunk, request: Mapping[Scale, Sequence[str]], params: FeaturesParams) -> Columns:
-    """Features `request` (bases by scale, kinds r, c and o) and the normals of the core rows, by name."""
+    """Features `request` (bases by scale, kinds r and c) and the normals of the core rows, by name."""
     columns: Columns = {}
     normals = Scale("r", round(params.normal_radius * 100))
-    plain = {scale: tuple(bases) for scale, bases in request.items() if scale.kind in "rc"}
+    plain = {scale: tuple(bases) for scale, bases in request.items()}
     plain[normals] = tuple(dict.fromkeys((*plain.get(normals, ()), LINEAR, *NORMAL)))
     for kind in "rc":
         for scales in scale_groups({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
             columns |= _walk(chunk, {scale: plain[scale] for scale in scales})
-    for scale, bases in request.items():
-        if scale.kind == "o":
-            columns |= optimal(chunk, bases, False, params)
     return columns
 
 

@@ -14,6 +14,8 @@ from fwclass.params import Params
 def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()) -> dict[str, Any]:
     """Arguments as plain data for a key, those named `params` (a section of the configuration) field by field.
 
+    `silent`: names of arguments, and of fields of sections among them, that are left out.
+
     `TypeError` for one that has no plain form: what is used is in the key.
     """
     result: dict[str, Any] = {}

@@ -60,9 +60,7 @@ def _load_trees(inputs: PartInputs, batch: str) -> list[Tree]:
     return [(arrays[f"{n}-feature"], arrays[f"{n}-threshold"], arrays[f"{n}-child"]) for n in numbers]
 
 
-def permute_features(
-    here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int
-) -> Result:
+def permute_features(here: StageInputs, names: tuple[str, ...], params: TrainParams, repeats: int) -> Result:
     """What some of the forest's trees lose when a feature is permuted."""
     sample, trees = learned_sample(here, names), _load_trees(here.inputs, here.part)
     lost, judged = drops(sample, trees, int(here.part), params.drawing, repeats)
@@ -223,7 +221,6 @@ WEIGH_FEATURES = Stage(
         "repeats": plan.config.train.importance_repeats,
     },
     silent=_NOT_OF_A_TREE,
-    each=lambda plan, batch: {"count": batch.count},
     after=("training", "trees", BASE_ROWS),
     needs=lambda plan, batch: (("training", "all"), ("trees", batch.key), *base_rows_part(plan)),
 )

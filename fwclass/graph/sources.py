@@ -18,7 +18,7 @@ from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
-from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
+from fwclass.decompose.stage import DECOMPOSE, LINK_COLUMNS, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import water_counts
 from fwclass.decompose.width_walk import width_walk
@@ -292,7 +292,7 @@ def _write_echoes(here: StageInputs, result: tuple[Table, Table, Mapping[str, in
 
 def link_table(inputs: PartInputs, part: str) -> Table:
     """Pulse and echo number of every return of a chunk, in file order."""
-    return inputs.table("decompose", part, ("pulse", "echo_number"), "links.parquet")
+    return inputs.table("decompose", part, LINK_COLUMNS, "links.parquet")
 
 
 INDEX = Stage(

@@ -43,7 +43,7 @@ Flown = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Plan:
-    """What the stages of one run are planned by, as far as the run has come.
+    """What is known of a run when its tasks are made: configuration, features, files, tiles.
 
     Attributes
     ----------
@@ -239,7 +239,8 @@ class Stage:
     waves : of strips and chunks those with (True) or without (False) waveforms alone.
     edge, margin : of its blocks [m], and how many more lie around those that own an echo.
     key : name of a part.
-    arguments : what `function` gets besides, the same for every part; all of it enters the key.
+    arguments : what `function` gets besides, the same for every part; all of it enters the key. One called `params`, a
+        section of the configuration, enters field by field, so that its fields stand beside the other arguments.
     each : likewise, of one part.
     keyed : what enters the key besides, as it decides which columns or parts are read: the function does not see it.
     silent : settings among the arguments' own that change no byte, and stay out of the key.
@@ -253,7 +254,8 @@ class Stage:
         them.
     needs : these parts, of stages in `after`.
     source : the file from outside that a part is made from, with its digests.
-    named : of what it needs it reads the piece that bears its own name (`store.cells.by_name`).
+    named : of each part it needs, it reads only the rows stored under its own part name, as a tile's rows of a chunk
+        (`store.cells.by_name`).
     declares : columns among those it writes that the program does not know.
     cells : its rows are digested by place, as others read them in a halo.
     check : it only judges: a delivery is whole though it failed.

@@ -95,8 +95,8 @@ TO_TILES = (
     TILE_REFERENCE,
     READ_TRAJECTORY,
 )
-"""From files to tiles: each of these is planned by what the ones before it found, so `walk.until_tiles` names them one
-by one."""
+"""From files to tiles: each of these is planned by what the ones before it found, so `walk.steps.until_tiles` names
+them one by one, those of `OF_STRIPS` together."""
 OF_GROUND = (
     CHOOSE_PARAMETERS,
     FILTER_GROUND,

@@ -52,7 +52,7 @@ THIN_ECHOES = Stage(
     sample_tile,
     when=lambda plan: thins(plan.config),
     arguments=lambda plan: {"params": plan.config.thin},
-    reads=tuple(dict.fromkeys((*THIN.reads, "z"))),
+    reads=THIN.reads,
     writes=THIN.writes,
     halo=lambda plan: THIN.halo(plan.config.thin),
 )

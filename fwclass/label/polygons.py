@@ -58,12 +58,13 @@ class Polygons:
         return len(self.code)
 
     def arrays(self) -> dict[str, NDArray]:
-        """What a store keeps: x, y [m], codes, offsets of rings and parts; `from_arrays` makes the same again."""
+        """What a store keeps, by name: x, y [mm], offsets of rings and parts, codes, groups; `from_arrays` makes the
+        same again."""
         return {n: getattr(self, n) for n in ("x", "y", "ring_start", "part_start", "code", "group")}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Polygons:
-        """The polygons whose `arrays` these are: x, y [m], codes, offsets."""
+        """The polygons whose `arrays` these are: x, y [mm], offsets of rings and parts, codes, groups."""
         return cls(*(arrays[n] for n in ("x", "y", "ring_start", "part_start", "code", "group")))
 
     @classmethod

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from fwclass.classes import ClassDef, class_index, code_index
-from fwclass.model.base import FORMAT, LEAF, ClassifierMethod, Model, sample_matrix
+from fwclass.classifiers import ClassifierMethod
+from fwclass.model.base import FORMAT, LEAF, Model, sample_matrix
 from fwclass.model.boosted import Boosted, scores_of
 from fwclass.model.contextual import Contextual
 from fwclass.model.forest import Forest, Tree, assemble

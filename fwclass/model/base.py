@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ LEAF = 65535
 
 LARGEST = 1e100
 """What a model's numbers may be at most: of float32 samples no sum of products with them is infinite."""
-
-ClassifierMethod = Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
-"""Classifiers that can be trained, by the name that ``train.method`` takes."""
 
 FORMAT = 2
 """Version of the layout of models; raised when it changes."""

@@ -1,4 +1,4 @@
-"""The values of every feature that a model has seen, and how many of others lie outside of them."""
+"""The usual values of every feature in a model's training rows, and how many values of other data lie outside."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def check_ranges(card: Mapping[str, Any]) -> None:
 
 @dataclass
 class RangeCounter:
-    """How many values of every feature lie outside of what the model has seen: `outside` and `seen`, int64 (features,),
-    in the order of `names`. Values that are missing count as neither."""
+    """How many values of every feature lie outside of the model's usual ones (`QUANTILES`), `outside`, and how many
+    were counted, `seen`: int64 (features,), in the order of `names`. Values that are missing count as neither."""
 
     names: tuple[str, ...]
     low: NDArray[np.float64]

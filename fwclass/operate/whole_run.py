@@ -77,7 +77,8 @@ def run_survey(
     Raises
     ------
     FwclassError
-        No report came about. Where what comes behind it has failed, all that it tells is delivered nevertheless.
+        The run did not come to its end. Where `report.json` is written, and a later step failed (its page, or one of
+        a paper), what was made is delivered all the same.
     """
     runner.store.generations.check_links()
     before, earlier = runner.store.generations.current(), request.workflow_before(runner.store)
@@ -91,7 +92,7 @@ def run_survey(
         report = workflow_of(request.workflow)(config, runner, request.wanted)
         generation = runner.publish(config.run.keep_generations)
     except FwclassError:
-        if report is None and (runner.pending / REPORT).exists():  # what came after the delivery has failed
+        if report is None and (runner.pending / REPORT).exists():  # a later step failed, as a page of a paper
             entry.generation = runner.publish(config.run.keep_generations).number
         raise
     entry.generation = generation.number

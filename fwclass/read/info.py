@@ -1,4 +1,5 @@
-"""What a file holds and what is wrong with it, in one streaming pass."""
+"""What a file holds and what is wrong with it: one streaming pass over its points, and a look for holes in the file of
+its packets."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ from fwclass.read.return_counts import MOST, coarse_steps, join_lattices, lattic
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
 
 MANY = 100
-"""Points whose intensities are all the same by no accident."""
+"""Points from which on it is no accident that all have one intensity or one GPS time, or that their coordinates are
+coarser than the file's steps."""
 
 Z_MARGIN = 100.0
 """A point is a z outlier this far [m], plus the spread of the middle 98 %, beyond that middle."""

@@ -42,13 +42,11 @@ UNITS = {2.0: "half as long", 0.5: "twice as long"}
 def misfit_of(source: PulseSource, records: NDArray[Any], pulses: Pulses, kinds: Samplings) -> str:
     """What pulses and waves, or places and header, contradict each other in; "" where nothing does."""
     return (
-        stated_fault(source, records, pulses, kinds)
-        or height_fault(source, pulses, kinds)
-        or axes_fault(source, pulses, kinds)
+        stated_fault(records, pulses, kinds) or height_fault(source, pulses, kinds) or axes_fault(source, pulses, kinds)
     )
 
 
-def stated_fault(source: PulseSource, records: NDArray[Any], pulses: Pulses, kinds: Samplings) -> str:
+def stated_fault(records: NDArray[Any], pulses: Pulses, kinds: Samplings) -> str:
     """That pulses refer to the waves of others, or that times are not of the way there and back; "" where nothing
     says so. What a file states in no way that its waves follow says nothing."""
     parts = pulses.segments.take(kinds.kind[pulses.segments.sampling] == RETURNING)

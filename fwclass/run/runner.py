@@ -21,7 +21,7 @@ from fwclass.store.run_store import Store
 
 
 class Executor(Protocol):
-    """`Loop` or `Cluster`."""
+    """`Loop`, `Cluster`, or `WhenNeeded`, which starts one. Dask's performance report a `Cluster` alone can write."""
 
     address: str
 
@@ -187,7 +187,8 @@ class Runner:
         return work()
 
     def finish(self, whole: bool) -> None:
-        """All parts of the plan have been walked; a `whole` one forgets parts of earlier plans.
+        """All parts of the plan have been walked. `whole`: the run was not restricted to some tiles; then parts that it
+        does not have are removed.
 
         It is whole without failures, those of parts that only judge aside: what is delivered is the same with them.
         """

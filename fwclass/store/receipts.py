@@ -42,7 +42,7 @@ class Receipt:
     stage, part : which part.
     key : digest of (stage, its version, params, digests of inputs): the part is done if its key still holds.
     inputs : digest of everything that was read, by name.
-    outputs : bytes and digest of every file written, by path relative to `place`.
+    outputs : bytes and digest of every file written, by path relative to `Store.base(receipt)`.
     digest : digest of all outputs and of `meta`: what enters the keys of the parts that read this one.
     place : "store"; "deliver" for files of the store that a generation links to; "run" for files below the run
         directory.

@@ -25,7 +25,6 @@ from fwclass.store.lock import WRITER, Lock, holder_text
 from fwclass.store.objects import Mark, Objects
 from fwclass.store.refusals import LostRace
 
-LOCK = f"store/{WRITER.name}"
 _PROBE = "store/probe"
 
 

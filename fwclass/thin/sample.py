@@ -33,9 +33,9 @@ def uniform(
     """Rows that are kept: of every cell of the global grid every (1 / rate)-th echo along a Z-order curve.
 
     Echoes of a cell are ordered along the curve through x, y and z [m], at one place by `key`; from a start that is
-    random for every cell every (1 / rate)-th is kept. So the sample has exactly the asked rate everywhere, and what is
-    next to each other on the curve, which is next to each other in space, is not kept twice. Decided by whole cells:
-    rows of a cell that is not all there may be decided otherwise.
+    random for every cell every (1 / rate)-th is kept. So every cell has the asked rate, to one echo, and at rates up
+    to 0.5 no two echoes are kept that follow each other on the curve, as neighbours in space mostly do. Decided by
+    whole cells: rows of a cell that is not all there may be decided otherwise.
     """
     if params.rate >= 1.0:
         return np.ones(len(x), bool)

@@ -52,7 +52,10 @@ class Workflow:
         return until_report(plan, runner, after_tiles(self.stages), tiles)
 
     def begin(self, config: Config) -> Plan:
-        """What is planned by before any file is read; `ConfigError` for features that no stage writes."""
+        """What is planned by before any file of the survey is read, though models are loaded.
+
+        `ConfigError` for features that no stage writes.
+        """
         config = config if self.settle is None else self.settle(config)
         classifying = [s for s in self.stages if s.name == CLASSIFY_REGULARIZED.name]
         known = any(s is CLASSIFY_REGULARIZED for s in classifying)
@@ -109,8 +112,11 @@ class Workflow:
         return replace(self, stages=tuple(s for s in self.stages if id(s) not in learning))
 
     def check(self, where: object) -> None:
-        """`ConfigError` for a list of stages that no run can go through: two with the same parts, or one that comes
-        before what it reads."""
+        """`ConfigError` for a list of stages that no run can go through.
+
+        That is: one that replaces a stage before the tiles, two of one name, two that write one column, one that comes
+        before what it reads, one that reads what no stage makes.
+        """
         names: set[str] = set()
         every = {s.name for s in self.stages}
         ours = {id(stage) for stage in STAGES}
