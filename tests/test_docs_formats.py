@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fwclass.formats.extra_bytes import extra_bytes
-from fwclass.graph.outputs import DELIVERED
+from fwclass.graph.outputs import TILE_COLUMNS
 from fwclass.graph.raster_outputs import _TERRAIN
 from fwclass.publish.copc import copc_columns
 from fwclass.publish.raster_styles import STYLED
@@ -32,7 +32,7 @@ OTHER_RASTERS = {
 
 
 def columns() -> list[Column]:
-    return [column(n) for n in dict.fromkeys((*DELIVERED, *RADIOMETRY.writes))]
+    return [column(n) for n in dict.fromkeys((*TILE_COLUMNS, *RADIOMETRY.writes))]
 
 
 def _extra_byte(col: Column) -> str:

@@ -56,7 +56,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         facts = fan.facts(config, printed, report, curves, variants, receipts)
         return deliver(config, runner, plan.layout, report, facts)
 
-    return runner.tell(page)
+    return runner.carry_out(page)
 
 
 fan2013 = Workflow(NAME, "Fan 2013: figures beside the paper's", classification.stages, walk)

@@ -22,7 +22,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     printed, samples = paper(NAME), samples_of(config)
     receipts = require_all(runner, filter_tasks(config, printed, samples))
     runner.finish(whole=True)
-    return runner.tell(lambda: deliver(config, runner, samples, facts(config, printed, samples, receipts)))
+    return runner.carry_out(lambda: deliver(config, runner, samples, facts(config, printed, samples, receipts)))
 
 
 he2023 = Workflow(NAME, "He 2023: ground filters, and CSF + SMRF, beside the paper's figures", (), walk, lambda c: c)

@@ -26,7 +26,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     receipts = dict(require_all(runner, drive_tasks(config)))
     receipts |= require_all(runner, table_tasks(config, printed))
     runner.finish(whole=True)
-    return runner.tell(lambda: deliver(runner, facts(config, printed, receipts)))
+    return runner.carry_out(lambda: deliver(runner, facts(config, printed, receipts)))
 
 
 li2018 = Workflow(NAME, "Li 2018: street-tree crowns from a 2-D scanner, figures beside the paper's", (), walk)

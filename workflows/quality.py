@@ -20,5 +20,5 @@ quality = Workflow(
         *(CHOOSE_PARAMETERS, FILTER_GROUND, GATHER_GROUND, *OF_NOISE, *OF_QUALITY, DELIVER_QUALITY),
     ),
     settle=without_classifier,
-    by_returns=True,
+    only_judges=True,
 )

@@ -56,7 +56,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         inputs = PartInputs(runner.store)
         return deliver(config, runner, plan.layout, report, facts, scenes=scenes(plan.layout, receipts, inputs))
 
-    return runner.tell(page)
+    return runner.carry_out(page)
 
 
 shi2019 = Workflow(NAME, "Shi 2019: two layers, figures beside the paper's", classification.stages, walk)

@@ -54,7 +54,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         facts = xiong.facts(config, printed, report, choice, thinned, variants, receipts)
         return deliver(config, runner, plan.layout, report, facts)
 
-    return runner.tell(page)
+    return runner.carry_out(page)
 
 
 xiong2018 = Workflow(NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk)

@@ -87,7 +87,7 @@ def _cells(
     sag: float,
 ) -> int:
     """Cells that the first `n` echoes, relative to one, occupy on the line to number `a`, `d` [mm] away in plan."""
-    before, behind = np.uint64(0), np.uint64(0)
+    behind, ahead = np.uint64(0), np.uint64(0)
     rise = dz[a] / d
     for b in range(n):
         along = (dx[b] * dx[a] + dy[b] * dy[a]) / d
@@ -97,14 +97,14 @@ def _cells(
             continue
         bit = np.uint64(1) << np.uint64(int(abs(along)) // CELL)
         if along > 0:
-            behind |= bit
+            ahead |= bit
         else:
-            before |= bit
+            behind |= bit
     count = 0
-    while before:
-        before &= before - np.uint64(1)
-        count += 1
     while behind:
         behind &= behind - np.uint64(1)
+        count += 1
+    while ahead:
+        ahead &= ahead - np.uint64(1)
         count += 1
     return count

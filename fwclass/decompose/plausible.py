@@ -62,15 +62,15 @@ class Plausibility:
     implausible : bool (echoes,).
     counts : echoes by `COUNTS`. fitted: to waveforms; checked: of pulses all of whose returns are in the file;
         unexplained: of these, without a return of their pulse within `vendor_tolerance`; below, outside, weak: see
-        `judge`; off_earth: at heights where no land is; implausible: below, weak or off_earth; poor: fitted, with a
-        misfit above `poor_misfit`.
+        `flag_implausible`; off_earth: at heights where no land is; implausible: below, weak or off_earth; poor: fitted,
+        with a misfit above `poor_misfit`.
     """
 
     implausible: NDArray[np.bool_]
     counts: Mapping[str, int] = field(default_factory=dict)
 
 
-def judge(
+def flag_implausible(
     echoes: Mapping[str, NDArray],
     to_return: NDArray[np.int64],
     waves: Waveforms,

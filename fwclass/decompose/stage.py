@@ -13,7 +13,7 @@ from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.placement import AS_STORED, Placement
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
-from fwclass.decompose.plausible import UNKNOWN, Surroundings, judge, renumber
+from fwclass.decompose.plausible import UNKNOWN, Surroundings, flag_implausible, renumber
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import place_water, with_water
 from fwclass.grid import quantise
@@ -169,7 +169,7 @@ def _judge(
     for name in ("source_class", "intensity"):
         values = waves.returns[name]
         echoes[name] = np.where(row >= 0, values[row], 0) if len(values) else np.zeros(len(row), np.uint8)
-    judged = judge(echoes, row, waves, around, params)
+    judged = flag_implausible(echoes, row, waves, around, params)
     if waves.returns["withheld"].any():
         withheld = (row >= 0) & waves.returns["withheld"][row]
         echoes["fit_flags"] = echoes["fit_flags"] | np.where(withheld, IMPLAUSIBLE, 0).astype(np.uint8)

@@ -35,7 +35,7 @@ TOLD = 64
 
 ALL_ANEW = 0xFFFFFFFF
 
-Places = Mapping[str, NDArray[np.int64]]
+RowsByTile = Mapping[str, NDArray[np.int64]]
 """Rows of tiles."""
 
 
@@ -43,7 +43,7 @@ Places = Mapping[str, NDArray[np.int64]]
 class Selected:
     """Rows by tile."""
 
-    rows: Places
+    rows: RowsByTile
 
     @property
     def echoes(self) -> int:
@@ -176,7 +176,7 @@ class Relabelling:
     def _file(self, key: str) -> Path:
         return self._delivery.table(key)
 
-    def _marked(self, places: Places, values: Mapping[str, NDArray[np.uint8]]) -> bytes:
+    def _marked(self, places: RowsByTile, values: Mapping[str, NDArray[np.uint8]]) -> bytes:
         """All nodes that have one of the echoes; one that has them of several tiles comes several times."""
         return b"".join(
             marks(node, rows, values[key][index])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, join_samples
 from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.graph.ground import around_block, terrain_blocks
-from fwclass.graph.outputs import NO_BYTE, crs_of
+from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, owned
 from fwclass.graph.sources import MEASURE_PULSE, READ_SPAN, placement_of, pulse_of, strip_of, waveforms_of
 from fwclass.graph.stacking import chunks_near
@@ -103,8 +103,8 @@ def deliver_samples(
         target.mkdir(parents=True)
         one = np.ones(table.rows, np.uint8)
         shown = table.with_columns({"echo_number": one, "number_of_echoes": one, "classification": 0 * one})
-        write_tile_laz(shown, target / f"{here.part}.laz", crs_of(crs), params, standard_time=standard_time)
-        write_geoparquet(table, target / f"{here.part}.parquet", crs_of(crs), params)
+        write_tile_laz(shown, target / f"{here.part}.laz", crs_of_wkt(crs), params, standard_time=standard_time)
+        write_geoparquet(table, target / f"{here.part}.parquet", crs_of_wkt(crs), params)
     return {"rows": table.rows}
 
 
@@ -121,7 +121,7 @@ def deliver_voxels(here: StageInputs, size: float, block: float, crs: str | None
     )
     shape, chunks = (high - low, *whole.shape), (LAYERS, EDGE, EDGE)
     grids = _axes({"z": (low, high - low), "y": (whole.row, whole.nrows), "x": (whole.col, whole.ncols)})
-    for name, (unit, what) in voxels.NAMES.items():
+    for name, (unit, what) in voxels.ARRAYS.items():
         kind = "u4" if name in ("hits", "passes", "occluded") else "f4"
         about = {"units": unit, "long_name": what, "grid_mapping": "crs"}
         grids[name] = Grid(shape, chunks, kind, 0.0, ("z", "y", "x"), about)
@@ -131,7 +131,7 @@ def deliver_voxels(here: StageInputs, size: float, block: float, crs: str | None
         for key, window in windows.items():
             arrays, _ = here.inputs.arrays("voxels", key, ARRAYS)
             where = (slice(parts[key][0] - low, parts[key][1] - low), *window.within(whole))
-            yield {n: (where, arrays[n]) for n in voxels.NAMES}
+            yield {n: (where, arrays[n]) for n in voxels.ARRAYS}
 
     write_grids(here.directory / "voxels.zarr", grids, _about(crs, "voxels", size), pieces())
     return {"voxels": math.prod(shape), "blocks": len(windows)}
@@ -152,7 +152,7 @@ def deliver_profiles(here: StageInputs, params: ProfileParams, block: float, crs
     )
     percent = np.array(profiles.SHARES, np.float64)
     grids["percent"] = Grid((len(percent),), (len(percent),), "f8", 0.0, ("percent",), {"units": "%"})
-    for name, (unit, what) in profiles.NAMES.items():
+    for name, (unit, what) in profiles.ARRAYS.items():
         axis = shapes.get(name)
         first = ((axis[1],), (axis[0],)) if axis else ((), ())
         kind, fill = ("u4", 0.0) if name == "pulses" else ("f4", math.nan)
@@ -168,7 +168,7 @@ def deliver_profiles(here: StageInputs, params: ProfileParams, block: float, crs
         for key, window in windows.items():
             arrays, _ = here.inputs.arrays("profiles", key, ARRAYS)
             where = window.within(whole)
-            yield {n: ((..., *where) if n in shapes else where, arrays[n]) for n in profiles.NAMES}  # type: ignore[misc]
+            yield {n: ((..., *where) if n in shapes else where, arrays[n]) for n in profiles.ARRAYS}  # type: ignore[misc]
 
     write_grids(here.directory / "profiles.zarr", grids, _about(crs, "profiles", params.cell), pieces())
     return {"cells": y * x}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.graph.assess import COUNT_CONFUSION
-from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names, crs_of
+from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names, crs_of_wkt
 from fwclass.graph.overview import DELIVER_OVERVIEW, cloud_arguments, cloud_columns, overview_parts, overviews_of
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
@@ -38,7 +38,7 @@ def deliver_catalogue(
 ) -> Result:
     """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
     tiles = _facts(here)
-    facts, system = sum_tiles(tiles), crs_of(crs)
+    facts, system = sum_tiles(tiles), crs_of_wkt(crs)
     present = _present(facts, names)
     drawn = {key: here.inputs.meta(DELIVER_OVERVIEW.name, key)["rows"] for key in here.parts(DELIVER_OVERVIEW.name)}
     (here.directory / "laz").mkdir(parents=True)
@@ -66,7 +66,7 @@ def deliver_polygons(
     """The tiles as polygons with their figures, and the training and test areas."""
     tiles = _facts(here)
     layers = [_tile_layer(here, tiles, _present(sum_tiles(tiles), names), size), *_area_layers(areas)]
-    write_gpkg(layers, here.directory / "tiles.gpkg", crs_of(crs))
+    write_gpkg(layers, here.directory / "tiles.gpkg", crs_of_wkt(crs))
     return {"tiles": len(tiles)}
 
 

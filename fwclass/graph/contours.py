@@ -16,7 +16,7 @@ from fwclass.contours.params import ContourParams
 from fwclass.contours.smooth import margin, smooth_terrain
 from fwclass.errors import first_few
 from fwclass.graph.ground import terrain_blocks
-from fwclass.graph.outputs import crs_of
+from fwclass.graph.outputs import crs_of_wkt
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Tile, TileGrid, Window
@@ -91,7 +91,7 @@ def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) 
             laid[_runs(places[mine], written[mine])] = vertices[_runs(last - written[mine], written[mine])]
         level, depression = lines.level[long_enough], lines.depression[long_enough]
         batches = _batches(laid, counts, level, depression, params)
-        write_contours(here.directory / CONTOURS, batches, crs_of(crs))
+        write_contours(here.directory / CONTOURS, batches, crs_of_wkt(crs))
     with whole(here.directory / Path(CONTOURS).with_suffix(".qml")) as beside:
         beside.write_bytes(style_file(contour_style(), "vector"))
     coarse = [k for k in blocks if here.inputs.meta(CONTOUR_BLOCKS.name, k)["every"] > 1]

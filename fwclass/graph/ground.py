@@ -212,7 +212,7 @@ def _stacked_around(plan: Plan, block: Tile) -> list[Name]:
 
 def filters_ground(plan: Plan) -> bool:
     """False where the sources' returns are only judged, and no check points ask for the ground."""
-    return has_check_points(plan) or not (plan.returns and plan.judges)
+    return has_check_points(plan) or not (plan.returns and plan.only_judges)
 
 
 def gathers(name: str, source: Stage, columns: Names, block: Any, when: Callable[[Plan], bool] = always) -> Stage:

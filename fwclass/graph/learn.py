@@ -60,7 +60,7 @@ def _load_trees(inputs: PartInputs, batch: str) -> list[Tree]:
     return [(arrays[f"{n}-feature"], arrays[f"{n}-threshold"], arrays[f"{n}-child"]) for n in numbers]
 
 
-def permute_features(here: StageInputs, names: tuple[str, ...], params: TrainParams, repeats: int) -> Result:
+def measure_importance(here: StageInputs, names: tuple[str, ...], params: TrainParams, repeats: int) -> Result:
     """What some of the forest's trees lose when a feature is permuted."""
     sample, trees = learned_sample(here, names), _load_trees(here.inputs, here.part)
     lost, judged = drops(sample, trees, int(here.part), params.drawing, repeats)
@@ -207,12 +207,12 @@ GROW_TREES = Stage(
     after=("training", BASE_ROWS),
     needs=lambda plan, batch: (("training", "all"), *base_rows_part(plan)),
 )
-WEIGH_FEATURES = Stage(
+MEASURE_IMPORTANCE = Stage(
     TRAIN_IMPORTANCE.name,
     TRAIN_IMPORTANCE.version,
     "survey",
     "tree_row",
-    permute_features,
+    measure_importance,
     when=lambda plan: forest_learns(plan) and bool(plan.config.train.importance_repeats),
     parts=_batches,
     arguments=lambda plan: {

@@ -32,7 +32,7 @@ from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.survey.layout import Strip
 
-DELIVERED = (
+TILE_COLUMNS = (
     "x",
     "y",
     "z",
@@ -73,7 +73,7 @@ MAX_CELLS = 1 << 35
 """Cells of a survey-wide raster: 34 000 km² at 1 m. More are stray points, which would fill a disk with nothing."""
 
 
-def crs_of(text: str | None) -> CRS | None:
+def crs_of_wkt(text: str | None) -> CRS | None:
     """The coordinate system that `text` (WKT) describes; None for none."""
     return CRS.from_user_input(text) if text else None
 
@@ -96,10 +96,10 @@ def deliver_tile(
     path = directory / TILES / f"{here.part}{TILE_ENDING}"
     shown = without(table, repeated if calibrated else (*repeated, "reflectance"))
     called = {int(code): name for code, name in names.items()}
-    copc = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
+    copc = write_tile_copc(shown, path, crs_of_wkt(crs), params, called, standard_time=standard_time)
     about = about_delivery(called, params.parquet_bits)
     plain = round_floats(table, params.parquet_bits, EXACT)
-    write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params, about)
+    write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of_wkt(crs), params, about)
     percent = by_percent(table["confidence"]).tolist() if "confidence" in table else []
     return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table), "percent": percent}
 
@@ -209,7 +209,7 @@ def columns_of_tiles(plan: Plan) -> Names:
     measured = [name for name in MEASURE_RADIOMETRY.columns(plan) if name in plan.providers]
     wanted = plan.config.publish.parquet_features
     features = {"all": (*plan.names, *plan.config.features.also), "used": plan.names, "none": ()}[wanted]
-    return tuple(dict.fromkeys((*DELIVERED, *water_columns(plan), *classes_written(plan), *measured, *features)))
+    return tuple(dict.fromkeys((*TILE_COLUMNS, *water_columns(plan), *classes_written(plan), *measured, *features)))
 
 
 def repeated_columns(plan: Plan) -> Names:

@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.outputs import NO_BYTE, class_names, columns_of_tiles, crs_of, repeated_argument, repeated_columns
+from fwclass.graph.outputs import (
+    NO_BYTE,
+    class_names,
+    columns_of_tiles,
+    crs_of_wkt,
+    repeated_argument,
+    repeated_columns,
+)
 from fwclass.graph.sites import WHOLE
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid
@@ -87,7 +94,7 @@ def deliver_overview(
     called = {int(code): name for code, name in names.items()}
     try:
         shown = without(table, () if calibrated else ("reflectance",))
-        write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
+        write_tile_copc(shown, path, crs_of_wkt(crs), params, called, standard_time=standard_time)
     except InputError:  # places further apart than the format's whole numbers reach have no common file
         return {"rows": 0}
     return {"rows": table.rows}

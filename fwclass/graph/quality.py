@@ -15,7 +15,7 @@ from fwclass.formats.wkb import point_wkb
 from fwclass.graph.check_points import CHECK_POINTS, FILE, has_check_points
 from fwclass.graph.coverage import area_coverage, read_area
 from fwclass.graph.left_aside import LEFT_ASIDE
-from fwclass.graph.outputs import NO_BYTE, crs_of
+from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
@@ -119,7 +119,7 @@ def deliver_quality(
         here.inputs, MEASURE_QUALITY.name, blocks, params.cell, {"echoes": np.uint32(0), "pulses": np.uint32(0)}
     )
     differences = _Differences(here.inputs, blocks, params, number)
-    density, system, empty = Density(params.cell), crs_of(crs), list[EmptyCells]()
+    density, system, empty = Density(params.cell), crs_of_wkt(crs), list[EmptyCells]()
     for place, bounds in places.items():
         target = here.directory / ("rasters" if place == WHOLE else f"rasters/{place}")
         target.mkdir(parents=True)

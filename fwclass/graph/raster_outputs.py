@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError
 from fwclass.graph.ground import terrain_blocks
-from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of
+from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Result, Stage, StageInputs
@@ -63,7 +63,7 @@ def deliver_rasters(
     windows = Window.covering(box, cell), Window.covering(box, params.class_cell)
     for window in windows:
         check_cells(window, box)
-    system, blocks = crs_of(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
+    system, blocks = crs_of_wkt(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
     called = {int(code): name for code, name in names.items()}
     spreads: dict[str, Spread] = {}
     cell_counts = {

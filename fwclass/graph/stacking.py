@@ -14,7 +14,7 @@ from fwclass.decompose.plane_surface import planar, plane_surface
 from fwclass.decompose.stack_candidates import Candidates, Surface, candidates
 from fwclass.decompose.stacking import STACK, STACK_COLUMNS, roughness_of, stack
 from fwclass.graph.ground import around_block, terrain_blocks
-from fwclass.graph.outputs import NO_BYTE, crs_of
+from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.sources import placement_of, pulse_of, strip_of, waveforms_of
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
@@ -133,8 +133,8 @@ def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, sta
     if table.rows:
         target = here.directory / "stacked"
         target.mkdir(parents=True)
-        write_tile_laz(table, target / f"{here.part}.laz", crs_of(crs), params, standard_time=standard_time)
-        write_geoparquet(table, target / f"{here.part}.parquet", crs_of(crs), params)
+        write_tile_laz(table, target / f"{here.part}.laz", crs_of_wkt(crs), params, standard_time=standard_time)
+        write_geoparquet(table, target / f"{here.part}.parquet", crs_of_wkt(crs), params)
     return {"rows": table.rows}
 
 

@@ -56,7 +56,8 @@ class Plan:
     tiled : the tiles that there are, once the echoes lie in them.
     flown : when each trajectory was.
     returns : the sources' returns are taken for echoes, and their waveforms left aside.
-    judges : the run says how good the survey is, and makes nothing of it.
+    only_judges : the run says how good the survey is and delivers no echoes: the ground of its sources' returns is
+        filtered for check points alone.
     pointing : beams are held against the trajectory before a range is taken from it.
     declares : columns that the program does not know, of a user's own stages.
     providers : the stage that writes each column, as far as records tell.
@@ -73,7 +74,7 @@ class Plan:
     tiled: Layout | None = None
     flown: Flown = field(default_factory=dict)
     returns: bool = False
-    judges: bool = False
+    only_judges: bool = False
     pointing: bool = False
     declares: tuple[Column, ...] = ()
     providers: Mapping[str, str] = field(default_factory=dict)

@@ -42,12 +42,12 @@ from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_ECHOES, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
 from fwclass.graph.learn import (
     GROW_TREES,
+    MEASURE_IMPORTANCE,
     TRAIN_BASELINE,
     TRAIN_COARSE_BASELINE,
     TRAIN_COARSE_FOREST,
     TRAIN_FOREST,
     TRY_MACHINES,
-    WEIGH_FEATURES,
 )
 from fwclass.graph.noise import FILTER_NOISE, GATHER_NOISE
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
@@ -132,7 +132,7 @@ LEARNING = (
     MERGE_SAMPLE,
     CHOOSE_BASE_ROWS,
     GROW_TREES,
-    WEIGH_FEATURES,
+    MEASURE_IMPORTANCE,
     TRAIN_FOREST,
     TRY_MACHINES,
     TRAIN_BASELINE,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.formats.wkb import point_wkb, polygon_wkb
-from fwclass.graph.outputs import NO_BYTE, class_names, crs_of
+from fwclass.graph.outputs import NO_BYTE, class_names, crs_of_wkt
 from fwclass.graph.rasters import owned
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, Window
@@ -131,8 +131,8 @@ def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishPar
     for shapes, layer in layers:
         path = here.directory / "vectors" / f"{layer.name}.parquet"
         boxes = _bounds(shapes)
-        write_shape_parquet(layer.fields, layer.geometry, boxes, path, crs_of(crs), publish, layer.kind, UNITS)
-    write_gpkg([layer for _, layer in layers], here.directory / VECTORS, crs_of(crs))
+        write_shape_parquet(layer.fields, layer.geometry, boxes, path, crs_of_wkt(crs), publish, layer.kind, UNITS)
+    write_gpkg([layer for _, layer in layers], here.directory / VECTORS, crs_of_wkt(crs))
     return facts
 
 

@@ -22,7 +22,7 @@ from fwclass.workflows import workflow_of
 
 
 @dataclass(frozen=True)
-class Delivered:
+class RunResult:
     """What came of a run.
 
     Attributes
@@ -68,7 +68,7 @@ class Delivered:
 
 def run_survey(
     config: Config, runner: Runner, request: Request, entry: Entry, fail_fast: bool = False, verify: bool = False
-) -> Delivered:
+) -> RunResult:
     """Make all parts of the workflow that are not there, write the report, and show what is delivered.
 
     `entry`: the run's place in the history. `fail_fast`: end at the first part that fails. `verify`: first read all
@@ -97,7 +97,7 @@ def run_survey(
         raise
     entry.generation = generation.number
     shown = runner.store.generations.current()
-    return Delivered(report, generation, shown, before, earlier, runner.failures, entry.judged(report))
+    return RunResult(report, generation, shown, before, earlier, runner.failures, entry.judged(report))
 
 
 def _remove_damaged(runner: Runner) -> None:

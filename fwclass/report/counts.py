@@ -78,7 +78,12 @@ def stage_figures(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
 def delivered_files(runner: Runner) -> dict[str, list[str]]:
     """Paths of the files that the run delivers, by kind; an array (``.zarr``) counts as one. ``other``: those of stages
     that the program does not know."""
-    names = {_path(n) for stage in sorted(runner.delivered) for r in receipts_of_run(runner, stage) for n in r.outputs}
+    names = {
+        _path(n)
+        for stage in sorted(runner.delivering_stages)
+        for r in receipts_of_run(runner, stage)
+        for n in r.outputs
+    }
     kinds: dict[str, str | tuple[str, ...]] = {
         "laz": "laz/",
         "parquet": "parquet/",

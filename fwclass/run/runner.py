@@ -73,8 +73,9 @@ class Runner:
 
     With `fail_fast` the first part that fails ends the walk by a `PartialError`; with `accept_libraries` parts made
     with other libraries are done; with `verify` the generation that is there is read before it is taken for what this
-    run delivers. `store` remembers receipts; two runners of one run share it (`seen`). `held` raises `StoreError` when
-    the run's lock is lost; it is asked before a failure is believed and before anything is delivered.
+    run delivers. `delivering_stages` and `judging_stages`: those met so far whose parts are delivered, or only judge
+    (`Task.check`). `store` remembers receipts; two runners of one run share it (`seen`). `held` raises `StoreError`
+    when the run's lock is lost; it is asked before a failure is believed and before anything is delivered.
     """
 
     location: RunLocation
@@ -87,8 +88,8 @@ class Runner:
     accept_libraries: bool = False
     verify: bool = False
     whole: bool = False
-    delivered: set[str] = field(default_factory=set)
-    checks: set[str] = field(default_factory=set)
+    delivering_stages: set[str] = field(default_factory=set)
+    judging_stages: set[str] = field(default_factory=set)
     held: Callable[[], None] = lambda: None
     seen: InitVar[Store | None] = None
 
@@ -113,7 +114,7 @@ class Runner:
         for stage in plan.stages:
             self.tallies.setdefault(stage, Tally(began=now))
         names: list[Name] = []
-        with closing(self.executor.run(self.location, self._pending(plan, names))) as ended:
+        with closing(self.executor.run(self.location, self._to_make(plan, names))) as ended:
             for outcome in ended:
                 self.held()
                 name = (outcome.stage, outcome.part)
@@ -125,16 +126,16 @@ class Runner:
         self.store.look_up(names)
         return Done(self.store, (n for n in names if self.outcomes[n].ok))
 
-    def _pending(self, tasks: Iterable[Task], names: list[Name]) -> Iterator[Task]:
+    def _to_make(self, tasks: Iterable[Task], names: list[Name]) -> Iterator[Task]:
         """Those of `tasks` that have to be made; `names` gets all of them."""
         for task in tasks:
             if self.accept_libraries:
                 task = replace(task, any_libraries=True)
             names.append(task.name)
             if task.place == "deliver":
-                self.delivered.add(task.stage)
+                self.delivering_stages.add(task.stage)
             if task.check:
-                self.checks.add(task.stage)
+                self.judging_stages.add(task.stage)
             bad = [self.outcomes[n] for n in task.needs if n in self.outcomes and not self.outcomes[n].ok]
             if bad:
                 self._take(Outcome(*task.name, "blocked", message=f"{bad[0].stage}/{bad[0].part} {bad[0].status}"))
@@ -182,8 +183,8 @@ class Runner:
             seen=self.store,
         )
 
-    def tell(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Do what is no part: write what the run says of itself at its end."""
+    def carry_out(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Do what is no part, as to write the report; a walk that only looks leaves it out."""
         return work()
 
     def finish(self, whole: bool) -> None:
@@ -192,7 +193,7 @@ class Runner:
 
         It is whole without failures, those of parts that only judge aside: what is delivered is the same with them.
         """
-        self.whole = whole and all(o.ok or o.stage in self.checks for o in self.outcomes.values())
+        self.whole = whole and all(o.ok or o.stage in self.judging_stages for o in self.outcomes.values())
         if self.whole:
             self.retire()
 
@@ -206,7 +207,7 @@ class Runner:
         self.held()
         files: dict[str, tuple[Path, str]] = {}
         for stage, part in self.outcomes:
-            if stage in self.delivered and self.is_done(stage, part):
+            if stage in self.delivering_stages and self.is_done(stage, part):
                 receipt = self.store.receipt(stage, part)
                 if receipt is None:
                     raise StoreError(

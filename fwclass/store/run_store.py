@@ -259,7 +259,7 @@ class Store:
         self._files.put_once(f"store/{kind}/{digest}.json", lambda: to_json(value))
         return digest
 
-    def _read_setting(self, kind: str, digest: str) -> Any:
+    def _read_kept(self, kind: str, digest: str) -> Any:
         """What receipts name by `digest`; None where it was not recorded, or is damaged."""
         try:
             return self.recall(f"{kind}/{digest}.json") if digest else None
@@ -268,7 +268,7 @@ class Store:
 
     def params(self, receipt: Receipt) -> Any:
         """The parameters that a part was made with, as plain data; None where they were not recorded."""
-        return self._read_setting("params", receipt.params)
+        return self._read_kept("params", receipt.params)
 
     def libraries(self, receipt: Receipt) -> Mapping[str, str] | None:
         """What a part was made with (`libraries.fingerprint`); None where that is not known."""
@@ -276,7 +276,7 @@ class Store:
 
     def fingerprint(self, digest: str) -> Mapping[str, str] | None:
         """What receipts name by `digest`."""
-        return fingerprint_under(digest, lambda: self._read_setting("libraries", digest))
+        return fingerprint_under(digest, lambda: self._read_kept("libraries", digest))
 
     def fingerprints(self) -> list[Mapping[str, str]]:
         """Every fingerprint that was kept."""

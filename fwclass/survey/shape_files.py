@@ -14,7 +14,10 @@ from fwclass.survey.layout import FileDigests, PolygonFile
 
 
 def read_shapes(path: Path, crs: str | None, layer: str, own_crs: str | None) -> Shapes:
-    """Polygons of a file in the survey's system `crs`; `own_crs`: theirs (both WKT, None where nothing is moved)."""
+    """Polygons of a layer of a file (``""``: its only one), in the survey's system.
+
+    `crs`, `own_crs`: the survey's system and theirs, WKT; with None for either they stay where they are.
+    """
     shapes = read_polygons(open_polygons(path, layer), None)[1]
     if own_crs is not None and crs is not None:
         shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)

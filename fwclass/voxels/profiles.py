@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 SHARES = (25, 50, 75, 90, 95, 98, 100)
 """Per cent of the energy of which the heights are told."""
 
-NAMES = {
+ARRAYS = {
     "profile": ("1/m", "share of the energy in a metre of height"),
     "relative_height": ("m", "height above ground below which a share of the energy lies"),
     "cover": ("1", "share of the ground that plants hide from above"),
@@ -40,7 +40,7 @@ def profiles_of(samples: Table, above: Floats, window: Window, params: ProfilePa
 
     Returns
     -------
-    `NAMES`: ``profile`` (bins, rows, columns), ``relative_height`` (shares, rows, columns), others (rows, columns).
+    `ARRAYS`: ``profile`` (bins, rows, columns), ``relative_height`` (shares, rows, columns), others (rows, columns).
     Every pulse counts alike, whatever its energy. A cell of fewer than `params.least` pulses has NaN, and 0 pulses.
     """
     ny, nx = window.shape
@@ -73,7 +73,7 @@ def profiles_of(samples: Table, above: Floats, window: Window, params: ProfilePa
         n: np.where(few, np.nan, v).astype(np.float32).reshape(*v.shape[:-1], ny, nx) for n, v in arrays.items()
     }
     grids["pulses"] = np.where(few, 0, pulses).astype(np.uint32).reshape(ny, nx)
-    return {n: grids[n] for n in NAMES}
+    return {n: grids[n] for n in ARRAYS}
 
 
 def figures(sums: Floats, params: ProfileParams) -> tuple[Floats, Floats, Floats]:

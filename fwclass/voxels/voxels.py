@@ -39,7 +39,7 @@ ECHOES_READ = (
     "height_above_ground",
 )
 
-NAMES = {
+ARRAYS = {
     "returned_energy": ("DN ns", "energy that was sent back, of waveforms freed of the system's pulse"),
     "hits": ("1", "echoes"),
     "passes": ("1", "pulses that enter with light left"),
@@ -93,7 +93,7 @@ def voxels_of(
     spots = np.stack([samples[a] for a in "xyz"], axis=1) - corner
     _put(sums["returned_energy"], spots, samples["returned_energy"], lattice)
     arrays = {**counts, **{n: v.astype(np.float32) for n, v in sums.items()}}
-    return {n: arrays[n] for n in NAMES}, lattice
+    return {n: arrays[n] for n in ARRAYS}, lattice
 
 
 def _lattice(z: Floats, window: Window, params: VoxelParams, where: object) -> Lattice:

@@ -268,12 +268,12 @@ def until_report(
         receipts = runner.do(tasks_of(plan, first))
         counted = {name: receipt for name, receipt in receipts.items() if name[0] == COUNT_LABELS.name}
         if not runner.failures:  # what failed may hold the labels that are lacking
-            runner.tell(lambda: check_labels(plan, counted))
+            runner.carry_out(lambda: check_labels(plan, counted))
         tasks = tasks_of(plan, [stage for stage in stages if stage not in first])
     runner.do(tasks)
     runner.finish(whole=keys is None)
     card = load_model(local(plan.model[0])).card if plan.model else None
-    return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph, card))
+    return runner.carry_out(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph, card))
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:

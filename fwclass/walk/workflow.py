@@ -29,7 +29,8 @@ class Workflow:
 
     Without a `walk` of its own it goes from files to tiles, makes all stages and writes the report. `settle` gives the
     configuration that it runs by; with it classes, labels and training areas need not be in the survey's file.
-    `by_returns`: the sources' returns are enough for it, where `survey.echoes` is ``auto``.
+    `only_judges`: it says how good the survey is and delivers no echoes, for which the sources' returns are enough
+    where `survey.echoes` is ``auto``.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Workflow:
     stages: tuple[Stage, ...]
     walk: Walk | None = None
     settle: Callable[[Config], Config] | None = None
-    by_returns: bool = False
+    only_judges: bool = False
 
     @property
     def classifies(self) -> bool:
@@ -72,9 +73,9 @@ class Workflow:
             config = replace(config, classify=config.classify.model_copy(update={"lines": lines}))
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
-        returns = config.survey.echoes == "returns" or (self.by_returns and config.survey.echoes == "auto")
+        returns = config.survey.echoes == "returns" or (self.only_judges and config.survey.echoes == "auto")
         plan = replace(
-            plan_with_features(config, self.stages), declares=columns, returns=returns, judges=self.by_returns
+            plan_with_features(config, self.stages), declares=columns, returns=returns, only_judges=self.only_judges
         )
         ours = {id(stage) for stage in STAGES}
         more = check_reads(plan, [stage for stage in self.stages if id(stage) not in ours])

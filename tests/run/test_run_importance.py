@@ -39,7 +39,7 @@ def test_importance_in_parts(tmp_path):
     for first, count in ((0, 3), (3, 1)):
         part = f"{first:05d}"
         learn.grow_part(StageInputs(inputs, path("trees", part), part), NAMES, params, CLASSES, count)
-        learn.permute_features(StageInputs(inputs, path("importance", part), part), NAMES, params, 3)
+        learn.measure_importance(StageInputs(inputs, path("importance", part), part), NAMES, params, 3)
     needs = tuple((stage, part) for stage in ("trees", "importance") for part in ("00000", "00003"))
     here = StageInputs(inputs, path("train", "model"), "model", needs)
     made = learn.deliver_forest(here, NAMES, params, CLASSES, {})

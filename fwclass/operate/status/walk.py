@@ -116,7 +116,7 @@ class StatusWalk(Runner):
         """None: the walk goes on for as long as the parts that follow are known."""
         return []
 
-    def tell(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    def carry_out(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return {}
 
     def finish(self, whole: bool) -> None:

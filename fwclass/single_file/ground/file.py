@@ -100,7 +100,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     measured: dict[str, Any] = {}
     compiled = compiling.spent()
     if job.adapt is not None:
-        params, measured = job.adapt(cloud, some_shown(cloud, shown), params)
+        params, measured = job.adapt(cloud, require_shown(cloud, shown), params)
         params = with_assignments(params, job.assignments)
     at, before = time.perf_counter(), compiling.spent()
     flags = filter_cloud(cloud, shown, params, tell)
@@ -170,7 +170,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
     InputError
         No point is left to look at.
     """
-    rows = np.flatnonzero(some_shown(cloud, shown))
+    rows = np.flatnonzero(require_shown(cloud, shown))
     if params.last_returns and not cloud.last[rows].any():
         raise InputError(
             "no point is the last return of its pulse",
@@ -199,7 +199,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
     return flags
 
 
-def some_shown(
+def require_shown(
     cloud: PointCloud, shown: NDArray[np.bool_], unless_noise: str = "leave out --keep-classes"
 ) -> NDArray[np.bool_]:
     """`shown`, or `InputError` where no point is; `unless_noise` says what to do where all came as noise."""

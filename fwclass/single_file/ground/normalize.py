@@ -26,8 +26,8 @@ from fwclass.single_file.ground.file import (
     filter_cloud,
     place_of_cloud,
     places_of_cloud,
+    require_shown,
     shown_points,
-    some_shown,
 )
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
 from fwclass.single_file.ground.params import ground_params
@@ -138,7 +138,7 @@ def _ground(cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob, tell
     """Ground and noise by a filter, or by the classes of the file; the filter's name."""
     if job.filters:
         params = ground_params(job.method, job.preset, job.assignments, job.settings)
-        some_shown(cloud, shown, "give points another class than 7 and 18, which are noise")
+        require_shown(cloud, shown, "give points another class than 7 and 18, which are noise")
         flags, method = filter_cloud(cloud, shown, params, tell), params.method
     elif cloud.classes is not None and (cloud.classes == GROUND).any():
         flags, method = Flags((cloud.classes == GROUND) & shown, came_as_noise(cloud)), None
