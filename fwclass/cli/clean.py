@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import RUN, cli
-from fwclass.cli.status import run_at
+from fwclass.cli.run_words import run_at
 
 
 @cli.command()

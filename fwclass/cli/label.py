@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import OUTPUT, OVERWRITE, PATH, RUN, SET, Finite, cli
-from fwclass.cli.status import chosen_tiles, run_at
+from fwclass.cli.run_words import chosen_tiles, run_at
 
 
 def _login() -> str:

@@ -255,7 +255,7 @@ def adapt(run: Any, model: Path, target: Path, settings: tuple[str, ...], overwr
     `fwclass suggest`.
     """
     from fwclass import conf
-    from fwclass.cli.status import run_at
+    from fwclass.cli.run_words import run_at
     from fwclass.delivery.adapting import adapt_model
     from fwclass.store.url import is_url
 

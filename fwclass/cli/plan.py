@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, WORKERS, cli
+from fwclass.cli.run_words import WORKFLOW
 from fwclass.cli.runner import open_runner
-from fwclass.cli.status import WORKFLOW
 from fwclass.errors import ConfigError
 
 

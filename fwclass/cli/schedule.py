@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.status import WORKFLOW, location_of_run, read_request, run_at
+from fwclass.cli.run_words import WORKFLOW, location_of_run, read_request, run_at
 from fwclass.errors import ConfigError, visible
 
 

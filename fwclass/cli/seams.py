@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, RUN, SET, Finite, cli
-from fwclass.cli.status import own_file, run_at
+from fwclass.cli.run_words import own_file, run_at
 from fwclass.errors import ConfigError
 
 

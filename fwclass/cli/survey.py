@@ -21,8 +21,9 @@ from fwclass.cli.base import (
     cli,
     little_garbage,
 )
+from fwclass.cli.run_words import AOI, TILES, WORKFLOW, chosen_tiles, location_of_run, out_directory, read_request
 from fwclass.cli.runner import open_runner, report_path, tell_failures
-from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen_tiles, location_of_run, out_directory, read_request
+from fwclass.cli.status import alone
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 

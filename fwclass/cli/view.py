@@ -38,7 +38,7 @@ def view(
     The page is served on 127.0.0.1 alone, and answers who has the address that is printed. Ctrl-C ends it.
     """
     from fwclass import conf
-    from fwclass.cli.status import run_at
+    from fwclass.cli.run_words import run_at
     from fwclass.store.url import is_url
 
     run, against = (run_at(place) if is_url(place) else place for place in (run, against))
