@@ -37,9 +37,9 @@ def _odometry(speed, at, store):
     return bytes(store.serialize_ros1(message, "nav_msgs/msg/Odometry"))
 
 
-def write_bag(path: Path, frames, compression=None, speeds=()) -> None:
+def write_bag(path: Path, frames, compression=None, speeds=(), odometry=("/odom",)) -> None:
     """A ROS 1 bag with one topic of scans; `compression`: bz2, lz4 or None; `speeds` that odometry tells before the
-    first frames."""
+    first frames, on each of the topics `odometry`."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -49,10 +49,11 @@ def write_bag(path: Path, frames, compression=None, speeds=()) -> None:
         writer.set_compression(writer.CompressionFormat[compression.upper()])
     with writer:
         connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
-        wheels = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store) if len(speeds) else None
+        told = odometry if len(speeds) else ()
+        wheels = [writer.add_connection(name, "nav_msgs/msg/Odometry", typestore=store) for name in told]
         for k, (at, raw) in enumerate(_messages(frames, store, False)):
-            if k < len(speeds):
-                writer.write(wheels, at - 1, _odometry(float(speeds[k]), at - 1, store))
+            for wheel in wheels if k < len(speeds) else ():
+                writer.write(wheel, at - 1, _odometry(float(speeds[k]), at - 1, store))
             writer.write(connection, at, raw)
 
 

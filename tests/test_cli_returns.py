@@ -127,6 +127,10 @@ def test_of_one_file_too(tmp_path):
     assert fwclass(*line, "--overwrite", "--accept-implausible").returncode == 0
     told = fwclass("info", path.parent / "b.las").stdout
     assert "! places lie on a lattice, as if they were rounded: z 1 m" in told
+    two_files(tmp_path, backward)
+    ended = fwclass("ground", path.parent / "b.las", tmp_path / "g.las", "--crs", "EPSG:25832")
+    assert ended.returncode == 4 and "numbered from the ground up" in ended.stderr, ended.stderr
+    assert "! of " in fwclass("info", path.parent / "b.las").stdout
     two_files(tmp_path, in_feet)
     ended = fwclass(*line, "--overwrite")
     assert ended.returncode == 4 and "heights are in feet" in ended.stderr, ended.stderr

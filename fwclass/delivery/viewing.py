@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import webbrowser
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 
 from fwclass.delivery.opened import open_run
@@ -58,8 +58,15 @@ def serve_view(
         tell(server.address)
         if browser and not _open_browser(server.address):
             tell("no browser could be started: open the address above")
-        with suppress(KeyboardInterrupt):
-            server.serve_forever()
+        serving = threading.Thread(target=server.serve_forever, daemon=True)
+        serving.start()
+        try:
+            while serving.is_alive():  # nothing else is done here: an interrupt amid a request was lost now and then
+                serving.join(0.5)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            server.shutdown()
 
 
 def _open_browser(address: str) -> bool:

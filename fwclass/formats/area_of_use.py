@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from pyproj import Transformer
+import numpy as np
+from pyproj import Proj, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
@@ -17,6 +18,10 @@ from fwclass.units import LAND
 LEAST_MARGIN, MOST_MARGIN = 1.0, 10.0
 """Degrees around the area of a system, between these: its own width beside it, as whole countries keep one UTM zone
 far into the next ones (Bornholm lies half a zone away from Denmark's), and half of its height above and below."""
+
+STRETCHED = 0.05
+"""Logarithm of the ratio of lengths: below 0.002 in systems of surveys, up to 0.03 in those of a continent, 0.37 in Web
+Mercator at 46 degrees."""
 
 LATEST_GPS = 1e10
 """s, 300 years: no GPS time, of a week or of an epoch, is larger."""
@@ -36,7 +41,7 @@ def place_faults(crs: Any, low: Sequence[float], high: Sequence[float], header: 
         A sentence for places outside of the area that the system is used in, one for heights where no land is; none of
         numbers that are NaN, and of a system without such an area.
     """
-    faults = [outside_of_area(crs, low, high)]
+    faults = [outside_of_area(crs, low, high) or stretched(crs, low, high)]
     unit = _metres_of_height(crs, header)
     lowest, highest = low[2] * unit, high[2] * unit
     if lowest < LAND[0] or highest > LAND[1]:
@@ -48,9 +53,14 @@ def place_faults(crs: Any, low: Sequence[float], high: Sequence[float], header: 
 
 
 def elsewhere(crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None) -> bool:
-    """No place within `low` and `high` can be where `crs` and z say: what `place_faults` tells holds for all."""
+    """No place within `low` and `high` can be where `crs` and z say, or lengths are none there: what `place_faults`
+    says holds for all."""
     unit = _metres_of_height(crs, header)
-    return bool(outside_of_area(crs, low, high)) or high[2] * unit < LAND[0] or low[2] * unit > LAND[1]
+    return (
+        bool(outside_of_area(crs, low, high) or stretched(crs, low, high))
+        or high[2] * unit < LAND[0]
+        or low[2] * unit > LAND[1]
+    )
 
 
 def place_facts(crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None) -> dict[str, Any]:
@@ -69,8 +79,7 @@ def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> st
     area = flat.area_of_use
     if area is None or not flat.is_projected:
         return ""
-    xs, ys = ([a, a, b, b, (a + b) / 2.0] for a, b in zip(low[:2], high[:2], strict=True))
-    ys = [ys[0], ys[2], ys[0], ys[2], ys[4]]
+    xs, ys = _five(low, high)
     try:
         lons, lats = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(xs, ys)
     except (CRSError, ProjError):
@@ -84,6 +93,40 @@ def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> st
         f"x {xs[4]:.0f}, y {ys[4]:.0f} is {there} in {flat.name}, which is used from {_degrees(south, 'NS')} "
         f"{_degrees(west, 'EW')} to {_degrees(north, 'NS')} {_degrees(east, 'EW')}: are x and y swapped, or is it "
         "another system?"
+    )
+
+
+def _five(low: Sequence[float], high: Sequence[float]) -> tuple[list[float], list[float]]:
+    """x and y of the corners of a box and, last, of its middle."""
+    (west, south), (east, north) = low[:2], high[:2]
+    middle = (west + east) / 2.0, (south + north) / 2.0
+    return [west, west, east, east, middle[0]], [south, north, south, north, middle[1]]
+
+
+def stretched(crs: Any, low: Sequence[float], high: Sequence[float]) -> str:
+    """The sentence for a system whose lengths are off those on the ground by more than `STRETCHED` in the middle and in
+    all corners of a box, as those of Web Mercator are away from the equator; "" for none.
+
+    `low`, `high`: least and largest x and y in units of `crs`; further numbers are not looked at.
+    """
+    if crs is None or not all(map(math.isfinite, (*low[:2], *high[:2]))):
+        return ""
+    flat = _horizontal(crs)
+    if not flat.is_projected:
+        return ""
+    try:
+        lons, lats = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(*_five(low, high))
+        scales = Proj(flat).get_factors(lons, lats, errcheck=False)
+        ratio = np.abs(np.log([scales.tissot_semimajor, scales.tissot_semiminor]))
+    except (CRSError, ProjError, ValueError):
+        return ""
+    if not (ratio.max(axis=0) > STRETCHED).all():
+        return ""
+    axes = (scales.tissot_semimajor[-1], scales.tissot_semiminor[-1])
+    off = max(axes, key=lambda scale: abs(math.log(scale)))
+    return (
+        f"a length of 1 on the ground is one of {off:.2f} in {flat.name} there: distances, areas, densities and slopes "
+        "are off by as much; bring the files into a system that is made for the place (UTM, or the country's own)"
     )
 
 

@@ -1,4 +1,4 @@
-"""Coordinates that are no lengths on a plane: degrees, and places that count from the middle of the earth.
+"""Coordinates that are no lengths on a plane: degrees, places that count from the middle of the earth, and depths.
 
 Everything here measures in metres, with z up. A file says by its coordinate system that it does not, or by its numbers
 where it names none.
@@ -16,15 +16,17 @@ from fwclass.errors import InputError
 TAKEN_FOR_METRES = "no coordinate system is named: the numbers are taken for metres (--crs names one)"
 """What a command says of a file whose units nobody tells."""
 
-DEGREES, GEOCENTRIC = "in degrees", "geocentric"
+DEGREES, GEOCENTRIC, DOWN = "in degrees", "geocentric", "downwards"
 
 _WORDS = {
     DEGREES: "the coordinates are in degrees",
     GEOCENTRIC: "the coordinates are geocentric: they count from the middle of the earth, and z is not up",
+    DOWN: "heights are depths: their system counts downwards",
 }
 _LIKE = {
     DEGREES: "the coordinates look like degrees",
     GEOCENTRIC: "the coordinates look geocentric, as if they counted from the middle of the earth",
+    DOWN: _WORDS[DOWN],
 }
 
 LONGEST, HIGHEST = 360.0, 90.0
@@ -72,7 +74,7 @@ class PlacedFile(Protocol):
 
 
 def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float | None = None) -> str:
-    """`DEGREES`, `GEOCENTRIC` or "".
+    """`DEGREES`, `GEOCENTRIC`, `DOWN` or "".
 
     Parameters
     ----------
@@ -85,6 +87,8 @@ def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float 
         return DEGREES
     if crs is not None and crs.is_geocentric:
         return GEOCENTRIC
+    if crs is not None and any(axis.direction == "down" for axis in crs.axis_info):
+        return DOWN
     if not all(map(math.isfinite, (*low, *high))):
         return ""
     away = math.hypot(*((a + b) / 2.0 for a, b in zip(low, high, strict=True)))

@@ -51,18 +51,18 @@ UNCLASSIFIED = (0, 1)
 KINDS = "Parquet or CSV of frames, a ROS 1 bag, a ROS 2 bag's directory (sqlite3 or MCAP), a mobile LAS or LAZ"
 
 
-def open_recording(path: Path, scan: Scan, topic: str | None = None) -> Recording:
-    """The recording at `path`; `scan` holds where it does not say itself, `topic` chooses in a bag."""
+def open_recording(path: Path, scan: Scan, topic: str | None = None, odometry: str | None = None) -> Recording:
+    """The recording at `path`; `scan` holds where it does not say itself, `topic` and `odometry` choose in a bag."""
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
-            return BagRecording(path, scan, topic)
+            return BagRecording(path, scan, topic, odometry)
         raise InputError("this directory is no recording", where=path, expected=KINDS, do="check the path")
     if not path.exists():
         raise InputError("no such recording", where=path, expected=KINDS, do="check the path")
     with path.open("rb") as stream:
         head = stream.read(16)
     if head.startswith(b"#ROSBAG") or path.suffix in (".bag", ".mcap", ".db3"):
-        return BagRecording(path, scan, topic)
+        return BagRecording(path, scan, topic, odometry)
     if head.startswith(b"PAR1"):
         return ParquetRecording(path, scan)
     if path.suffix.lower() in (".csv", ".txt"):
@@ -183,7 +183,7 @@ def open_on_trajectory(path: Path, params: StreetParams, trajectory: TrajectoryF
     """The recording at `path`, placed along a trajectory where there is one."""
     if path.suffix.lower() in LAS_SUFFIXES and path.is_file():
         return LasRecording(path, params, trajectory)
-    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic)
+    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic, params.odometry)
     return OnTrajectory(recording, trajectory) if trajectory.files else recording
 
 

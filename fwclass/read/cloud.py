@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.points import BLOCK, PointReader, coordinates, flags_of, gps_times, scan_angles
-from fwclass.read.return_counts import count_slants
+from fwclass.read.return_counts import count_pairs
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
 
@@ -56,7 +57,7 @@ class PointCloud:
     flagged : bool (n,), withheld or synthetic.
     unfinished : points without a finite coordinate.
     absurd : points beyond any place on earth.
-    slants : `return_counts.count_slants` of the first points of a LAS file; empty for a text.
+    beams : what `return_counts.count_pairs` says of the first points of a LAS file; nothing for a text.
     cut_packets : what to tell of waveform packets that reach past the end of the packets there are.
     """
 
@@ -74,7 +75,7 @@ class PointCloud:
     unfinished: int
     absurd: int
     cut_packets: tuple[str, ...] = ()
-    slants: tuple[int, ...] = ()
+    beams: Mapping[str, list[int]] = field(default_factory=dict)
 
     @property
     def points(self) -> int:
@@ -144,18 +145,18 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     xyz = x * units.xy, y * units.xy, z * units.z
     remarks = (f"{cut:,} of {len(z):,} waveform packets reach past the end of those there are",) if cut else ()
     cloud = _cloud(source.path, source, crs, units, xyz, last, classes, flagged)
-    return replace(cloud, cut_packets=remarks, slants=first_slants(source, units))
+    return replace(cloud, cut_packets=remarks, beams=first_beams(source, units))
 
 
-def first_slants(source: LasSource, units: LinearUnits) -> tuple[int, ...]:
-    """`return_counts.count_slants` of the first points of a file that has some: times and angles are else not
+def first_beams(source: LasSource, units: LinearUnits) -> dict[str, list[int]]:
+    """`return_counts.count_pairs` of the first points of a file that has some: times and angles are else not
     unpacked."""
     with PointReader(source, _FIELDS | _BEAM_FIELDS) as reader:
         points = reader.read(0, min(source.n_points, BLOCK))
     x, y, z = coordinates(source, points)
     returns = {"x": x * units.xy, "y": y * units.xy, "z": z * units.z, "gps_time": gps_times(source, points)}
     returns |= {name: np.asarray(points[name]) for name in ("return_number", "number_of_returns")}
-    return tuple(count_slants(returns, scan_angles(source, points)))
+    return count_pairs(returns, scan_angles(source, points))
 
 
 def _cloud(

@@ -22,7 +22,7 @@ from fwclass.formats.linear_units import linear_units
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
 from fwclass.read.beams import beam_fault
-from fwclass.read.cloud import first_slants
+from fwclass.read.cloud import first_beams
 from fwclass.read.echo_labels_info import describe_echo_labels, echo_labels_info
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, looked_into
@@ -31,7 +31,15 @@ from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import PARQUET, is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
 from fwclass.read.quantities import quantities_of, words_of
-from fwclass.read.return_counts import MOST, coarse_steps, join_lattices, lattice_of, missing_returns, unit_fault
+from fwclass.read.return_counts import (
+    MOST,
+    backward_fault,
+    coarse_steps,
+    join_lattices,
+    lattice_of,
+    missing_returns,
+    unit_fault,
+)
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
 
 MANY = 100
@@ -56,7 +64,7 @@ class _Tally:
     low: NDArray[np.float64] = field(default_factory=lambda: np.full(3, np.inf))
     high: NDArray[np.float64] = field(default_factory=lambda: np.full(3, -np.inf))
     gps: tuple[float, float] = (np.inf, -np.inf)
-    slants: tuple[int, ...] = ()
+    beams: Mapping[str, list[int]] = field(default_factory=dict)
     lattice: list[list[int]] = field(default_factory=lambda: [[], [], []])
     intensity: tuple[int, int] = (65535, 0)
     zero_intensity: int = 0
@@ -137,7 +145,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
     has_points = source.n_points > 0
     crs = source.crs
     if has_points and (crs is None or crs.is_projected):
-        tally.slants = first_slants(source, linear_units(crs, source.header, source.path))
+        tally.beams = first_beams(source, linear_units(crs, source.header, source.path))
     return {
         "path": str(source.path),
         "size": source.size,
@@ -228,8 +236,10 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
         faults.append(f"{outliers} z outliers: points far above or below all others")
     if n >= MANY and (steps := coarse_steps(tally.lattice)):
         faults.append(f"places lie on a lattice, as if they were rounded: {steps} m")
-    if fault := unit_fault(tally.slants):
+    if fault := unit_fault(tally.beams.get("slants", ())):
         faults.append(f"returns below others of their pulse {fault}")
+    if fault := backward_fault(tally.beams.get("following", (0, 0))):
+        faults.append(f"{fault}: they are numbered from the ground up")
     if n >= MANY and tally.gps[0] == tally.gps[1]:
         faults.append(f"all GPS times are {_time_text(tally.gps[0])} s: lines and pulses cannot be told by them")
     if tally.zero_intensity:

@@ -52,6 +52,9 @@ NEAR_UNIT, OF_ONE_UNIT = 0.15, 1.3
 """Logarithm by which the ratio of slants may be off a foot's, and third quartile over first: in nine public files it is
 0.99 to 1.1 and 1.01 to 1.15, on a drone whose angles count from its own axes 0.6 and 2.5."""
 
+PAIRS = 100
+"""Returns of a file that follow another before they tell in which order they are numbered; all fall in nine files."""
+
 FINE = 20
 """mm; a lattice of so few among the first places is looked into no further."""
 
@@ -72,7 +75,6 @@ def count_returns(returns: Table, scan_angle: NDArray[np.float32] | None = None)
     intensity, time = returns["intensity"], returns["gps_time"]
     time = time[np.isfinite(time)]
     singles = intensity[of <= 1] if np.isnan(returns["vendor_amplitude"]).all() else intensity[:0]
-    first, second = _pairs(returns)
     kinds, counts = np.unique(np.searchsorted(EDGES, singles, "right"), return_counts=True)
     pairs = np.bincount(number * MOST + of, minlength=MOST**2).reshape(MOST, MOST)
     return {
@@ -81,8 +83,7 @@ def count_returns(returns: Table, scan_angle: NDArray[np.float32] | None = None)
         "times": [float(time.min()), float(time.max())] if len(time) else None,
         "several": int((of > 1).sum()),
         "missing": missing_returns(pairs),
-        "following": [len(first), int((returns["z"][second] <= returns["z"][first]).sum())],
-        **({} if scan_angle is None else {"slants": count_slants(returns, scan_angle, (first, second))}),
+        **count_pairs(returns, scan_angle),
         "lattice": [lattice_of(returns[axis]) for axis in "xyz"],
     }
 
@@ -128,9 +129,17 @@ def slant_ratio(slants: Sequence[int]) -> tuple[float, float]:
     return float(median), float(high / low)
 
 
+def backward_fault(following: Sequence[int]) -> str:
+    """That later returns of a pulse lie higher, by ``following`` of `count_pairs`; "" for nothing of the kind."""
+    pairs, falling = following
+    if pairs < PAIRS or 2 * falling >= pairs:
+        return ""
+    return f"of {pairs:,} returns that follow another of their pulse {pairs - falling:,} lie higher"
+
+
 def unit_fault(slants: Sequence[int]) -> str:
-    """That heights are in feet where places are in metres, or the other way round, by `count_slants`; "" for nothing
-    of the kind."""
+    """That heights are in feet where places are in metres, or the other way round, by ``slants`` of `count_pairs`; ""
+    for nothing of the kind."""
     ratio, wide = slant_ratio(slants)
     for factor, words in ((FOOT, "heights are in feet, where places"), (1 / FOOT, "places are in feet, where heights")):
         if abs(math.log(ratio / factor)) < NEAR_UNIT and wide < OF_ONE_UNIT:
@@ -158,23 +167,22 @@ def missing_returns(pairs: NDArray[np.int64]) -> int:
     return missing
 
 
-def count_slants(
-    returns: Mapping[str, NDArray], scan_angle: NDArray[np.float32], pairs: tuple[NDArray, NDArray] | None = None
-) -> list[int]:
-    """How many returns that follow another of their pulse have which ratio of the slant by their places to that by
-    their scan angle, by class of `SLANTS`.
+def count_pairs(returns: Mapping[str, NDArray] | Table, scan_angle: NDArray[np.float32] | None) -> dict[str, list[int]]:
+    """``following`` and, where scan angles are told, ``slants``, as `count_returns` has them.
 
     returns : x, y, z [m], gps_time [s], return_number and number_of_returns, (n,) each; scan_angle [degrees], (n,).
     """
-    first, second = _pairs(returns) if pairs is None else pairs
+    first, second = _pairs(returns)
     fall = returns["z"][first] - returns["z"][second]
+    counts = {"following": [len(first), int((fall >= 0).sum())]}
+    if scan_angle is None:
+        return counts
     angle = np.abs(scan_angle[first].astype(np.float64))
     far = (fall >= FALL) & (angle >= ASIDE[0]) & (angle <= ASIDE[1])
     first, second = first[far], second[far]
     aside = np.hypot(*(returns[axis][first] - returns[axis][second] for axis in "xy"))
     ratio = aside / fall[far] / np.tan(np.radians(angle[far]))
-    counts: list[int] = np.bincount(np.searchsorted(SLANTS, ratio), minlength=len(SLANTS) + 1).tolist()
-    return counts
+    return counts | {"slants": np.bincount(np.searchsorted(SLANTS, ratio), minlength=len(SLANTS) + 1).tolist()}
 
 
 def _pairs(returns: Mapping[str, NDArray] | Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -12,7 +12,15 @@ from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_named, visible
 from fwclass.graph.quantities import quantity_of_feature
 from fwclass.graph.sources import strip_of
-from fwclass.read.return_counts import coarse_step, coarse_steps, join_counts, lattice_of, median_intensity, unit_fault
+from fwclass.read.return_counts import (
+    backward_fault,
+    coarse_step,
+    coarse_steps,
+    join_counts,
+    lattice_of,
+    median_intensity,
+    unit_fault,
+)
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Strip
 
@@ -27,9 +35,6 @@ MISSING = 0.1
 
 SEVERAL = 0.05
 """Share of another file's returns that are of pulses with several before a file without any is told."""
-
-PAIRS = 100
-"""Returns of a file that follow another before they tell in which order they are numbered; all fall in nine files."""
 
 WEEK = 604_800.0
 """s; adjusted standard time has been below it since 14 September 2011 alone, for a week."""
@@ -85,17 +90,17 @@ def heights_of_returns(receipts: Iterable[Receipt]) -> tuple[float, float] | Non
 
 
 def places_facts(
-    places: Sequence[NDArray[np.float64]], slants: Sequence[int], name: str, params: PlausibilityParams
+    places: Sequence[NDArray[np.float64]], beams: Mapping[str, list[int]], name: str, params: PlausibilityParams
 ) -> dict[str, Any]:
-    """As `returns_facts`, of x, y and z [m] of one file's points and their `slants` (`count_slants`) alone."""
-    facts = {"lattice": [*map(lattice_of, places)], "slants": slants}
+    """As `returns_facts`, of x, y and z [m] of one file's points and their `beams` (`count_pairs`) alone."""
+    facts = {"lattice": [*map(lattice_of, places)], "following": (0, 0), "slants": (), **beams}
     counted = {visible(name): facts} if len(places[0]) >= FEW else {}
-    (coarse, step), units = _coarse(counted), _units(counted)
+    (coarse, step), backward, units = _coarse(counted), _backward(counted), _units(counted)
     return {
-        "remarks": [text for text in (coarse, units) if text],
+        "remarks": [text for text in (coarse, backward, units) if text],
         "coarse": coarse if step >= params.coarse_places else "",
         "scales": "",
-        "backward": "",
+        "backward": backward,
         "units": units,
     }
 
@@ -166,14 +171,11 @@ def _scales(counted: Mapping[str, Mapping[str, Any]]) -> tuple[str, float]:
 
 def _backward(counted: Mapping[str, Mapping[str, Any]]) -> str:
     """That later returns of a pulse lie higher."""
-    names = [n for n, f in counted.items() if f["following"][0] >= PAIRS and 2 * f["following"][1] < f["following"][0]]
+    names = [n for n, f in counted.items() if backward_fault(f["following"])]
     if not names:
         return ""
-    pairs, falling = (sum(counted[n]["following"][k] for n in names) for k in (0, 1))
-    return (
-        f"of {pairs:,} returns that follow another of their pulse {pairs - falling:,} lie higher "
-        f"({first_few(names, NAMED)}): they are numbered from the ground up"
-    )
+    fault = backward_fault([sum(counted[n]["following"][k] for n in names) for k in (0, 1)])
+    return f"{fault} ({first_few(names, NAMED)}): they are numbered from the ground up"
 
 
 def _units(counted: Mapping[str, Mapping[str, Any]]) -> str:

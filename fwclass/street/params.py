@@ -134,6 +134,7 @@ class StreetParams(Params):
     scanner : a file of `conf/street`, by name.
     speed : of the vehicle [m/s], where the recording has none; null: it must have one, or positions.
     topic : of the laser scans in a bag with several.
+    odometry : topic of the vehicle's speed in a bag with several of `nav_msgs/Odometry`.
     radii : of the spheres [m]. most_frames : of the neighbourhood before and after a frame.
     window : `exact`, or the `paper`'s, which loses members near the scanner.
     features : `scanner`, heights count from the scanner (Li 2018); `road`, from the road beside the vehicle.
@@ -150,6 +151,7 @@ class StreetParams(Params):
     mounting: MountingParams
     speed: float | None = Field(ge=-60, le=60)
     topic: str | None
+    odometry: str | None
     radii: tuple[Annotated[float, Field(ge=0.02, le=LARGEST_RADIUS)], ...] = Field(min_length=1, max_length=8)
     most_frames: int = Field(ge=1, le=1000)
     window: Literal["exact", "paper"]

@@ -44,7 +44,7 @@ class BagRecording:
     """Scans of a topic; the vehicle's speed from `nav_msgs/Odometry`, the last one within `STALE` before a scan, if the
     bag has it."""
 
-    def __init__(self, path: Path, scan: Scan, topic: str | None) -> None:
+    def __init__(self, path: Path, scan: Scan, topic: str | None, odometry: str | None = None) -> None:
         self.path, self._scan = path, scan
         self._ros2 = path.suffix != ".bag" and not _is_ros1(path)
         self._size = sum(p.stat().st_size for p in ([path] if path.is_file() else path.iterdir()) if p.is_file())
@@ -55,9 +55,10 @@ class BagRecording:
             for c in reader.connections:
                 kind = str(c.topic), str(c.msgtype)
                 kinds[kind] = kinds.get(kind, 0) + (c.msgcount if isinstance(c.msgcount, int) else 0)
-        scans = sorted({t for t, kind in kinds if kind == SCAN})
-        self.topic = self._choose(scans, topic, kinds)
-        self._odometry = next((t for t, kind in sorted(kinds) if kind == ODOMETRY), None)
+        scans, speeds = (sorted({t for t, kind in kinds if kind == wanted}) for wanted in (SCAN, ODOMETRY))
+        self.topic = self._choose("laser scans", "street.topic", scans, topic, kinds)
+        several = speeds or odometry is not None
+        self._odometry = self._choose("odometry", "street.odometry", speeds, odometry, kinds) if several else None
         self.about: Mapping[str, Any] = {
             "kind": "ROS bag",
             "topic": self.topic,
@@ -66,31 +67,30 @@ class BagRecording:
             "topics": {f"{t} ({kind})": n for (t, kind), n in sorted(kinds.items())},
         }
 
-    def _choose(self, scans: list[str], asked: str | None, kinds: Mapping[tuple[str, str], int]) -> str:
-        if asked is None and len(scans) == 1:
-            return scans[0]
-        if asked in scans:
+    def _choose(
+        self, what: str, setting: str, topics: list[str], asked: str | None, kinds: Mapping[tuple[str, str], int]
+    ) -> str:
+        if asked is None and len(topics) == 1:
+            return topics[0]
+        if asked in topics:
             return str(asked)
-        topics = ", ".join(f"{t} ({kind})" for t, kind in sorted(kinds)) or "nothing"
-        if not scans:
+        if not topics:
             raise InputError(
-                "the bag has no laser scans",
+                f"the bag has no {what}",
                 where=self.path,
-                expected=SCAN,
-                got=topics,
-                do="record the scanner's topic",
+                expected=SCAN if asked is None else asked,
+                got=", ".join(f"{t} ({kind})" for t, kind in sorted(kinds)) or "nothing",
+                do="record the scanner's topic" if asked is None else f"leave {setting} out",
             )
         if asked is None:
             raise InputError(
-                "the bag has laser scans of several topics",
+                f"the bag has {what} of several topics",
                 where=self.path,
                 expected="one, or its name",
-                got=", ".join(scans),
-                do=f"choose one: {set_words('street.topic', scans[0])}",
+                got=", ".join(topics),
+                do=f"choose one: {set_words(setting, topics[0])}",
             )
-        raise ConfigError(
-            "the bag has no laser scans of this topic", where="street.topic", expected=", ".join(scans), got=asked
-        )
+        raise ConfigError(f"the bag has no {what} of this topic", where=setting, expected=", ".join(topics), got=asked)
 
     @contextmanager
     def _open(self) -> Iterator[Any]:

@@ -23,15 +23,31 @@ def box(x: float, y: float, z: float = 300.0) -> tuple[tuple[float, ...], tuple[
 
 
 @pytest.mark.parametrize(
+    ("code", "x", "y"), [("EPSG:3857", 1e6, 6e6), ("EPSG:3395", 1e6, 6e6), ("EPSG:3857", 1e6, -5e6)]
+)
+def test_systems_whose_lengths_are_none_are_told(code: str, x: float, y: float) -> None:
+    crs = CRS.from_user_input(code)
+    [fault] = place_faults(crs, *box(x, y))
+    lat = math.degrees(math.atan(math.sinh(y / 6_378_137.0)))
+    told = float(fault.split("is one of ")[1].split()[0])
+    assert told == pytest.approx(1 / math.cos(math.radians(lat)), rel=0.02) and elsewhere(crs, *box(x, y))
+    low, high = box(x, y)
+    assert not elsewhere(crs, (x, 0.0, low[2]), high)  # a stray point on the equator proves nothing
+
+
+@pytest.mark.parametrize(
     ("code", "x", "y"),
     [
         ("EPSG:25832", *STUTTGART),
+        ("EPSG:2263", 980_000.0, 200_000.0),  # feet
+        ("EPSG:5070", 1.6e6, 5e5),  # Florida, in the system of a continent
+        ("EPSG:3035", 4.3e6, 3.1e6),
         ("EPSG:25832+7837", *STUTTGART),  # a compound system names no area of its own
         ("EPSG:25832", 882_000.0, 6_116_000.0),  # Bornholm, half a zone beyond Denmark's
         ("EPSG:28992", 85_000.0, 446_000.0),  # Delft
         ("EPSG:2193", 1_570_000.0, 5_180_000.0),  # Christchurch
         ("EPSG:3832", 0.0, 0.0),  # over the antimeridian
-        ("EPSG:3857", 1e6, 6e6),
+        ("EPSG:3857", 1e6, 1e5),
         ("EPSG:32661", 2e6, 2e6),
     ],
 )

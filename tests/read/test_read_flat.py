@@ -11,7 +11,8 @@ from commandline import fwclass
 from lasmaker import survey, write_las
 from pyproj import CRS, Transformer
 
-from fwclass.formats.flat import DEGREES, GEOCENTRIC, not_flat
+from fwclass.errors import InputError
+from fwclass.formats.flat import DEGREES, DOWN, GEOCENTRIC, not_flat, refuse_unless_flat
 
 RNG = np.random.default_rng(1)
 LONLAT = np.column_stack(
@@ -129,3 +130,11 @@ def test_numbers(low, high, step, kind):
     assert not_flat(None, low, high, step) == kind
     sure = kind == GEOCENTRIC or (kind == DEGREES and step is not None)  # a projected system was named for degrees
     assert not_flat(CRS(25832), low, high, step) == (kind if sure else "")
+
+
+def test_depths_are_no_heights():
+    low, high = (652_000.0, 6_862_000.0, -43.0), (653_000.0, 6_863_000.0, -20.0)
+    assert not_flat(CRS.from_user_input("EPSG:2154+5715"), low, high) == DOWN
+    assert not_flat(CRS.from_user_input("EPSG:2154+5720"), low, high) == ""
+    with pytest.raises(InputError, match="heights are depths"):
+        refuse_unless_flat(CRS.from_user_input("EPSG:2154+5715"), low, high, "a.laz")

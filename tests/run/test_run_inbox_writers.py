@@ -182,3 +182,21 @@ def test_a_note_of_another_kind_ends_no_schedule(intake: Intake, tmp_path: Path,
     intake.state.resume()
     assert intake.state.last_tick in (None, 1.0) and intake.state.owed in ([], ["a.las"])
     intake.state.write(Now(0.0, 0.0), always=True)
+
+
+def test_a_delivery_that_cannot_be_moved_holds_up_no_other(intake: Intake, tmp_path: Path) -> None:
+    """A directory of its name in the survey held up all that followed in the alphabet, for ever."""
+    for name in ("a.las", "b.las", "c.las"):
+        strip(tmp_path / "in" / name)
+    (tmp_path / "data" / "b.las").mkdir()
+    intake.deliveries(Now(0.0, 0.0))
+    ready = intake.deliveries(Now(0.0, 20.0))
+    assert [d.name for d in ready] == ["a.las", "b.las", "c.las"]
+    assert [facts["name"] for facts in intake.deliver(ready)] == ["a.las", "c.las"]
+    assert intake.state.owed == ["a.las", "c.las"]
+    assert [w["name"] for w in intake.state.waiting] == ["b.las"] and "cannot be moved" in intake.state.waiting[0][
+        "why"
+    ]
+    (tmp_path / "data" / "b.las").rmdir()
+    again = intake.deliveries(Now(0.0, 40.0))
+    assert [facts["name"] for facts in intake.deliver(again)] == ["b.las"] and intake.state.owed[-1] == "c.las"

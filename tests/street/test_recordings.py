@@ -11,7 +11,7 @@ import pytest
 from bagmaker import write_bag
 from streetmaker import config, drive
 
-from fwclass.errors import InputError
+from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street.info import info
 from fwclass.street.frames import Scan, Track
@@ -90,6 +90,19 @@ def test_odometry_that_falls_silent_tells_no_speed(tmp_path):
         without = facts["faults"].get("no speed", 0)
         assert without == 0 if name == "whole" else len(drive()) - 70 < without < len(drive()) - 50
         assert any("speed" in remark for remark in facts["remarks"]) == (name == "silent"), facts["remarks"]
+
+
+def test_a_bag_with_two_topics_of_odometry_asks_for_one(tmp_path):
+    """The first by the alphabet was taken, without a word."""
+    write_bag(tmp_path / "two.bag", drive(), speeds=[1.0, 1.0], odometry=("/a", "/odom"))
+    with pytest.raises(InputError, match=r"(?s)odometry of several topics.*street.odometry=/a"):
+        open_recording(tmp_path / "two.bag", SCAN)
+    assert open_recording(tmp_path / "two.bag", SCAN, None, "/odom").about["odometry"] == "/odom"
+    with pytest.raises(ConfigError, match="no odometry of this topic"):
+        open_recording(tmp_path / "two.bag", SCAN, None, "/b")
+    write_bag(tmp_path / "none.bag", drive())
+    with pytest.raises(InputError, match="no odometry"):
+        open_recording(tmp_path / "none.bag", SCAN, None, "/b")
 
 
 def test_a_bag_with_no_or_two_topics_of_scans(tmp_path):

@@ -65,22 +65,26 @@ class Intake:
         moved: list[dict[str, Any]] = []
         if not deliveries:
             return moved
+        stuck: dict[str, str] = {}
         try:
             with writer(self.root):
                 for delivery in deliveries:
-                    self.state.owed = sorted({*self.state.owed, delivery.name})
+                    owed = self.state.owed
+                    self.state.owed = sorted({*owed, delivery.name})
                     self.state.write(now())  # before the move: a schedule that dies here still owes the run
-                    moved.append(self._take(delivery))
+                    try:
+                        moved.append(self._take(delivery))
+                    except OSError as fault:  # one that cannot be moved holds no other up
+                        self.state.owed = owed
+                        stuck[delivery.name] = f"cannot be moved: {fault.strerror or fault} ({fault.filename})"
         except LockedError:
             self._tell_trouble("files are complete, but a run is under way: they wait for its end")
             return moved
         except OSError as fault:
-            left = {d.name for d in deliveries[len(moved) :]}
-            self.state.owed = [name for name in self.state.owed if name not in left]
-            name = deliveries[len(moved)].name
-            self._tell_trouble(f"{name}: cannot be moved: {fault.strerror or fault} ({fault.filename})")
+            self._tell_trouble(f"files are complete, but the run cannot be held: {fault.strerror or fault}")
             return moved
-        self._trouble = ""
+        self.state.waiting += [{"name": name, "why": why} for name, why in stuck.items()]
+        self._tell_trouble("; ".join(f"{name}: {why}" for name, why in stuck.items()))
         return moved
 
     def _take(self, delivery: Delivery) -> dict[str, Any]:
@@ -91,6 +95,6 @@ class Intake:
         return facts
 
     def _tell_trouble(self, text: str) -> None:
-        if text != self._trouble:
+        if text and text != self._trouble:
             self.say(text)
         self._trouble = text

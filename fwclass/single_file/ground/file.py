@@ -254,7 +254,7 @@ def places_of_cloud(cloud: PointCloud, source: Path) -> dict[str, Any]:
     """Whether the points lie on a coarse lattice, or heights are in another unit, as `report.returns.judge_returns`
     takes it."""
     places = [values[cloud.usable] for values in (cloud.x, cloud.y, cloud.z)]
-    return places_facts(places, cloud.slants, source.name, conf.section("plausibility"))
+    return places_facts(places, cloud.beams, source.name, conf.section("plausibility"))
 
 
 def _notes(
