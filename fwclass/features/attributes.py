@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,8 @@ from fwclass.features.moments import (
 from fwclass.kernel import kernel
 from fwclass.schema import Table
 
-_NONE = np.empty(0)
 
-
-@dataclass(frozen=True)
-class Attributes:
+class Attributes(NamedTuple):
     """Whole numbers to add up, by row of a table; of length 0 where none are needed.
 
     Attributes
@@ -54,24 +51,25 @@ class Attributes:
     def of(cls, table: Table, needed: Needs) -> Attributes:
         """Attributes of the echoes of `table` as far as they are `needed`, whole numbers (echoes,); empty arrays for
         others."""
-        kinds = (
-            packed_kinds(table["echo_number"], table["number_of_echoes"]) if needed.kinds else _NONE.astype(np.int64)
-        )
+        kinds = packed_kinds(table["echo_number"], table["number_of_echoes"]) if needed.kinds else np.empty(0, np.int64)
         return cls(
             kinds,
-            _steps(table, "amplitude", STEP) if needed.amplitude else _NONE,
-            _steps(table, "width", STEP) if needed.width else _NONE,
-            _steps(table, "intensity", 1.0) if needed.intensity else _NONE,
+            _steps(table, "amplitude", STEP, needed.amplitude),
+            _steps(table, "width", STEP, needed.width),
+            _steps(table, "intensity", 1.0, needed.intensity),
         )
 
-    @property
-    def arrays(self) -> tuple[NDArray, ...]:
-        """kinds, amplitude, width, intensity: (echoes,) each, or empty."""
-        return self.kinds, self.amplitude, self.width, self.intensity
+    def take(self, rows: NDArray[np.integer]) -> Attributes:
+        """Those of `rows`, (rows,) each; empty arrays stay empty."""
+        return Attributes._make(values[rows] if len(values) else values for values in self)
+
+    def room(self, size: int) -> Attributes:
+        """New arrays (size,) for what is there, not filled; empty ones stay empty."""
+        return Attributes._make(np.empty(size if len(values) else 0, values.dtype) for values in self)
 
 
-def _steps(table: Table, name: str, step: float) -> NDArray[np.float64]:
-    return np.asarray(steps(table[name], step), np.float64)
+def _steps(table: Table, name: str, step: float, needed: bool) -> NDArray[np.float64]:
+    return np.asarray(steps(table[name], step), np.float64) if needed else np.empty(0)
 
 
 @kernel

@@ -33,7 +33,7 @@ def cells(chunk: Chunk, scale: Scale, bases: tuple[str, ...]) -> dict[str, NDArr
     order, start, own = _cells(chunk, scale.millimetres, scale.millimetres)
     z = millimetres(chunk.table["z"])
     needed = needs(bases)
-    attributes = Attributes.of(chunk.table, needed).arrays
+    attributes = Attributes.of(chunk.table, needed)
     of_cell = {base: np.empty(len(start) - 1, np.float32) for base in bases if base not in OF_THE_ECHO}
     sums = np.empty((4, len(start) - 1))
     for first in range(0, len(start) - 1, BATCH):

@@ -2,7 +2,8 @@
 
 Sets are exact: coordinates are whole millimetres relative to the cell at hand, which float32 holds and float64 squares.
 
-The steps are inlined into the walk: called for every echo, their dozens of arguments would cost as much as the work.
+The steps are inlined into `neighbourhoods.measure_around`: called for every echo, their dozens of arguments would cost
+as much as the work.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ def most_in_window(start, ncols, nrows, half):  # type: ignore[no-untyped-def]
 
 @kernel
 def slices(start, ncols, nrows, half, most):  # type: ignore[no-untyped-def]
-    """int64 (slices + 1,): sorted echoes, the first and one past the last among them, between which a walk meets about
+    """int64 (slices + 1,): sorted echoes, the first and one past the last among them, between which a pass meets about
     `most` candidates, however many one cell holds."""
     cuts = [np.int64(0)]
     met, reach = 0, len(half) - 1

@@ -38,7 +38,7 @@ def nearest_echoes(
     reach = whole_millimetres(nearest_reach, "features.nearest_reach")
     columns = Columns.build(table["x"], table["y"], table["z"], k, nearest_reach)
     index = columns.index
-    attributes = Attributes.of(table, needed).arrays
+    attributes = Attributes.of(table, needed)
     places = np.empty((table.rows, 3), np.int64)
     places[index.order] = np.stack([index.x, index.y, index.z], axis=1)
     wanted, rows = _in_order(index.order, chunk.core)

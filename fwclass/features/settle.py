@@ -1,4 +1,4 @@
-"""What is done once for a whole block of neighbourhoods: shapes, the optimal radius, extents, measures."""
+"""What is done once for a whole batch of neighbourhoods: shapes, the optimal radius, extents, measures."""
 
 from __future__ import annotations
 
@@ -12,58 +12,58 @@ from fwclass.kernel import kernel
 
 
 @kernel
-def settle(task, block, filled, out, chosen):  # type: ignore[no-untyped-def]
-    """Write the measures of the first `filled` echoes of the block to `out` (measures, echoes); see `walk.Task` and
-    `walk.Block`."""
+def settle(asked, batch, filled, out, chosen):  # type: ignore[no-untyped-def]
+    """Write the jobs of the first `filled` core rows of the batch to `out` (jobs, core rows); see
+    `neighbourhoods.NeighbourhoodRequest` and `neighbourhoods.Batch`."""
     if filled == 0:
         return
-    for q in range(len(task.radii)):
-        if task.shape[q]:
-            first_shapes(block.moments[q], filled, block.shape[q])
-    if task.optimal:
-        choose(task, block, filled, chosen)
-    for q in range(len(task.radii)):
-        if task.extent[q]:
-            _extents(block, filled, q)
-    jobs, rows = task.jobs, block.rows
+    for q in range(len(asked.radii)):
+        if asked.shape[q]:
+            first_shapes(batch.moments[q], filled, batch.shape[q])
+    if asked.optimal:
+        choose(asked, batch, filled, chosen)
+    for q in range(len(asked.radii)):
+        if asked.extent[q]:
+            _extents(batch, filled, q)
+    jobs, rows = asked.jobs, batch.rows
     for j in range(len(jobs)):
         q, code, row = jobs[j, 0], jobs[j, 1], jobs[j, 2]
-        measured = block.measured[:filled]
-        measure(code, block.moments[q], block.shape[q], measured)
+        measured = batch.measured[:filled]
+        measure(code, batch.moments[q], batch.shape[q], measured)
         for p in range(filled):
             out[row, rows[p]] = measured[p]
 
 
 @kernel
-def choose(task, block, filled, chosen):  # type: ignore[no-untyped-def]
-    """Bring every echo's radius of lowest eigenentropy, the smaller on a tie, to place 0; NaN in `chosen` (echoes,)
-    where none counts."""
+def choose(asked, batch, filled, chosen):  # type: ignore[no-untyped-def]
+    """Bring the radius of lowest eigenentropy, the smaller on a tie, of every core row to place 0; NaN in `chosen`
+    (core rows,) where none counts."""
     for p in range(filled):
         best, lowest = -1, np.inf
-        for q in range(len(task.radii)):
-            shape = block.shape[q]
+        for q in range(len(asked.radii)):
+            shape = batch.shape[q]
             value = entropy(shape[L1, p], shape[L2, p], shape[L3, p])
             if value < lowest:
                 best, lowest = q, value
         if best >= 0:
-            block.moments[0, :, p] = block.moments[best, :, p]
-            block.shape[0, :, p] = block.shape[best, :, p]
-            block.ends[p, 0] = block.ends[p, best]
-            chosen[block.rows[p]] = task.radii[best] * 0.001
+            batch.moments[0, :, p] = batch.moments[best, :, p]
+            batch.shape[0, :, p] = batch.shape[best, :, p]
+            batch.ends[p, 0] = batch.ends[p, best]
+            chosen[batch.rows[p]] = asked.radii[best] * 0.001
         else:
-            block.moments[0, :, p] = np.nan
-            block.shape[0, :, p] = np.nan
-            chosen[block.rows[p]] = np.nan
+            batch.moments[0, :, p] = np.nan
+            batch.shape[0, :, p] = np.nan
+            chosen[batch.rows[p]] = np.nan
 
 
 @kernel
-def _extents(block, filled, q):  # type: ignore[no-untyped-def]
+def _extents(batch, filled, q):  # type: ignore[no-untyped-def]
     """NEAR and FAR of radius number `q`, as `eigen.along_normal`, a whole vector at a time.
 
     The echo itself, at zero, is always among its neighbours, so zero stands for what lies behind the last of them.
     """
-    x, y, z, begin, ends = block.x, block.y, block.z, block.begin, block.ends
-    shape, moments = block.shape[q], block.moments[q]
+    x, y, z, begin, ends = batch.x, batch.y, batch.z, batch.begin, batch.ends
+    shape, moments = batch.shape[q], batch.moments[q]
     for p in range(filled):
         n, base = ends[p, q], np.uint64(begin[p])
         u, v, w = np.float32(128.0 * shape[NX, p]), np.float32(128.0 * shape[NY, p]), np.float32(128.0 * shape[NZ, p])

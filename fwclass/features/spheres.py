@@ -8,41 +8,44 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.features.attributes import Attributes
 from fwclass.features.eigen import SHAPES
 from fwclass.features.gather import LANES, Points, most_in_window, slices, window
 from fwclass.features.measures import CODE, needs
-from fwclass.features.moments import AREA, MOMENTS, STEP, packed_kinds, steps
+from fwclass.features.moments import AREA, MOMENTS
+from fwclass.features.neighbourhoods import BATCH, STRIDE, Batch, Grid, NeighbourhoodRequest, Scratch, measure_around
 from fwclass.features.params import LINEAR, NORMAL, FeaturesParams
 from fwclass.features.percentiles import BUCKETS
-from fwclass.features.walk import BLOCK, STRIDE, Block, Grid, Scratch, Task, Values, walk
-from fwclass.schema import Scale, Table
+from fwclass.schema import Scale
 from fwclass.stage import Chunk
 
 Columns = dict[str, NDArray[np.float32]]
 
 WIDEST_RATIO = 4.0
-"""Radii of one walk differ by at most this factor: a small sphere is not looked for among a large cylinder's echoes."""
+"""Radii of one pass over the grid differ by at most this factor: a small sphere is not looked for among a large
+cylinder's echoes."""
 
 MOST_OVER_AGAIN = 2.0
-"""Radii are walked one by one, each with its sums at once, where that meets at most so many times the candidates of the
+"""Radii are taken one by one, each with its sums at once, where that meets at most so many times the candidates of the
 largest: to put neighbours into the order of their shells costs more."""
 
 AT_A_TIME = 20_000_000
 """Candidates that one call of a kernel meets, some tenths of a second: then an interrupt is heeded."""
 
 POOL = 1 << 14
-"""At least so many neighbours are kept for the sums of a block and its second pass."""
+"""At least so many neighbours are kept for the sums of a batch and its second pass."""
 
 
 def spheres(chunk: Chunk, request: Mapping[Scale, Sequence[str]], params: FeaturesParams) -> Columns:
-    """Features `request` (bases by scale, kinds r and c) and the normals of the core rows, by name."""
+    """Features `request` (bases, which are measures without scale, by scale of kind r or c) and the normals of the core
+    rows, by name."""
     columns: Columns = {}
     normals = Scale("r", round(params.normal_radius * 100))
     plain = {scale: tuple(bases) for scale, bases in request.items()}
     plain[normals] = tuple(dict.fromkeys((*plain.get(normals, ()), LINEAR, *NORMAL)))
     for kind in "rc":
         for scales in scale_groups({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
-            columns |= _walk(chunk, {scale: plain[scale] for scale in scales})
+            columns |= _by_scale(chunk, {scale: plain[scale] for scale in scales})
     return columns
 
 
@@ -62,7 +65,7 @@ def optimal(chunk: Chunk, bases: Sequence[str], wants_radius: bool, params: Feat
 
 
 def scale_groups(request: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
-    """Scales in groups that one walk takes, each of rising size."""
+    """Scales in groups that one pass over the grid takes, each of rising size."""
     groups: list[list[Scale]] = []
     for scale in sorted(request, key=lambda s: s.size):
         if groups and scale.size <= WIDEST_RATIO * groups[-1][0].size:
@@ -84,7 +87,7 @@ def _at_once(bases: Iterable[str]) -> bool:
     return not (need.extent or need.percentiles)
 
 
-def _walk(chunk: Chunk, request: Mapping[Scale, Sequence[str]]) -> Columns:
+def _by_scale(chunk: Chunk, request: Mapping[Scale, Sequence[str]]) -> Columns:
     scales = list(request)
     jobs = [(q, base) for q, scale in enumerate(scales) for base in request[scale]]
     out, _ = _run(chunk, [scale.millimetres for scale in scales], scales[0].kind, jobs, optimal=False)
@@ -95,12 +98,12 @@ def _walk(chunk: Chunk, request: Mapping[Scale, Sequence[str]]) -> Columns:
 def _run(
     chunk: Chunk, radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], optimal: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """float32 (jobs, core rows) of the jobs (radius number, base), and the optimal radii [m]."""
+    """float32 (jobs, core rows) of the jobs (radius number, measure), and the optimal radii [m]."""
     out = np.full((len(jobs), len(chunk.core)), np.nan, np.float32)
     chosen = np.full(len(chunk.core) if optimal else 0, np.nan, np.float32)
     if len(chunk.core) == 0:
         return out, chosen
-    task = _task(radii, kind, jobs, optimal)
+    asked = _request(radii, kind, jobs, optimal)
     points = Points.of(chunk.table, radii[-1])
     half = window(points.cell, radii[-1])
     most = int(most_in_window(points.start, points.ncols, points.nrows, half))
@@ -109,20 +112,20 @@ def _run(
     grid = Grid(
         points.x, points.y, points.z, points.start, points.ncols, points.nrows, points.cell, half, wanted[points.order]
     )
-    values = _values(chunk.table, points.order, [base for _, base in jobs])
-    scratch = Scratch.of(most, task, BUCKETS, values)
-    block = _block(task, max(2 * most, POOL) + 2 * LANES, values)
+    values = Attributes.of(chunk.table, needs(base for _, base in jobs)).take(points.order)
+    scratch = Scratch.of(most, asked, BUCKETS, values)
+    batch = _batch(asked, max(2 * most, POOL) + 2 * LANES, values)
     cuts = slices(points.start, points.ncols, points.nrows, half, AT_A_TIME)
     for begin, end in pairwise(cuts.tolist()):
-        walk(grid, values, task, scratch, block, begin, end, out, chosen)
+        measure_around(grid, values, asked, scratch, batch, begin, end, out, chosen)
     return out, chosen
 
 
-def _task(radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], optimal: bool) -> Task:
+def _request(radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], optimal: bool) -> NeighbourhoodRequest:
     every = needs(base for _, base in jobs)
     own = [needs(base for q, base in jobs if q == at) for at in range(len(radii))]
     size = np.array(radii, np.int64)
-    return Task(
+    return NeighbourhoodRequest(
         radii=size,
         limits=(size * size).astype(np.float64),
         bounds=np.append((size[:-1] * size[:-1]).astype(np.float64), np.full(-(len(size) - 1) % 4, np.inf)),
@@ -138,35 +141,21 @@ def _task(radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], opti
     )
 
 
-def _values(table: Table, order: NDArray[np.int32], bases: Iterable[str]) -> Values:
-    need = needs(bases)
-    kinds = np.empty(0, np.int64)
-    if need.kinds:
-        kinds = packed_kinds(table["echo_number"][order], table["number_of_echoes"][order])
-    none = np.empty(0)
-    return Values(
-        kinds,
-        steps(table["amplitude"][order], STEP) if need.amplitude else none,
-        steps(table["width"][order], STEP) if need.width else none,
-        steps(table["intensity"][order], 1.0) if need.intensity else none,
-    )
-
-
-def _block(task: Task, room: int, values: Values) -> Block:
-    """Room for the neighbourhoods of a block of echoes, `room` neighbours in all."""
-    count = len(task.radii)
+def _batch(asked: NeighbourhoodRequest, room: int, values: Attributes) -> Batch:
+    """Room for the neighbourhoods of a batch of core rows, `room` neighbours in all."""
+    count = len(asked.radii)
     moments = np.zeros((count, MOMENTS, STRIDE))
-    moments[:, AREA] = (np.pi * (task.radii * 0.001) ** 2)[:, None]
+    moments[:, AREA] = (np.pi * (asked.radii * 0.001) ** 2)[:, None]
     x, y, z = (np.empty(room, np.float32) for _ in range(3))
-    return Block(
+    return Batch(
         x,
         y,
         z,
         values.room(room),
-        np.zeros(BLOCK, np.int64),
-        np.zeros((BLOCK, count), np.int64),
-        np.zeros(BLOCK, np.uint64),
+        np.zeros(BATCH, np.int64),
+        np.zeros((BATCH, count), np.int64),
+        np.zeros(BATCH, np.uint64),
         moments,
         np.full((count, SHAPES, STRIDE), np.nan),
-        np.empty(BLOCK, np.float32),
+        np.empty(BATCH, np.float32),
     )

@@ -200,7 +200,8 @@ def unpacked_waves(
     ----------
     size : bytes of the .wvz.
     offset, descriptor : of every pulse; descriptor -1 for none.
-    described, samplings : as `wave_kernels.walk` has them; `returning` (m,) tells which samplings are of what returns.
+    described, samplings : as `wave_kernels.find_segments` has them; `returning` (m,) tells which samplings are of what
+        returns.
     header, most : bytes of a Waves file's header, and segments that a pulse may have.
 
     Raises

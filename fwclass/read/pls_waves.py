@@ -18,7 +18,7 @@ from fwclass.read.pls_compressed import PULSE, unpacked_pulses, unpacked_waves
 from fwclass.read.points import ZEROS
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, WAVES_HEADER, PulseSource, Sampling
 from fwclass.read.wave_extents import read_waves
-from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, walk
+from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, find_segments
 from fwclass.units import METRES_PER_NS
 
 BLOCK = 50_000
@@ -110,9 +110,9 @@ def read_records(source: PulseSource, first: int, last: int) -> NDArray[Any]:
 class Samplings:
     """All samplings of a file as arrays, and which of them every descriptor has.
 
-    `described` (256, 3) and `table` (m, 6) as `wave_kernels.walk` wants them; `state` (256,) is the code of the fault
-    that every pulse of the descriptor has; `unit`, `centre`, `sends` (outgoing pulses are recorded) by descriptor; the
-    others by sampling.
+    `described` (256, 3) and `table` (m, 6) as `wave_kernels.find_segments` wants them; `state` (256,) is the code of
+    the fault that every pulse of the descriptor has; `unit`, `centre`, `sends` (outgoing pulses are recorded) by
+    descriptor; the others by sampling.
     """
 
     described: NDArray[np.int64]
@@ -256,7 +256,9 @@ def _walk(
         nonlocal count
         held = (waves.data, waves.place, waves.end, offset, size)
         count = int(
-            walk(*held, descriptor, kinds.described, kinds.table, WAVES_HEADER, MAX_SEGMENTS, ends, reach, table)
+            find_segments(
+                *held, descriptor, kinds.described, kinds.table, WAVES_HEADER, MAX_SEGMENTS, ends, reach, table
+            )
         )
         if count > OVERLAP * size:  # every segment found has samples
             refuse_overlap(source, f"{count} segments")

@@ -33,14 +33,14 @@ def _short(to, end, size):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def walk(  # type: ignore[no-untyped-def]
+def find_segments(  # type: ignore[no-untyped-def]
     data, place, end, offset, size, descriptor, described, samplings, header, most, ends, reach, table
 ):
     """Find the segments of every pulse that have samples.
 
     `offset`, `descriptor` (n,): byte of the pulse's waves in the file of `size` bytes, and its row in `described` (-1:
     none). They are ``data[place[i]:end[i]]`` as far as they were read. `header` is the length of the file's header,
-    `most` the segments a pulse may have. ``ends[i]`` becomes what the walk of pulse i ended in, ``reach[i]`` the byte
+    `most` the segments a pulse may have. ``ends[i]`` becomes what the search in pulse i ended in, ``reach[i]`` the byte
     of the file up to which it has to be read. `table` (m, 5) receives the segments of the pulses that ended well; gives
     their number, whether or not they fit into `table`.
     """

@@ -1,8 +1,15 @@
-"""One walk over a sorted grid: the echoes around every core echo, at any number of radii at once.
+"""Measures of the neighbourhoods of core rows in a sorted grid, at any number of radii at once.
 
-Work goes by blocks of `BLOCK` core echoes, in the order of the cells. Of each echo the neighbours are found once,
-ordered by the shells between the radii, and summed shell by shell; sums of a larger radius start from those of the
-smaller. Then shapes, the second pass along the normal and the asked measures are taken of the whole block.
+A job is a measure (a feature without its scale) at one radius. Work goes by batches of `BATCH` core rows, in the order
+of the cells. There are two ways to the sums of a batch:
+
+- At several radii, or where a measure needs the neighbours themselves, the neighbours of each core row are found once,
+  ordered by the shells between the radii, and summed shell by shell; sums of a larger radius start from those of the
+  smaller.
+- At one radius, where sums are enough (`NeighbourhoodRequest.at_once`), they are taken straight from the candidates of
+  a cell, which count as zero where they are too far away (`within`).
+
+Then shapes, the second pass along the normal and the measures of all jobs are taken of the whole batch (`settle`).
 """
 
 from __future__ import annotations
@@ -12,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.features.eigen import BATCH
+from fwclass.features import eigen
+from fwclass.features.attributes import Attributes
 from fwclass.features.gather import (
     LANES,
     candidates,
@@ -31,16 +39,16 @@ from fwclass.features.sums import rank_heights, sum_heights, sum_kinds, sum_plac
 from fwclass.features.within import sum_within
 from fwclass.kernel import kernel
 
-BLOCK = 5 * BATCH
-"""Core echoes whose sums are settled together."""
+BATCH = 5 * eigen.BATCH
+"""Core rows whose sums are settled together."""
 
-STRIDE = BLOCK + 8
+STRIDE = BATCH + 8
 """Places between two moments of an echo: no power of two, which would crowd them into few lines of the cache."""
 
 
 class Grid(NamedTuple):
-    """The sorted echoes: see `gather.Points`; `wanted` int32, row of the result of every sorted echo, −1 for none;
-    `half`: see `gather.window`."""
+    """The sorted echoes: see `gather.Points`; `wanted` int32, place among the core rows of every sorted echo, −1 for
+    none; `half`: see `gather.window`."""
 
     x: NDArray[np.int32]
     y: NDArray[np.int32]
@@ -53,34 +61,19 @@ class Grid(NamedTuple):
     wanted: NDArray[np.int32]
 
 
-class Values(NamedTuple):
-    """What sorted echoes carry: packed kinds, attributes in steps; empty where no measure needs them."""
-
-    kinds: NDArray[np.int64]
-    amplitude: NDArray[np.float64]
-    width: NDArray[np.float64]
-    intensity: NDArray[np.float64]
-
-    def room(self, size: int) -> Values:
-        """Room for `size` of what is there."""
-        kinds = np.empty(size if len(self.kinds) else 0, np.int64)
-        amplitude, width, intensity = (np.empty(size if len(values) else 0) for values in self[1:])
-        return Values(kinds, amplitude, width, intensity)
-
-
-class Task(NamedTuple):
-    """What is asked of one walk.
+class NeighbourhoodRequest(NamedTuple):
+    """What is asked of one pass over the grid.
 
     Attributes
     ----------
     radii : int64 (Q,), rising [mm].
     limits : float64 (Q,), their squares; bounds : the same but the last, filled up with infinity to a multiple of four.
     cylinder : the neighbourhoods are vertical cylinders, not spheres.
-    optimal : of every echo only the radius of lowest eigenentropy counts; jobs then have radius number 0.
+    optimal : of every core row only the radius of lowest eigenentropy counts; jobs then have radius number 0.
     shape, extent : bool (Q,), shapes, extents along the normal are needed at the radius.
     powers, among, ranks : powers of heights, counts in the cylinder, percentiles are needed.
     at_once : one radius, and nothing needs the neighbours themselves: see `within`.
-    jobs : int64 (J, 3), radius number, code of the base, row of the result.
+    jobs : int64 (J, 3), radius number, code of the measure, row of the result.
     """
 
     radii: NDArray[np.int64]
@@ -113,7 +106,7 @@ class Scratch(NamedTuple):
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
-    carried: Values
+    carried: Attributes
     flat: NDArray[np.float64]
     square: NDArray[np.float64]
     distance: NDArray[np.float64]
@@ -126,38 +119,38 @@ class Scratch(NamedTuple):
     tally: NDArray[np.int64]
 
     @classmethod
-    def of(cls, size: int, task: Task, buckets: int, values: Values) -> Scratch:
+    def of(cls, size: int, asked: NeighbourhoodRequest, buckets: int, values: Attributes) -> Scratch:
         """Room for `size` candidates, for those that fill them up and for what they carry of `values`."""
         size += LANES
         x, y, z = (np.empty(size, np.float32) for _ in range(3))
         flat, square, distance = (np.empty(size) for _ in range(3))
         near, ordered = (np.empty(size + 1, np.uint32) for _ in range(2))
         ranked = np.empty(size, np.int32)
-        shell, places = np.empty(size, np.uint64), np.empty(len(task.radii), np.uint64)
+        shell, places = np.empty(size, np.uint64), np.empty(len(asked.radii), np.uint64)
         tally = np.empty(buckets + 1, np.int64)
-        picked = np.empty((4, size if task.at_once else 0))
+        picked = np.empty((4, size if asked.at_once else 0))
         carried = values.room(size)
         return cls(x, y, z, carried, flat, square, distance, picked, near, ordered, shell, places, ranked, tally)
 
 
-class Block(NamedTuple):
-    """The neighbourhoods of `BLOCK` echoes.
+class Batch(NamedTuple):
+    """The neighbourhoods of `BATCH` core rows.
 
     Attributes
     ----------
-    x, y, z : neighbours relative to their echo [mm], echo after echo, from the nearest shell to the furthest; at a
-        single radius followed by zero up to a multiple of `LANES`.
+    x, y, z : neighbours relative to their core row [mm], one after another, from the nearest shell to the furthest; at
+        a single radius followed by zero up to a multiple of `LANES`.
     carried : what the neighbours carry.
-    begin : int64 (BLOCK,), first neighbour of every echo; ends : int64 (BLOCK, Q), how many lie within each radius.
-    rows : uint64 (BLOCK,), row of the result.
+    begin : int64 (BATCH,), first neighbour of every core row; ends : int64 (BATCH, Q), how many lie within each radius.
+    rows : uint64 (BATCH,), row of the result.
     moments, shape : float64 (Q, MOMENTS, STRIDE), (Q, SHAPES, STRIDE).
-    measured : float32 (BLOCK,).
+    measured : float32 (BATCH,).
     """
 
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
-    carried: Values
+    carried: Attributes
     begin: NDArray[np.int64]
     ends: NDArray[np.int64]
     rows: NDArray[np.uint64]
@@ -167,25 +160,25 @@ class Block(NamedTuple):
 
 
 @kernel
-def walk(grid, values, task, scratch, block, begin_at, end_at, out, chosen):  # type: ignore[no-untyped-def]
-    """The measures of `task` of the wanted echoes to `out`, float32 (measures, wanted echoes).
+def measure_around(grid, values, asked, scratch, batch, begin_at, end_at, out, chosen):  # type: ignore[no-untyped-def]
+    """The jobs of `asked` for the core rows to `out`, float32 (jobs, core rows).
 
-    Only those of the sorted echoes ``begin_at … end_at - 1``: between two calls Python heeds an interrupt.
+    Only those among the sorted echoes ``begin_at … end_at - 1``: between two calls Python heeds an interrupt.
 
-    `chosen` is float32 (wanted echoes,) for the optimal radius [m], empty where there is no choice.
+    `chosen` is float32 (core rows,) for the optimal radius [m], empty where there is no choice.
     """
     # Names for all: an array that is taken out of a tuple within the loop is counted, and that waits for the memory.
     xs, ys, zs, start, half, wanted = grid.x, grid.y, grid.z, grid.start, grid.half, grid.wanted
     x, y, z, flat, square = scratch.x, scratch.y, scratch.z, scratch.flat, scratch.square
     distance, near, shell = scratch.distance, scratch.near, scratch.shell
     kinds, amplitude, width, intensity = scratch.carried
-    to_x, to_y, to_z = block.x, block.y, block.z
-    to_kinds, to_amplitude, to_width, to_intensity = block.carried
-    begin, ends, rows, moments = block.begin, block.ends, block.rows, block.moments
-    limits, bounds, ncols, nrows = task.limits, task.bounds, grid.ncols, grid.nrows
-    room, level, among, count = len(block.x), task.cylinder, task.among, len(task.limits)
-    ordered, places, at_once, picked = scratch.ordered, scratch.places, task.at_once, scratch.picked
-    shape, powers = task.shape[0], task.powers
+    to_x, to_y, to_z = batch.x, batch.y, batch.z
+    to_kinds, to_amplitude, to_width, to_intensity = batch.carried
+    begin, ends, rows, moments = batch.begin, batch.ends, batch.rows, batch.moments
+    limits, bounds, ncols, nrows = asked.limits, asked.bounds, grid.ncols, grid.nrows
+    room, level, among, count = len(batch.x), asked.cylinder, asked.among, len(asked.limits)
+    ordered, places, at_once, picked = scratch.ordered, scratch.places, asked.at_once, scratch.picked
+    shape, powers = asked.shape[0], asked.powers
     filled, used = 0, np.uint64(0)
     for row in range(nrows):
         if start[row * ncols + ncols] <= begin_at or start[row * ncols] >= end_at:
@@ -233,14 +226,14 @@ def walk(grid, values, task, scratch, block, begin_at, end_at, out, chosen):  # 
                     rows,
                     filled,
                 )
-                if filled == BLOCK:
-                    _finish(task, scratch, block, filled, out, chosen)
+                if filled == BATCH:
+                    _finish(asked, scratch, batch, filled, out, chosen)
                     filled = 0
             for i in range(at, last):
                 if wanted[i] < 0:
                     continue
-                if filled == BLOCK or np.int64(used) + m > room:
-                    _finish(task, scratch, block, filled, out, chosen)
+                if filled == BATCH or np.int64(used) + m > room:
+                    _finish(asked, scratch, batch, filled, out, chosen)
                     filled, used = 0, np.uint64(0)
                 px, py, pz = np.float32(xs[i] - xs[first]), np.float32(ys[i] - ys[first]), np.float32(zs[i] - zs[first])
                 distances(x, y, z, m, px, py, pz, level, flat, square)
@@ -268,21 +261,21 @@ def walk(grid, values, task, scratch, block, begin_at, end_at, out, chosen):  # 
                     fill_values(intensity, own, n, to_intensity, used)
                 used = fill(x, y, z, own, n, px, py, pz, to_x, to_y, to_z, used)
                 filled += 1
-    _finish(task, scratch, block, filled, out, chosen)
+    _finish(asked, scratch, batch, filled, out, chosen)
 
 
 @kernel
-def _finish(task, scratch, block, filled, out, chosen):  # type: ignore[no-untyped-def]
-    """Sums, unless they stand already, and measures of the first `filled` neighbourhoods of the block."""
-    if not task.at_once:
-        x, y, z, begin, ends, moments = block.x, block.y, block.z, block.begin, block.ends, block.moments
-        kinds, amplitude, width, intensity = block.carried
-        if task.shape.any():
+def _finish(asked, scratch, batch, filled, out, chosen):  # type: ignore[no-untyped-def]
+    """Sums, unless they stand already, and measures of the first `filled` neighbourhoods of the batch."""
+    if not asked.at_once:
+        x, y, z, begin, ends, moments = batch.x, batch.y, batch.z, batch.begin, batch.ends, batch.moments
+        kinds, amplitude, width, intensity = batch.carried
+        if asked.shape.any():
             sum_places(x, y, z, begin, ends, filled, moments)
         else:
             sum_heights(z, begin, ends, filled, moments)
-        sum_wide(z, begin, ends, filled, task.powers, moments)
-        if task.ranks:
+        sum_wide(z, begin, ends, filled, asked.powers, moments)
+        if asked.ranks:
             rank_heights(z, begin, ends, filled, scratch.values, scratch.tally, moments)
         if len(kinds):
             sum_kinds(kinds, begin, ends, filled, moments)
@@ -292,4 +285,4 @@ def _finish(task, scratch, block, filled, out, chosen):  # type: ignore[no-untyp
             sum_values(width, begin, ends, filled, moments, WIDTH)
         if len(intensity):
             sum_values(intensity, begin, ends, filled, moments, INTENSITY)
-    settle(task, block, filled, out, chosen)
+    settle(asked, batch, filled, out, chosen)
