@@ -77,6 +77,14 @@ def split_name(name: str) -> tuple[str, Scale | None]:
     raise KeyError(f"no column {name!r}; {nearest(name, COLUMNS)}")
 
 
+def base_of(name: str) -> str:
+    """A feature's name without its scale; any other name as it is."""
+    try:
+        return split_name(name)[0]
+    except KeyError:
+        return name
+
+
 @lru_cache(maxsize=4096)
 def column(name: str) -> Column:
     """The record of `name`; ``echo_ratio_r100`` is ``echo_ratio`` over a radius of 100 cm, ``probability_6`` that of

@@ -87,15 +87,16 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     share = tested.scored / tested.echoes if tested.echoes else 0.0
     if share < params.tested:
         sentences.append(
-            f"{_percent(share)} of the echoes were tested, the others never: the figure holds where the survey is like "
-            "the tested places: label places of every kind."
+            f"{percent_words(share)} of the echoes were tested, the others never: the figure holds where the survey is "
+            "like the tested places: label places of every kind."
         )
     lost = sum(tested.others.values())
     if tested.echoes and lost > params.unscored * tested.echoes:
         codes = ", ".join(f"{code} ({n:,} echoes)" for code, n in tested.others.items())
         sentences.append(
-            f"{_percent(lost / tested.echoes)} of the echoes have a reference that no class counts, codes {codes}: "
-            "they are classified, and not scored: add the codes to survey.classes, or know that they are missing here."
+            f"{percent_words(lost / tested.echoes)} of the echoes have a reference that no class counts, codes "
+            f"{codes}: they are classified, and not scored: add the codes to survey.classes, or know that "
+            "they are missing here."
         )
     return sentences
 
@@ -160,5 +161,6 @@ def _kappa_words(accuracy: Mapping[str, Any], interval: tuple[float, float]) -> 
     return f"{accuracy['kappa']:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
 
 
-def _percent(share: float) -> str:
+def percent_words(share: float) -> str:
+    """A share, 0 to 1, in percent: small ones with two digits."""
     return f"{100 * share:.1f} %" if share >= 0.001 else f"{100 * share:.2g} %"

@@ -11,6 +11,7 @@ from fwclass.classes import NOISE_CODES
 from fwclass.model import ClassifierMethod
 from fwclass.model.contextual import MOST_CELLS, WIDEST
 from fwclass.params import Params
+from fwclass.schema import scaled
 
 FURTHEST = 100.0
 """m, no feature and no boundary reaches further."""
@@ -57,7 +58,7 @@ class RefineParams(Params):
     @property
     def shares(self) -> tuple[str, ...]:
         """Names of the features at all scales."""
-        return tuple(f"eigenvalue_{k}_r{round(100 * s)}" for s in self.scales for k in (1, 2, 3))
+        return tuple(scaled(f"eigenvalue_{k}", s) for s in self.scales for k in (1, 2, 3))
 
 
 Cells = Annotated[tuple[Annotated[float, Field(strict=True, ge=0.1, le=WIDEST)], ...], Field(max_length=MOST_CELLS)]

@@ -53,10 +53,10 @@ def compare_classes(tile: Path, others: Iterable[Path]) -> NDArray[np.uint8]:
     """0 for an echo that none of the other run's tiles `others` has, 1 where the classes are the same, 2 where not."""
     columns = (*IDENTITY, *"xyz", "classification")
     mine = table_columns(tile, columns)
-    out, who = np.zeros(len(mine["strip"]), np.uint8), _key(mine)
+    out, who = np.zeros(len(mine["strip"]), np.uint8), identity_keys(mine)
     for other in others:
         theirs = table_columns(other, columns)
-        _, here, there = np.intersect1d(who, _key(theirs), assume_unique=True, return_indices=True)
+        _, here, there = np.intersect1d(who, identity_keys(theirs), assume_unique=True, return_indices=True)
         same = ~lie_apart(mine, here, theirs, there)
         here, there = here[same], there[same]
         out[here] = np.where(mine["classification"][here] == theirs["classification"][there], 1, 2)
@@ -83,7 +83,8 @@ def compare_corrections(
     return out
 
 
-def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
+def identity_keys(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
+    """uint64 (echoes,): a number of its own for every echo, from its columns `IDENTITY`."""
     return canonical_key(Table({n: columns[n] for n in IDENTITY}))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_fields
 from fwclass.delivery.opened import REPAIR, Delivery
+from fwclass.delivery.viewed_colours import identity_keys
 from fwclass.delivery.viewed_open import OpenRun, positions
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import published_columns
@@ -19,7 +20,7 @@ from fwclass.publish.geoparquet import shortened
 from fwclass.publish.octree import echo_hashes
 from fwclass.read.las import open_las
 from fwclass.read.points import PointReader, coordinates
-from fwclass.schema import IDENTITY, Table, canonical_key, column
+from fwclass.schema import IDENTITY, Table, column
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node, Pyramid
 
@@ -95,7 +96,9 @@ class OverviewRun(OpenRun):
         echo = {n: v[at] for n, v in opened.columns.items()}
         i, j = TileGrid(self.pyramid.size).indices(echo["x"], echo["y"])
         key = f"{i[0]}_{j[0]}"
-        here = np.flatnonzero(_key(self.columns(key, IDENTITY)) == _key(echo)) if key in self.tiles else at[:0]
+        here = at[:0]
+        if key in self.tiles:
+            here = np.flatnonzero(identity_keys(self.columns(key, IDENTITY)) == identity_keys(echo))
         if not len(here):
             raise InputError("the overview has an echo that its tile has not", where=self.delivery.path, got=key)
         return key, int(here[0])
@@ -104,13 +107,13 @@ class OverviewRun(OpenRun):
         if "row" in self.coarse().columns:
             return super()._coarse_rows(key, rows)
         order, ascending = self._by_key
-        at, index = positions(ascending, _key(self.tile(key).columns)[rows])
+        at, index = positions(ascending, identity_keys(self.tile(key).columns)[rows])
         return order[at], index
 
     @cached_property
     def _by_key(self) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
         """The order of the coarse echoes by who they are, and who they are in that order."""
-        who = _key(self.coarse().columns)
+        who = identity_keys(self.coarse().columns)
         order = np.argsort(who)
         return order, who[order]
 
@@ -120,10 +123,6 @@ class OverviewRun(OpenRun):
         order, ascending = self._by_key
         out = np.empty(len(order), np.uint8)
         for key in self.tiles:
-            at, here = positions(ascending, _key(self.columns(key, IDENTITY)))
+            at, here = positions(ascending, identity_keys(self.columns(key, IDENTITY)))
             out[order[at]] = of_tile(key)[here]
         return out
-
-
-def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
-    return canonical_key(Table({n: columns[n] for n in IDENTITY}))

@@ -15,7 +15,7 @@ from fwclass.features.orientation import sides
 from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, FeaturesParams
 from fwclass.features.pulses import MEASURED, pulse_variances
 from fwclass.features.spheres import optimal, spheres
-from fwclass.schema import Scale, Table, require
+from fwclass.schema import Scale, Table, require, scaled
 from fwclass.stage import Chunk, Computation
 
 
@@ -76,7 +76,7 @@ def _features(chunk: Chunk, request: Asked, params: FeaturesParams) -> Table:
         columns |= pulse_variances(chunk, variances, params.pulse_reach)
     if "zc" in request.plain:
         columns["zc"] = height_in_cell(chunk, params.cell_x, params.cell_y)
-    line = columns[f"{LINEAR}_r{round(params.normal_radius * 100)}"] > COLLINEAR
+    line = columns[scaled(LINEAR, params.normal_radius)] > COLLINEAR
     columns |= {name: np.where(line, np.float32(np.nan), columns[name]) for name in NORMAL}
     return Table({name: columns[name] for name in (*request.names, *NORMAL)})
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from fwclass.assess.remarks import percent_words
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
@@ -189,8 +190,9 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
     if some := [s for s in strips if (s.get("noise_periodic") or 0.0) > PERIODIC]:
         worst = max(some, key=lambda s: s["noise_periodic"])
         lines.append(
-            f"{_percent(worst['noise_periodic'])} of the noise's variance comes back every {worst['noise_period']} "
-            f"samples, as what a receiver picks up: errors of echoes are larger than they say ({_names(some)})"
+            f"{percent_words(worst['noise_periodic'])} of the noise's variance comes back every "
+            f"{worst['noise_period']} samples, as what a receiver picks up: "
+            f"errors of echoes are larger than they say ({_names(some)})"
         )
     return [*filter(None, lines), *place_remarks(strips)]
 
@@ -293,7 +295,7 @@ def _unreadable_words(strips: Sequence[Mapping[str, Any]], what: str) -> str:
 def _part(strips: Sequence[Mapping[str, Any]], part: str, whole: str, what: str) -> str:
     """``3 of 1,000 echoes (0.3 %)``, of all `strips` together."""
     some, every = _sums(strips, part, whole)
-    return f"{some:,} of {every:,} {what} ({_percent(some / every)})"
+    return f"{some:,} of {every:,} {what} ({percent_words(some / every)})"
 
 
 def _sums(strips: Iterable[Mapping[str, Any]], *keys: str) -> list[int]:
@@ -326,18 +328,14 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
             worst = max(beyond, key=lambda s: s[share])
             others = f" (and {len(beyond) - 1} more strips)" if len(beyond) > 1 else ""
             refuse_unsound(
-                [f"{worst[count]:,}, {_percent(worst[share])}"],
+                [f"{worst[count]:,}, {percent_words(worst[share])}"],
                 params.accept,
                 f"more {words} than a sound survey has",
                 where=f"{worst['name']}{others}",
-                expected=f"at most {_percent(most)} (plausibility.max_{kind})",
+                expected=f"at most {percent_words(most)} (plausibility.max_{kind})",
                 do=f"{hint}; --accept-implausible (plausibility.accept=true) takes them as they are",
             )
 
 
 def _names(strips: Sequence[Mapping[str, Any]]) -> str:
     return first_few([str(s["name"]) for s in strips], NAMED)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if share >= 0.001 else f"{100 * share:.2g} %"

@@ -9,7 +9,7 @@ from fwclass.publish.papers.plots import draw_curves, draw_distribution, draw_th
 from fwclass.publish.papers.tables import difference, matrices, ours, rows_table, seconds_of, share
 from fwclass.publish.report import data_uri
 from fwclass.publish.sections import distribution, number
-from fwclass.schema import split_name
+from fwclass.schema import base_of
 
 SIGNS = {
     "zc": "Zc",
@@ -50,14 +50,6 @@ def sign(name: str) -> str:
     """A feature in the paper's words."""
     base = base_of(name)
     return SIGNS.get(base, base.replace("_", " "))
-
-
-def base_of(name: str) -> str:
-    """A feature's name without its scale; any other name as it is."""
-    try:
-        return split_name(name)[0]
-    except KeyError:
-        return name
 
 
 def _facts(facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.schema import split_name
+from fwclass.schema import base_of
 
 
 def require_whole(config: Config, tiles: object | None, workflow: str) -> None:
@@ -40,14 +40,6 @@ def _require_further(config: Config) -> None:
                 got=", ".join(twice),
                 do="list in papers.more_classes only what survey.classes lacks",
             )
-
-
-def base_of(name: str) -> str:
-    """A feature's name without its scale."""
-    try:
-        return split_name(name)[0]
-    except KeyError:
-        return name
 
 
 def features_like(config: Config, bases: Iterable[str]) -> tuple[str, ...]:

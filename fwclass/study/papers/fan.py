@@ -9,7 +9,7 @@ import numpy as np
 
 from fwclass.assess.stage import figures
 from fwclass.conf import Config
-from fwclass.study.papers.begin import base_of
+from fwclass.schema import base_of
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.fan_claims import CLAIMS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from fwclass.study.papers.begin import base_of
+from fwclass.schema import base_of
 from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Verdict, of_gain, percent, points, spanned, verdict
 
 Facts = Mapping[str, Any]
