@@ -66,7 +66,8 @@ def serve_view(
         except KeyboardInterrupt:
             pass
         finally:
-            server.shutdown()
+            if serving.is_alive():  # or it would be waited for without end
+                server.shutdown()
 
 
 def _open_browser(address: str) -> bool:

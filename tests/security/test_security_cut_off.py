@@ -64,7 +64,7 @@ def sources(place: Path) -> dict[str, Path]:
     ("ending", "name", "where"),
     [
         (".wdp", "a.las", "fwclass.read.packets.gather"),
-        (".wvs", "b.pls", "fwclass.read.pls_waves.walk"),
+        (".wvs", "b.pls", "fwclass.read.pls_waves.find_segments"),
         pytest.param(".plz", "c.plz", "fwclass.read.pls_compressed.unpack_pulses", marks=pytest.mark.slow),
         pytest.param(".wvz", "c.plz", "fwclass.read.pls_compressed.unpack_waves", marks=pytest.mark.slow),
         (".geojson", "d.geojson", "fwclass.formats.polygon_magic._PLAIN"),
