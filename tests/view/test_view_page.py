@@ -284,5 +284,5 @@ def test_an_echo_is_told_with_its_class_in_the_other_run(small_run: Path) -> Non
 
 
 def _echoes(delivery: Delivery) -> dict[tuple[int, ...], dict[str, Any]]:
-    rows = delivery.echoes(columns=[*IDENTITY, "x", "y", "classification", "confidence"]).to_arrow().to_pylist()
+    rows = delivery.echoes(columns=[*IDENTITY, "x", "y", "z", "classification", "confidence"]).to_arrow().to_pylist()
     return {tuple(r[n] for n in IDENTITY): r for r in rows}
