@@ -117,10 +117,11 @@ def stretched(crs: Any, low: Sequence[float], high: Sequence[float]) -> str:
     try:
         lons, lats = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(*_five(low, high))
         scales = Proj(flat).get_factors(lons, lats, errcheck=False)
-        ratio = np.abs(np.log([scales.tissot_semimajor, scales.tissot_semiminor]))
+        with np.errstate(all="ignore"):  # places beyond the system's reach
+            ratio = np.abs(np.log([scales.tissot_semimajor, scales.tissot_semiminor]))
     except (CRSError, ProjError, ValueError):
         return ""
-    if not (ratio.max(axis=0) > STRETCHED).all():
+    if not (np.isfinite(ratio).all() and (ratio.max(axis=0) > STRETCHED).all()):
         return ""
     axes = (scales.tissot_semimajor[-1], scales.tissot_semiminor[-1])
     off = max(axes, key=lambda scale: abs(math.log(scale)))

@@ -23,7 +23,7 @@ APART = 2_000
 
 CONTRAST = 20.0
 """Of the least mean difference to that of the median displacement [m], times the root of the number of cells: from here
-on offsets came out within 0.2 m in four surveys of 0.04 to 28 echoes/m2."""
+on offsets came out within 0.2 m in five public tiles of 0.12 to 42 echoes/m2 whose clouds had the echoes' heights."""
 
 MOVES = 2 * REACH + 1
 

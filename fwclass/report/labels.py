@@ -26,7 +26,8 @@ OTHER_HEIGHTS = 20
 height system differ by some centimetres."""
 
 ASIDE = 0.5
-"""m to the east or north by which a reference cloud lies aside, from which it is told: it is known to 0.2 m."""
+"""m to the east or north by which a reference cloud lies aside, from which it is told: known to 0.2 m where heights
+agree."""
 
 PIERCED = 0.2
 """Share of echoes of pulses with several by which buildings may lead plants: in ten public tiles plants of all heights
@@ -99,8 +100,8 @@ def _aside(clouds: Iterable[Receipt]) -> tuple[str, float]:
     if offset is None or max(abs(offset.x), abs(offset.y)) < ASIDE:
         return "", 0.0
     text = (
-        f"the points of the reference cloud fit the echoes best when they are moved by "
-        f"{_ways(round(offset.x, 1), round(offset.y, 1))}{' or more' if offset.edge else ''}, to within 0.2 m"
+        f"the points of the reference cloud fit the echoes best when they are moved by some "
+        f"{_ways(round(offset.x, 1), round(offset.y, 1))}{' or more' if offset.edge else ''}"
     )
     if offset.least < offset.unmoved:  # in other cells than their own
         text += (

@@ -122,7 +122,7 @@ class BagRecording:
         """As `Recording.frames`."""
         from rosbags.typesys import Stores, get_typestore
 
-        speed, spoke = math.nan, 0
+        speed, speed_at = math.nan, 0
         store = get_typestore(Stores.ROS2_HUMBLE if self._ros2 else Stores.ROS1_NOETIC)  # a bag's own might be anything
         read = store.deserialize_cdr if self._ros2 else store.deserialize_ros1
         with self._open() as reader:
@@ -141,9 +141,9 @@ class BagRecording:
                 except Exception as fault:
                     raise self._damaged(fault, at) from None
                 if connection.msgtype == ODOMETRY:
-                    speed, spoke = float(message.twist.twist.linear.x), when
+                    speed, speed_at = float(message.twist.twist.linear.x), when
                     continue
-                yield self._frame(message, at, speed if when - spoke <= STALE else math.nan)
+                yield self._frame(message, at, speed if when - speed_at <= STALE else math.nan)
                 at += 1
 
     def _frame(self, message: Any, at: int, speed: float) -> Frame:
