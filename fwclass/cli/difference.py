@@ -21,11 +21,11 @@ def diff(run: Path, others: tuple[str, ...], gpkg: Path | None, overwrite: bool,
 
     Of RUN the last two, those numbered A and B, or A and the current one; or the current ones of two runs.
     """
-    from fwclass.errors import ConfigError
     from fwclass.operate.difference.deliveries import crs_of, deliveries, describe, difference, write_places
+    from fwclass.publish.files import check_free
 
-    if gpkg is not None and gpkg.exists() and not overwrite:
-        raise ConfigError("there is such a file already", where=gpkg, do="--overwrite, or another name")
+    if gpkg is not None:
+        check_free(gpkg, overwrite)
     first, second = deliveries(run, others)
     result, changes = difference(first, second)
     if gpkg is not None:

@@ -286,11 +286,10 @@ def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
     ONNX: input X, float32 (rows, features) in the order of the metadata entry "features", NaN where a value is
     missing; outputs label (class codes), votes and probabilities. Classes are the same as here for every row.
     """
+    from fwclass.publish.files import whole
     from fwclass.publish.onnx_forest import onnx_forest
     from fwclass.single_file.ground.output import check_places
-    from fwclass.store.atomic import move_into_place
     from fwclass.store.models import load_forest
-    from fwclass.temporary import temporary_directory
 
     if out.suffix.lower() != f".{form}":
         raise ConfigError(
@@ -302,7 +301,6 @@ def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
         )
     check_places(model, [out], overwrite)
     content = onnx_forest(load_forest(model))
-    with temporary_directory("export", out.parent) as directory:
-        (directory / out.name).write_bytes(content)
-        move_into_place(directory / out.name, out)
+    with whole(out) as beside:
+        beside.write_bytes(content)
     click.echo(f"{out}: {form}, {out.stat().st_size / 1e6:.1f} MB", err=True)

@@ -42,9 +42,10 @@ def seams(
     from fwclass.operate.configured import configured_as_kept
     from fwclass.operate.request import Request
     from fwclass.operate.seams.places import shift_of
-    from fwclass.operate.seams.summary import as_data, as_text, check_free, write_gpkg
+    from fwclass.operate.seams.summary import as_data, as_text, write_gpkg
     from fwclass.operate.seams.walk import SeamRequest
     from fwclass.operate.seams.walk import seams as measured
+    from fwclass.publish.files import check_free
     from fwclass.run.progress import Display
     from fwclass.store.run_location import open_store
     from fwclass.workflows import workflow_of

@@ -23,7 +23,6 @@ from fwclass.cli.base import (
     cli,
 )
 from fwclass.cli.runner import open_runner
-from fwclass.errors import ConfigError
 
 CONF = click.option("--conf", type=PATH, help="A street's configuration, for mounting, speed and scanner.")
 MODEL = click.option("--model", type=PATH, required=True, help="Directory of the model.")
@@ -90,13 +89,12 @@ def info(recordings: tuple[Path, ...], conf: Path | None, settings: tuple[str, .
 def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) -> None:
     """Simulate a drive along a street; a class code for every return (section street_scene)."""
     from fwclass.conf.street import scanner
-    from fwclass.publish.files import whole
+    from fwclass.publish.files import check_free, whole
     from fwclass.street.recording_parquet import write_recording
     from fwclass.street.simulate import simulate_frames
 
     config = _config(conf, settings)
-    if out.exists() and not overwrite:
-        raise ConfigError("the recording exists", where=out, do="choose another name, or add --overwrite")
+    check_free(out, overwrite)
     frames = simulate_frames(config.street_scene, scanner(config.street.scanner), config.street.mounting)
     with whole(out) as beside:
         count = write_recording(beside, frames)

@@ -28,6 +28,18 @@ Bounds = tuple[float, float, float, float]
 GEOMETRY = ("geometry", "bbox")
 
 
+def require_box(box: object) -> Bounds:
+    """`box`, xmin, ymin, xmax, ymax [m]; `InputError` for what is none, or holds nothing."""
+    try:
+        xmin, ymin, xmax, ymax = (float(bound) for bound in box)  # type: ignore[attr-defined]
+    except (TypeError, ValueError) as fault:
+        expected = "xmin, ymin, xmax, ymax [m]"
+        raise InputError("this is no box", where="box", expected=expected, got=repr(box)[:80]) from fault
+    if not (xmin < xmax and ymin < ymax):
+        raise InputError("this box holds nothing", where="box", expected="xmin < xmax, ymin < ymax", got=box)
+    return xmin, ymin, xmax, ymax
+
+
 class Echoes:
     """A choice of echoes; `len` counts them, the other methods read them."""
 
@@ -60,11 +72,7 @@ class Echoes:
             self._check_names(where)
         if box is None:
             return condition
-        if len(box) != 4:
-            raise InputError("this is no box", where="box", expected="xmin, ymin, xmax, ymax [m]", got=box)
         xmin, ymin, xmax, ymax = box
-        if not (xmin < xmax and ymin < ymax):
-            raise InputError("this box holds nothing", where="box", expected="xmin < xmax, ymin < ymax", got=box)
         x, y = pc.field("x"), pc.field("y")
         inside = (x >= xmin) & (x < xmax) & (y >= ymin) & (y < ymax)
         return inside if condition is None else inside & condition
@@ -100,7 +108,7 @@ class Echoes:
         geopandas = _needed("geopandas")
         import pyproj
 
-        columns = [*self.columns, "geometry"]
+        columns = list(dict.fromkeys([*self.columns, "geometry"]))
         table = self._read(lambda: self._data.to_table(columns=columns, filter=self._filter))
         about = json.loads(self._data.schema.metadata[b"geo"])["columns"]["geometry"]
         crs = pyproj.CRS.from_json_dict(about["crs"]) if about["crs"] else None

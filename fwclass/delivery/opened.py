@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numbers
 import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fwclass.delivery.echoes import Bounds, Echoes
+from fwclass.delivery.echoes import Bounds, Echoes, require_box
 from fwclass.delivery.explain import Explanation, explain
 from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
@@ -64,6 +65,7 @@ class Delivery:
             There is no such column, the box is none, or a tile is damaged.
         """
         self._part("parquet")
+        box = None if box is None else require_box(box)
         return Echoes([self.file(name) for name in self._tables(box)], box, columns, where)
 
     def _tables(self, box: Bounds | None) -> list[str]:
@@ -71,7 +73,7 @@ class Delivery:
         tables = sorted(n for n in self._listed if n.startswith("parquet/") and n.endswith(".parquet"))
         for name in tables:
             self._there(name)
-        if box is None or len(box) != 4 or CATALOGUE not in self._listed:
+        if box is None or CATALOGUE not in self._listed:
             return tables
         xmin, ymin, xmax, ymax = box
         beside = {
@@ -168,15 +170,15 @@ class Delivery:
         Raises
         ------
         InputError
-            There is no such echo, or one of the three is missing.
+            There is no such echo, or one of the three is missing or no whole number.
         """
         row = echo if isinstance(echo, Mapping) else dict(zip(IDENTITY, echo, strict=False))
-        if not row.keys() >= set(IDENTITY):
+        if not row.keys() >= set(IDENTITY) or not all(_is_whole(row[name]) for name in IDENTITY):
             raise InputError(
                 "this names no echo",
                 where="explain",
-                expected=", ".join(IDENTITY),
-                got=", ".join(map(str, row)) or "none",
+                expected=f"{', '.join(IDENTITY)}, whole numbers",
+                got=", ".join(f"{name}: {value}" for name, value in row.items()) or "none",
             )
         tiles = lambda: (t["tile"] for t in self.tiles)  # noqa: E731 (the list of tiles is read where it is needed)
         return explain(self._store, self._part("model"), row, tiles, self.table)
@@ -267,7 +269,7 @@ def open_run(run: str | os.PathLike[str] | Remote) -> Delivery:
     """
     if isinstance(run, Remote):
         return open_at(run)
-    text = os.fspath(run)
+    text = _path_of(run)
     if "://" in text:
         raise InputError(
             "a run on object storage cannot be opened in place",
@@ -284,6 +286,18 @@ def open_run(run: str | os.PathLike[str] | Remote) -> Delivery:
     return open_at(root)
 
 
+def _is_whole(value: object) -> bool:
+    return isinstance(value, numbers.Real) and float(value).is_integer()
+
+
+def _path_of(run: object) -> str:
+    """`run` as text; `InputError` for what is no path."""
+    text = os.fspath(run) if isinstance(run, (str, os.PathLike)) else None
+    if not isinstance(text, str) or "\0" in text:
+        raise InputError("this is no path", where="open", expected="the directory of a run", got=repr(run)[:80])
+    return text
+
+
 def open_delivery(run: str | os.PathLike[str]) -> Delivery:
     """The current delivery of a run directory, or a delivery that was copied out of one (``cp -rL RUN/current COPY``).
 
@@ -298,7 +312,7 @@ def open_delivery(run: str | os.PathLike[str]) -> Delivery:
     InputError
         It is neither, has delivered nothing yet, is on object storage, or files of the delivery are gone.
     """
-    text = os.fspath(run)
+    text = _path_of(run)
     copy = Path(text)
     if "://" in text or is_run(copy) or not (copy / MANIFEST).is_file():
         return open_run(run)

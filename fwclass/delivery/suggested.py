@@ -14,7 +14,7 @@ from fwclass.delivery.collect import codes_that_stand
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
 from fwclass.delivery.places import PLACE, echoes_in, no_echo, read_places
-from fwclass.delivery.worklist import check_free
+from fwclass.delivery.worklist import check_geopackage
 from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
 from fwclass.grid import Box, millimetres, whole_millimetres
@@ -37,7 +37,7 @@ def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool
     ConfigError
         There is such a file already.
     """
-    check_free(path, overwrite)
+    check_geopackage(path, overwrite)
     delivery = open_run(run)
     counts = PlaceCounts(params.size)
     for tile in delivery.tiles:

@@ -13,6 +13,7 @@ from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.errors import ConfigError, several
 from fwclass.grid import Box
+from fwclass.publish.files import check_free
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.store.run_location import RunLocation
 from fwclass.view.params import ViewParams
@@ -20,18 +21,13 @@ from fwclass.view.params import ViewParams
 LAYER = "places"
 
 
-def check_free(path: Path, overwrite: bool) -> None:
+def check_geopackage(path: Path, overwrite: bool) -> None:
     """`ConfigError` where there is something that may not be replaced, or the name is none of a GeoPackage."""
     if path.suffix.lower() != ".gpkg":
         raise ConfigError(
             "places are written as a GeoPackage", where=path, do=f"call it {path.with_suffix('.gpkg').name}"
         )
-    if path.is_dir() or (path.exists() and not overwrite):
-        raise ConfigError(
-            "there is a directory of that name" if path.is_dir() else "there is such a file already",
-            where=path,
-            do="another name" if path.is_dir() else "--overwrite, or another name",
-        )
+    check_free(path, overwrite)
 
 
 def write_work_list(run: RunLocation, params: ViewParams, path: Path, overwrite: bool) -> str:
@@ -44,7 +40,7 @@ def write_work_list(run: RunLocation, params: ViewParams, path: Path, overwrite:
     ConfigError
         There is such a file already.
     """
-    check_free(path, overwrite)
+    check_geopackage(path, overwrite)
     scene = ViewedRun(open_run(run), params)
     listed = scene.work_list()
     places = listed.places

@@ -14,6 +14,54 @@ import psutil
 
 from fwclass.errors import ConfigError
 
+_standing: dict[Path, tuple[int, ...] | None] = {}
+"""What stood where an output goes when `check_free` looked."""
+
+
+def check_free(path: Path, overwrite: bool) -> None:
+    """`ConfigError` where `path` is no file, or one that must not be replaced.
+
+    From here on `whole` replaces nothing there but what stands there now: two commands with one output are not both
+    done in silence.
+    """
+    if path.is_dir() or (path.exists() and not path.is_file()):
+        raise ConfigError("the output is not a file", where=path, do="choose another name")
+    if path.exists() and not overwrite:
+        raise ConfigError("the output exists", where=path, do="choose another name, or add --overwrite")
+    _standing[path.absolute()] = _identity(path)
+
+
+def _identity(path: Path) -> tuple[int, ...] | None:
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    return state.st_ino, state.st_size, state.st_mtime_ns
+
+
+def _place(source: Path, target: Path) -> None:
+    """Rename `source` to `target`, unless another process has written there since `check_free`."""
+    where = target.absolute()
+    if where not in _standing:
+        source.replace(target)
+        return
+    try:
+        if _identity(target) != _standing[where]:
+            raise FileExistsError
+        if _standing[where] is None:
+            os.link(source, target)
+    except FileExistsError:
+        raise ConfigError(
+            "another command has written the output while this one worked",
+            where=target,
+            got="this one's result is not kept",
+            do="look at what is there; then run this command again, with another name or with --overwrite",
+        ) from None
+    except OSError:  # a file system without hard links
+        pass
+    source.replace(target)
+    _standing[where] = _identity(target)
+
 
 def _host() -> str:
     """This host, as part of a file's name."""
@@ -46,7 +94,7 @@ def whole(path: Path) -> Iterator[Path]:
         yield beside
         with beside.open("rb") as file:
             os.fsync(file.fileno())
-        beside.replace(path)
+        _place(beside, path)
     finally:
         beside.unlink(missing_ok=True)
 

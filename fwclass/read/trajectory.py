@@ -35,6 +35,9 @@ ADJUSTED = 1e9
 MAX_BYTES = 4 << 30
 """Largest file; ten hours at 200 Hz are 1 GB."""
 
+FASTEST, JUMP = 500.0, 5.0
+"""m/s and m: no aircraft that scans flies faster; fixes less than `JUMP` apart may have any times."""
+
 AT_A_TIME = 65_536
 """Records of an SBET file that are read at once, 9 MB."""
 
@@ -57,8 +60,8 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Table:
     """Positions of the sensor over time: `gps_time` [s], `x`, `y`, `z` [m].
 
-    Sorted by time; of fixes with equal times the first is kept; fixes with a missing number are left out. Between
-    them nothing is made up: long gaps stay gaps.
+    Sorted by time; of fixes with equal times and places the first is kept; fixes with a missing number are left out.
+    Between them nothing is made up: long gaps stay gaps.
 
     Two kinds of file are told by their content:
 
@@ -78,8 +81,8 @@ def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Tab
 
     Raises
     ------
-    InputError : not such a file, truncated, too large, no usable fix, times that fall back (SBET), or geographic
-        without `crs`.
+    InputError : not such a file, truncated, too large, no usable fix, times that fall back (SBET), geographic without
+        `crs`, or fixes that lie apart further than an aircraft flies in the time between them.
     """
     path = Path(path)
     size = path.stat().st_size
@@ -94,8 +97,26 @@ def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Tab
         raise InputError("no usable fix in the trajectory", where=path, expected="rows of time, x, y, z")
     if geographic:
         a, b, z = _project(a, b, z, crs, path)
+    _require_one_flight(path, time, a, b)
     _, first = np.unique(time, return_index=True)
     return Table({"gps_time": time[first], "x": a[first], "y": b[first], "z": z[first] - undulation})
+
+
+def _require_one_flight(path: Path, time: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """`InputError` where the fixes, by their times, jump: two flights, or two sensors, with the same times."""
+    order = np.argsort(time, kind="stable")
+    step = np.hypot(np.diff(x[order]), np.diff(y[order]))
+    jumps = np.flatnonzero((step > JUMP) & (step > FASTEST * np.diff(time[order])))
+    if not len(jumps):
+        return
+    before, after = order[jumps[0]], order[jumps[0] + 1]
+    raise InputError(
+        "the trajectory is at two places at one time",
+        where=path,
+        expected=f"fixes that an aircraft reaches one after the other, at {FASTEST:g} m/s or less",
+        got=f"{len(jumps)} jumps; the first of {step[jumps[0]]:,.1f} m from {time[before]:.3f} to {time[after]:.3f} s",
+        do="give every flight, and every sensor, a file of its own (survey.trajectory.files), or take the outliers out",
+    )
 
 
 def thin_trajectory(trajectory: Table, spacing: float) -> Table:

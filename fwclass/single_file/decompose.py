@@ -22,6 +22,7 @@ from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.radiometry import flight_of
 from fwclass.grid import Tile
+from fwclass.publish.files import check_free
 from fwclass.publish.laz import without, write_tile_laz
 from fwclass.radiometry import soundness
 from fwclass.radiometry.soundness import altitude_faults
@@ -55,12 +56,9 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
         raise ConfigError(
             "the output is a LAZ file", where=output, expected="a name that ends in .laz", got=output.suffix or "none"
         )
-    if output.exists() and not output.is_file():
-        raise ConfigError("the output is not a file", where=output, do="choose another name")
     if not output.parent.is_dir():
         raise ConfigError("the output's directory does not exist", where=output.parent, do="make it first")
-    if output.exists() and not overwrite:
-        raise ConfigError("the output exists", where=output, do="choose another name, or add --overwrite")
+    check_free(output, overwrite)
 
 
 def decompose_file(

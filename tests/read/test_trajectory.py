@@ -76,9 +76,29 @@ def test_the_simulators_own_table(base: dict[str, Any], tmp_path: Path) -> None:
 
 
 def test_sorted_without_repetitions_and_without_gaps_filled(tmp_path: Path) -> None:
-    rows = np.array([[3.0, 1, 1, 1], [1.0, 2, 2, 2], [3.0, 9, 9, 9], [2.0, np.nan, 3, 3], [900.0, 4, 4, 4]])
+    rows = np.array([[3.0, 1, 1, 1], [1.0, 2, 2, 2], [3.0, 1.01, 1, 1], [2.0, np.nan, 3, 3], [900.0, 4, 4, 4]])
     path = written(tmp_path, "\n".join(" ".join(map(str, row)) for row in rows))
     np.testing.assert_array_equal(matrix(read_trajectory(path)), [[1.0, 2, 2, 2], [3.0, 1, 1, 1], [900.0, 4, 4, 4]])
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [[float(t), 30.0 * t, y, 400.0] for t in range(40) for y in (0.0, 600.0)],
+        [[float(t) + 1e-3 * k, 30.0 * t, 600.0 * k, 400.0] for k in (0, 1) for t in range(40)],
+        [[float(t), 30.0 * t + 700.0 * (t == 20), 0.0, 400.0] for t in range(40)],
+    ],
+)
+def test_two_places_at_one_time_are_refused(rows: list[list[float]], tmp_path: Path) -> None:
+    path = written(tmp_path, "\n".join(" ".join(map(str, row)) for row in rows))
+    with pytest.raises(InputError, match=r"(?s)two places at one time.*jump"):
+        read_trajectory(path)
+
+
+def test_flights_joined_in_any_order_are_read(tmp_path: Path) -> None:
+    flights = [[[900.0 * k + t, 40.0 * t, 500.0 * k, 400.0] for t in range(60)] for k in (1, 0)]
+    path = written(tmp_path, "\n".join(" ".join(map(str, row)) for flight in flights for row in flight))
+    np.testing.assert_array_equal(matrix(read_trajectory(path)), [*flights[1], *flights[0]])
 
 
 def around(n: int = 200) -> tuple[np.ndarray, np.ndarray]:

@@ -236,9 +236,13 @@ def test_what_cannot_be_opened_is_said(root: Path, tmp_path: Path) -> None:
         fwclass.open(root).echoes(where=[("confidence", "~", 1)])
     with pytest.raises(InputError, match="cannot be compared"):
         fwclass.open(root).echoes(where=[("confidence", "<", "high")]).to_pandas()
-    with pytest.raises(InputError, match="this is no box"):
-        fwclass.open(root).echoes(box=(0, 0, 1))  # type: ignore[arg-type]
-    for echo in ({"strip": 1, "pulse": 2}, (1, 2)):
+    for box in ((0, 0, 1), "abcd", 5, (0, 0, None, 1)):
+        with pytest.raises(InputError, match="this is no box"):
+            fwclass.open(root).echoes(box=box)  # type: ignore[arg-type]
+    for name in (5, b"run", "a\0b"):
+        with pytest.raises(InputError, match="this is no path"):
+            fwclass.open(name)  # type: ignore[arg-type]
+    for echo in ({"strip": 1, "pulse": 2}, (1, 2), (1, 193.5, 1), (1, "a", 1)):
         with pytest.raises(InputError, match="this names no echo"):
             fwclass.open(root).explain(echo)  # type: ignore[arg-type]
 

@@ -99,7 +99,7 @@ def test_refusals(survey: Path, tmp_path: Path) -> None:
         look(survey, (5, 63), (), tmp_path / "a.png", False)
     assert "0 to 62" in fault.value.expected
     (tmp_path / "there.png").write_bytes(b"old")
-    with pytest.raises(ConfigError, match="the picture exists"):
+    with pytest.raises(ConfigError, match="the output exists"):
         look(survey, (), (), tmp_path / "there.png", False)
     assert look(survey, (1,), (), tmp_path / "there.png", True)["pulses"]
     with pytest.raises(ConfigError, match="PNG"):
@@ -124,7 +124,7 @@ def test_the_command(survey: Path, tmp_path: Path) -> None:
     assert [p["pulse"] for p in json.loads(told.stdout)["pulses"]] == [3, EMPTY]
     assert (tmp_path / "a-waveforms.png").exists()
     again = run("--waveforms", survey)
-    assert again.returncode == 2 and "the picture exists" in again.stderr and "Traceback" not in again.stderr
+    assert again.returncode == 2 and "the output exists" in again.stderr and "Traceback" not in again.stderr
     assert run("--waveforms", survey, survey).returncode == 2
     assert run("--waveforms", survey, "--pulse", "three").returncode == 2
     assert run(survey, "--pulse", "3").returncode == 2

@@ -15,13 +15,13 @@ from fwclass.formats.geoparquet import header
 from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
 from fwclass.operate.difference.rasters import DIFFERS, raster_changes
+from fwclass.publish.files import whole
 from fwclass.schema import MOVED
-from fwclass.store.atomic import move_into_place, read_json
+from fwclass.store.atomic import read_json
 from fwclass.store.delivered import REPORT, held
 from fwclass.store.digests import digest_now
 from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
-from fwclass.temporary import temporary_directory
 
 SHOWN = 10
 """Rows of a list that are shown; JSON has all settings and files, and so many places."""
@@ -227,12 +227,9 @@ def crs_of(delivery: Delivery) -> str | None:
 def write_places(path: Path, changes: ClassChanges, crs: str | None) -> None:
     """Every place with changed echoes as a GeoPackage, layer ``places``: how many ``changed`` in each; `crs` as WKT."""
     places = changes.places()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary_directory("places", path.parent) as directory:
-        layer_file = directory / path.name
-        fields = {"changed": np.array([n for _, n in places], np.int64)}
-        write_layer(layer_file, "places", "Polygon", rectangles([box.bounds for box, _ in places]), fields, crs)
-        move_into_place(layer_file, path)
+    fields = {"changed": np.array([n for _, n in places], np.int64)}
+    with whole(path) as beside:
+        write_layer(beside, "places", "Polygon", rectangles([box.bounds for box, _ in places]), fields, crs)
 
 
 def describe(difference: Mapping[str, Any]) -> str:

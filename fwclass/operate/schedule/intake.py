@@ -90,7 +90,12 @@ class Intake:
     def _take(self, delivery: Delivery) -> dict[str, Any]:
         facts = take(delivery, self.inbox.directory, self.inbox.places, self.inbox.params.keep_replaced)
         self._watch.begin(delivery.target / path.name for path in delivery.files)
-        replaced = f"; the older one is kept as {', '.join(facts['replaced'])}" if facts["replaced"] else ""
+        replaced = ""
+        if facts["replaced"]:
+            kept = self.inbox.params.keep_replaced
+            replaced = (
+                f"; the older one is kept as {', '.join(facts['replaced'])}" if kept else "; the older one is gone"
+            )
         self.say(f"{delivery.name}: moved to {delivery.target}, {facts['bytes']} bytes{replaced}")
         return facts
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import ConfigError, QualityError
+from fwclass.errors import QualityError
 from fwclass.formats.geopackage import points, rectangles, write_layer
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.measure import BlockShiftEffect
 from fwclass.operate.seams.places import ShiftedSquare
-from fwclass.store.atomic import move_into_place
+from fwclass.publish.files import whole
 from fwclass.store.url import Url
-from fwclass.temporary import temporary_directory
 
 NAMED = 5
 """Columns that are named of those that differ."""
@@ -137,12 +136,6 @@ def _apart(a: BlockShiftEffect) -> str:
     )
 
 
-def check_free(path: Path, overwrite: bool) -> None:
-    """`ConfigError` where there is a file that may not be replaced."""
-    if path.exists() and not overwrite:
-        raise ConfigError("there is such a file already", where=path, do="--overwrite, or another name")
-
-
 def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
     """Layers ``strips`` and, where there are any, ``echoes``.
 
@@ -159,13 +152,11 @@ def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
             fields["part"].append(place.tile.key)
             fields["differ"].append(wrong)
     listed = [{"stage": s.stage, **e} for s in result.bounded for e in s.examples]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary_directory("seams", path.parent) as directory:
-        write_layer(directory / path.name, "strips", "Polygon", rectangles(bounds), fields, crs)
+    with whole(path) as beside:
+        write_layer(beside, "strips", "Polygon", rectangles(bounds), fields, crs)
         if listed:
             places = points((e["x"], e["y"]) for e in listed)
             names = ("stage", "part", "strip", "pulse", "echo_number", "column")
             columns: dict[str, list[Any]] = {n: [e[n] for e in listed] for n in names}
             columns |= {n: [str(e[n]) for e in listed] for n in ("run", "shifted")}
-            write_layer(directory / path.name, "echoes", "Point", places, columns, crs)
-        move_into_place(directory / path.name, path)
+            write_layer(beside, "echoes", "Point", places, columns, crs)

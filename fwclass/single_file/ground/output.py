@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantise
+from fwclass.publish.files import check_free
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import check_records, write_strip_laz
@@ -69,10 +70,7 @@ def check_places(source: Path, targets: list[Path], overwrite: bool) -> None:
             raise ConfigError(
                 "a file cannot be written onto itself", where=path, do="name another output; the input is never changed"
             )
-        if path.exists() and not path.is_file():
-            raise ConfigError("the output is not a file", where=path, do="choose another name")
-        if path.exists() and not overwrite:
-            raise ConfigError("the output exists", where=path, do="choose another name, or add --overwrite")
+        check_free(path, overwrite)
 
 
 def _require_writable(path: Path) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import InputError
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
-from fwclass.publish.files import whole
+from fwclass.publish.files import check_free, whole
 from fwclass.publish.street_pictures import draw_slice
 from fwclass.store.unchanged import unchanged
 from fwclass.street.annotation import HEAD, Box, Labeller, annotated_end, overlaps, read_boxes
@@ -48,8 +48,8 @@ def annotate(
     `out`: the recording is written there with its labels. `preview`: a directory for a picture of every slice that has
     rectangles, and of the next one, `slice_` metres long. A `file` that is not there is begun.
     """
-    if out is not None and out.exists() and not overwrite:
-        raise ConfigError("the recording exists", where=out, do="choose another name, or add --overwrite")
+    if out is not None:
+        check_free(out, overwrite)
     begun = not file.exists()
     if begun:
         with whole(file) as beside:

@@ -19,7 +19,7 @@ from fwclass.decompose.recorded_pulse import recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.sources import StripSpan
-from fwclass.publish.files import whole
+from fwclass.publish.files import check_free, whole
 from fwclass.publish.waveform_pictures import draw_waveforms
 from fwclass.read.source import open_source
 from fwclass.read.stage import ReadParams, check_source
@@ -150,8 +150,7 @@ def _refuse(target: Path, pulses: tuple[int, ...], overwrite: bool) -> None:
         raise ConfigError("the picture is a PNG", where=target, expected="a name that ends in .png", got=target.suffix)
     if not target.parent.is_dir():
         raise ConfigError("the picture's directory does not exist", where=target.parent, do="make it first")
-    if target.exists() and (target.is_dir() or not overwrite):
-        raise ConfigError("the picture exists", where=target, do="choose another name with --out, or add --overwrite")
+    check_free(target, overwrite)
     if len(pulses) > MOST_PULSES:
         raise ConfigError("too many pulses", where="--pulse", expected=f"at most {MOST_PULSES}", got=len(pulses))
 

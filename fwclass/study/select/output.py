@@ -12,7 +12,7 @@ from fwclass.errors import ConfigError
 from fwclass.features.names import is_feature
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import providers
-from fwclass.publish.files import whole
+from fwclass.publish.files import check_free, whole
 from fwclass.publish.selection_curves import draw_selection
 from fwclass.store.atomic import write_json
 from fwclass.study.select import result
@@ -34,9 +34,8 @@ def check_target(target: Path | None, root: Path, method: str, overwrite: bool) 
         return root / "select" / f"{method}.yaml"
     if target.suffix not in (".yaml", ".yml"):
         raise ConfigError("the result is a YAML file", where="--to", expected="a name that ends in .yaml", got=target)
-    there = [p for p in (target, *_beside(target)) if p.exists()]
-    if there and not overwrite:
-        raise ConfigError("the output exists", where=there[0], do="choose another --to, or add --overwrite")
+    for path in (target, *_beside(target)):
+        check_free(path, overwrite)
     return target
 
 
