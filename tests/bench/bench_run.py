@@ -21,6 +21,9 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+LEARNED = "areas.train=[[512200.0, 5403200.0, 512300.0, 5403300.0]]"
+"""The one training area of `city-1200m` that towns of other sizes have, too."""
+
 COSTS = ("user", "system", "reading", "writing", "checking", "faults")
 
 
@@ -138,6 +141,8 @@ def main() -> None:
         if not strips.is_dir():
             fwclass(ROOT, "simulate", chosen.survey, "--out", strips, *size)
         words = ["run", chosen.survey, "--set", f"survey.directory={strips.resolve()}", "--out", base / "run"]
+        if chosen.size:
+            words += ["--set", LEARNED]
         took = fwclass(chosen.root, *words, "--workers", "0" if chosen.loop else "2")
         table(base / "run")
         print(
