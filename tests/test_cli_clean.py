@@ -59,6 +59,20 @@ def test_earlier_deliveries_go_then_the_store_and_a_run_makes_the_same(place):
     assert {n: d for n, d in files.items() if n not in told} == {n: d for n, d in before.items() if n not in told}
 
 
+def test_a_classification_stays_behind_deliveries_of_another_workflow(place):
+    quality = ("run", "s.yaml", "--out", "q", "--workers", 0, "--workflow", "quality")
+    assert fwclass("run", "s.yaml", "--out", "q", "--workers", 0, cwd=place).returncode == 0
+    ended = fwclass(*quality, "--set", "run.keep_generations=1", cwd=place)
+    assert ended.returncode == 0 and "has no laz, model" in ended.stderr, ended.stderr
+    ended = fwclass(*quality, "--set", "quality.cell=4", "--set", "run.keep_generations=1", cwd=place)
+    assert ended.returncode == 0, ended.stderr
+    for keep in ("latest", "delivery"):
+        ended = fwclass("clean", "q", "--keep", keep, cwd=place)
+        assert ended.returncode == 0 and "0001 stays: it alone has laz, model" in ended.stdout, ended.stdout
+        assert sorted(p.name for p in (place / "q/generations").iterdir()) == ["0001", "0003"]
+    assert list((place / "q/generations/0001/laz/tiles").glob("*.laz"))
+
+
 @pytest.mark.slow
 def test_a_run_that_keeps_no_parts_keeps_its_deliveries(place):
     words = ("run", "s.yaml", "--out", "bare", "--workers", 0)

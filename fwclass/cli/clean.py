@@ -22,12 +22,15 @@ from fwclass.cli.run_words import run_at
 def clean(run: Any, keep: Any) -> None:
     """Remove earlier deliveries of a run, or the parts that they were made from, or both.
 
-    What was delivered stays as it is; the next run makes all that is missing.
+    What was delivered stays as it is; the next run makes all that is missing. An earlier delivery stays, too, where the
+    current one, of another workflow, lacks what it has.
     """
     from fwclass.operate.clean import clean as remove
 
     gone = remove(run_at(run), keep, lambda text: click.echo(text, err=True))
     some = ", ".join(gone.generations) or "none"
     click.echo(f"generations {some} removed")
+    for name, products in gone.unique.items():
+        click.echo(f"generation  {name} stays: it alone has {', '.join(products)}")
     click.echo(f"parts       {gone.parts:,} removed")
     click.echo(f"size        {gone.freed}")

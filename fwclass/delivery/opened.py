@@ -250,7 +250,8 @@ class Delivery:
                 where=self.path,
                 expected=name,
                 got=", ".join(there) or "nothing",
-                do="a run of chosen tiles, or one with a given model, delivers a part alone; run the whole survey",
+                do="a run of another workflow or of chosen tiles, or one with a given model, delivers a part alone; "
+                "run the whole survey",
             )
         return path
 

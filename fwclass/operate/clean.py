@@ -16,9 +16,11 @@ Keep = Literal["delivery", "deliveries", "latest"]
 
 @dataclass(frozen=True)
 class Cleaned:
-    """What went: `generations` by name, how many `parts` of the store; bytes of the run `before` and `after`."""
+    """What went: `generations` by name, how many `parts` of the store; bytes of the run `before` and `after`. What
+    stays of earlier generations, each with the directories that it alone has."""
 
     generations: tuple[str, ...]
+    unique: dict[str, list[str]]
     parts: int
     before: int
     after: int
@@ -32,6 +34,8 @@ class Cleaned:
 def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cleaned:
     """Remove earlier deliveries unless all ``deliveries`` stay, and all parts unless the ``latest`` ones do.
 
+    An earlier delivery that alone has what another workflow made (a classification, before ``--workflow quality``)
+    stays.
     The logs of removed parts go with them. A simulated survey's files, the history and the words of the last run stay.
     The same run makes all parts anew, and the same delivery.
 
@@ -58,6 +62,7 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
             )
         before = sizes_of(own, None).total
         generations = [] if keep == "deliveries" else store.generations.retire_earlier()
+        unique = {} if keep == "deliveries" else store.generations.unique()
         parts = []
         if keep != "latest":
             simulated = {receipt.part for receipt in store.receipts("simulate")}
@@ -65,4 +70,4 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
             store.remove_all(parts)
             remove_logs(own, parts)
         store.clear_staging()
-        return Cleaned(tuple(generations), len(parts), before, sizes_of(own, None).total)
+        return Cleaned(tuple(generations), unique, len(parts), before, sizes_of(own, None).total)

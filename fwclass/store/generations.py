@@ -202,9 +202,11 @@ class Generations:
         """Make a generation of `pending` and of `files` (path below the generation: file of the store and its digest).
 
         It becomes the current one if it is `whole`, or if no whole one is there. Of the whole ones the last `keep`
-        stay; others go as soon as a later one is made. The current one is returned as it is where it holds just this:
-        every file that it should have is there with its size, and reports (where all are `read`, all files) with their
-        bytes. `tell` is told what is not, and the new one takes its place: it goes.
+        stay, and of earlier ones the last that has what these have not; others go as soon as a later one is made.
+
+        The current one is returned as it is where it holds just this: every file that it should have is there with its
+        size, and reports (where all are `read`, all files) with their bytes. `tell` is told what is not, and the new
+        one takes its place: it goes.
 
         Raises
         ------
@@ -229,6 +231,9 @@ class Generations:
         latest = self._write(number, files, whole, digest, before)
         if before is None or whole or not before.whole:
             self._point(latest, pointer[1] if pointer else None)
+            alone = sorted(self._products(before) - self._products(latest)) if before is not None else []
+            if before is not None and alone:
+                tell(f"delivery         has no {', '.join(alone)}: those of {before.name} stay in {before.where}")
             sound = [g for g in there if not broken or before is None or g.name != before.name]
             self._retire(names, [*sound, latest], keep, latest, None)
         elif pointer:
@@ -236,12 +241,34 @@ class Generations:
         return latest
 
     def retire_earlier(self) -> list[str]:
-        """Remove all generations but the current one and a later one that is not whole; names of those that went."""
+        """Remove all generations but the current one, a later one that is not whole, and the last of `unique`; names of
+        those that went."""
         pointer, names = self.files.pointer(), self._names()
         shown = self._named(pointer[0]) if pointer else None
         if pointer and shown is not None:
             self._retire(names, self._all(names), 1, shown, pointer[1])
         return sorted(set(names) - set(self._names()))
+
+    def unique(self) -> dict[str, list[str]]:
+        """Earlier whole generations, the last first, with the directories that neither the current one nor one between
+        has: what another workflow delivered."""
+        shown = self.current()
+        whole = [g for g in self.all() if g.whole]
+        return self._unique(whole, [shown] if shown is not None else [])
+
+    def _unique(self, whole: Sequence[Generation], kept: Sequence[Generation]) -> dict[str, list[str]]:
+        have = set[str]().union(*map(self._products, kept))
+        unique = {}
+        for generation in reversed([g for g in whole if g not in kept]):
+            more = self._products(generation) - have
+            have |= more
+            if more:
+                unique[generation.name] = sorted(more)
+        return unique
+
+    def _products(self, generation: Generation) -> set[str]:
+        """Directories of a generation: ``laz``, ``parquet``, ``rasters``, ``model`` and so on."""
+        return {name.partition("/")[0] for name in self.manifest(generation) or {} if "/" in name}
 
     def _reports_stand(self, generation: Generation) -> bool:
         """The reports that wait are those that the generation has."""
@@ -270,12 +297,17 @@ class Generations:
     def _retire(
         self, names: Sequence[str], there: Sequence[Generation], keep: int, shown: Generation, mark: Mark | None
     ) -> None:
-        """Remove generations beyond the last `keep` whole ones, and what was never finished, or not removed to the end.
+        """Remove generations beyond the last `keep` whole ones and the `unique`, and what was never finished, or not
+        removed to the end.
 
         On object storage one may be another writer's, who slept and will go on. So the pointer is written anew before
         (over `mark`; None: it just was): who read the earlier one cannot lead readers there any more.
         """
-        stay = {g.name for g in [g for g in there if g.whole][-max(1, keep) :] + list(there[-1:])} | {shown.name}
+        whole = [g for g in there if g.whole]
+        kept = [*whole[-max(1, keep) :], *there[-1:], shown]
+        stay = {g.name for g in kept}
+        if set(names) - stay:
+            stay |= self._unique(whole, kept).keys()
         gone = [name for name in names if name not in stay]
         if gone and mark is not None and self.files.far:
             self._point(shown, mark)
