@@ -55,14 +55,19 @@ def checkout(run: Path, directory: Path, tiles: str | None, least_sure: int | No
 @click.argument("directory", metavar="DIR", type=PATH)
 @click.option("--run", type=PATH, help="Where the run is, if it was moved since.")
 @click.option("--who", default=_login, help="Who changed the classes (default: the name of the login).")
-def collect(directory: Path, run: Path | None, who: str) -> None:
+@click.option("--confirm", is_flag=True, help="What was not changed in these tiles was looked at, too, and is right.")
+def collect(directory: Path, run: Path | None, who: str, confirm: bool) -> None:
     """Make corrections of the run from the classes that were changed in DIR; the next `fwclass run` learns from them.
 
-    Collecting again adds what was changed since; a change that was undone is taken back.
+    Collecting again adds what was changed since; a change that was undone is taken back. Where only what was wrong is
+    given, a run learns that all that looks like it is wrong: mend a tile whole, and add --confirm.
     """
     from fwclass.delivery.collect import collect as collected
+    from fwclass.delivery.suggested import confirm_tiles
 
     click.echo(collected(directory, run, who, time.time_ns() // 1000))
+    if confirm:
+        click.echo(confirm_tiles(directory, run, who, time.time_ns() // 1000))
 
 
 @label.command()

@@ -86,7 +86,7 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
         The run or the directory cannot be written to.
     """
     note = read_note(directory)
-    delivery = _run_of(note, run, directory)
+    delivery = run_of(note, run, directory)
     tiles = [_changes(directory, key, digest) for key, digest in sorted(note.tiles.items())]
     _check_codes(tiles, list(note.tiles), delivery.correctable)
     changed = EchoLabels.joined([t.labels for t in tiles])
@@ -147,7 +147,8 @@ def codes_that_stand(echoes: EchoLabels, standing: EchoLabels) -> NDArray[np.int
     return np.where(same, standing.code[at], np.int16(TAKEN_BACK))
 
 
-def _run_of(note: Note, run: Path | None, directory: Path) -> Delivery:
+def run_of(note: Note, run: Path | None, directory: Path) -> Delivery:
+    """The current delivery of the run that tiles were checked out of; `InputError` where it is gone or another."""
     root = Path(note.run) if run is None else run
     if run is None and not root.is_dir():
         raise InputError(

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.delivery.collect import codes_that_stand
+from fwclass.delivery.checkout import read_note
+from fwclass.delivery.collect import codes_that_stand, run_of
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.delivery.places import PLACE, echoes_in, no_echo, read_places
+from fwclass.delivery.places import COLUMNS, PLACE, echoes_in, no_echo, read_places
 from fwclass.delivery.worklist import check_geopackage
 from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
@@ -137,11 +138,42 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     """
     delivery = open_run(run)
     places = read_places(path, delivery)
-    classes = {int(c["code"]) for c in delivery.classes}
     rows = echoes_in(delivery, places)
-    classified = np.isin(rows["classification"], list(classes)) & np.isfinite(rows["confidence"])
-    if not classified.any():
+    if not _classified(delivery, rows).any():
         raise no_echo(path, places)
+    return _confirm(delivery, rows, places.parts, who, time)
+
+
+def confirm_tiles(directory: Path, run: Path | None, who: str, time: int) -> Confirmed:
+    """Confirm all echoes of the tiles in a directory of `checkout` that were not changed there, after `collect`.
+
+    Raises
+    ------
+    InputError
+        The run has delivered anew since: what was looked at is not what it says now.
+    """
+    note = read_note(directory)
+    delivery = run_of(note, run, directory)
+    if delivery.path.name != note.generation:
+        raise InputError(
+            "the run has delivered anew since these tiles were checked out",
+            where=directory,
+            expected=f"delivery {note.generation}",
+            got=delivery.path.name,
+            do="what was changed is collected; to confirm the rest, check the tiles out again and look at them",
+        )
+    parts = [table_columns(delivery.table(tile), COLUMNS) for tile in sorted(note.tiles)]
+    rows = {n: np.concatenate([p[n] for p in parts]) for n in COLUMNS}
+    return _confirm(delivery, rows, len(parts), who, time)
+
+
+def _classified(delivery: Delivery, rows: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    classes = [int(c["code"]) for c in delivery.classes]
+    return np.isin(rows["classification"], classes) & np.isfinite(rows["confidence"])
+
+
+def _confirm(delivery: Delivery, rows: Mapping[str, NDArray[Any]], places: int, who: str, time: int) -> Confirmed:
+    classified = _classified(delivery, rows)
     echoes = {n: v[classified] for n, v in rows.items()}
     labels = EchoLabels.of(echoes, echoes["classification"], time, who)
     corrected = 0
@@ -157,4 +189,4 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     names = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
     by_code = dict(zip(codes.tolist(), counts.tolist(), strict=True))
     passed_over = int((~classified).sum())
-    return Confirmed(by_code, corrected, passed_over, places.parts, names, str(place_of(delivery.root)))
+    return Confirmed(by_code, corrected, passed_over, places, names, str(place_of(delivery.root)))

@@ -161,7 +161,7 @@ def learning_arguments(plan: Plan) -> Mapping[str, Any]:
     return {"names": config.features_asked, "params": config.train, "classes": config.classes}
 
 
-NOT_OF_THE_SAMPLE = frozenset(TrainParams.model_fields) - {"seed", "samples_per_class"}
+NOT_OF_THE_SAMPLE = frozenset(TrainParams.model_fields) - {"seed", "samples_per_class", "corrected_share"}
 DRAW_SAMPLE = Stage(
     TRAIN_SAMPLE.name,
     TRAIN_SAMPLE.version,

@@ -59,6 +59,9 @@ _LINE: dict[str, Shape] = {
 }
 """What the values of a line are, where they are there."""
 
+OTHER_TEST = 0.1
+"""Of the tested echoes, from which it is said that they are others: corrections take what lies around them out."""
+
 LOOKED_BACK = 20
 """Runs of the history among which an earlier accuracy is looked for."""
 
@@ -89,7 +92,8 @@ class Entry:
 
     `location`: where the run lies. `generation`: number of the delivery that it made, None for none. `runner`: where
     its parts are counted. `began`, `clock`: of the wall clock and of the monotonic one [s]. `last`: the line that was
-    written last. `accuracy`: ``overall_accuracy`` and ``kappa`` where there was a test area; `echoes`: in the tiles.
+    written last. `accuracy`: ``overall_accuracy``, ``kappa`` and the echoes
+    ``tested`` where there was a test area; `echoes`: in the tiles.
     """
 
     location: RunLocation
@@ -140,16 +144,22 @@ class Entry:
         if not accuracy or accuracy["overall_accuracy"] is None:  # nothing was tested
             return ""
         now, kappa = round(accuracy["overall_accuracy"], 6), accuracy["kappa"]
-        self.accuracy = {"overall_accuracy": now, "kappa": None if kappa is None else round(kappa, 6)}
+        tested = int(sum(map(sum, accuracy["confusion"])))
+        self.accuracy = {"overall_accuracy": now, "kappa": None if kappa is None else round(kappa, 6), "tested": tested}
         self.tested_by = by = tested_by(report)
         past = (r for r in reversed(past_runs(self.location, LOOKED_BACK)) if _overall(r) is not None)
         earlier = next((r for r in past if r.get("tested_by", by) == by), None)
         before = _overall(earlier or {})
         if earlier is None or before is None or before - now < LOSS:
             return ""
+        earlier_tested = (earlier.get("accuracy") or {}).get("tested")
+        other = ""
+        if earlier_tested and abs(tested - earlier_tested) > OTHER_TEST * earlier_tested:
+            other = f"; {tested:,} echoes were tested, {earlier_tested:,} then: it may be more where both were"
         return (
             f"LOST        {100 * (before - now):.1f} points of overall accuracy against the run of {earlier['began']} "
-            f"({100 * before:.1f} %)" + ("; fwclass diff says what changed" if isinstance(self.location, Path) else "")
+            f"({100 * before:.1f} %){other}"
+            + ("; fwclass diff says what changed" if isinstance(self.location, Path) else "")
         )
 
     def _facts(self) -> dict[str, Any]:

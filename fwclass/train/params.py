@@ -25,6 +25,7 @@ class TrainParams(Params):
     bagging, replacement : share of the sample that a tree draws, with replacement or without.
     class_weights : `none`, `balanced` (rows / (classes × rows of the class)), or a weight per class name; a class
         without one weighs 1, the others 0.001 to 1000.
+    corrected_share : of a class's rows corrected echoes are at most this share, unless others do not suffice.
     base_rows : of a base model's rows at least so many of every class train beside the survey's own.
     importance_repeats : permutations of a feature and tree that the importance is measured by; 0 leaves it out.
     """
@@ -32,6 +33,7 @@ class TrainParams(Params):
     method: ClassifierMethod
     seed: int = Field(ge=0, lt=2**63)
     samples_per_class: int = Field(ge=1, le=100_000_000)
+    corrected_share: float = Field(gt=0, le=1)
     base_rows: int = Field(ge=0, le=100_000_000)
     trees: int = Field(ge=1, le=65535)
     split: Literal["equal-width", "exact", "histogram"]

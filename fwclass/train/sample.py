@@ -18,6 +18,9 @@ from fwclass.schema import Table
 FIRST_BASE_KEY = 1 << 63
 """Keys of a base model's rows begin here; those of a survey's echoes are smaller (`schema.canonical_key`)."""
 
+FIRST = np.uint64(1 << 32)
+"""Hashes below are of rows that are corrected."""
+
 _ARRAYS = ("X", "y", "key", "hash", "eligible", "bare", "place")
 
 
@@ -98,7 +101,7 @@ def draw(
     """Of every class the `per_class` labelled rows inside the training areas with the smallest hashes.
 
     Rows whose code no class counts, and rows without any feature value, never train. `first`: bool (rows,), rows whose
-    hashes are made smaller than those of all others, but for one in 2^32 of these.
+    hashes are made smaller than `FIRST`, as of others one in 2^32 is; of both kinds `per_class` are drawn.
     """
     index = class_index(reference, classes)
     names = tuple(features)
@@ -114,7 +117,7 @@ def draw(
     drawn = hash_keys(seed, key)
     if first is not None:
         drawn = np.where(first[rows], drawn >> np.uint64(32), drawn)
-    smallest = _smallest(y, drawn, len(classes), per_class)
+    smallest = _smallest_of_both(y, drawn, len(classes), per_class)
     X = sample_matrix(features.take(rows[smallest]), names, "training rows")
     there = np.empty((0, 2), np.int64) if place is None else place[rows[smallest]]
     return _sort(Sample(names, X, y[smallest], key[smallest], drawn[smallest], eligible, bare, there))
@@ -139,8 +142,12 @@ def kept_sample(
     return Sample(tuple(features), X[rows], own, key, drawn, none, none, np.zeros((len(rows), 2), np.int64))
 
 
-def join(samples: Iterable[Sample], per_class: int) -> Sample:
-    """One sample of the union of the rows that `samples` were drawn from, whatever their order or number."""
+def join(samples: Iterable[Sample], per_class: int, first_share: float = 1.0) -> Sample:
+    """One sample of the union of the rows that `samples` were drawn from, whatever their order or number.
+
+    Of every class at most `per_class` rows (rows,); those that were drawn `first` are at most the share `first_share` of
+    them, and more where others do not suffice. `ValueError` where there is no sample, or they have other features.
+    """
     parts: list[Sample] = []
     rows = 0
     for part in samples:
@@ -148,12 +155,20 @@ def join(samples: Iterable[Sample], per_class: int) -> Sample:
             raise ValueError(f"samples differ: {parts[0].features} and {part.features}")
         parts.append(part)
         rows += part.rows
-        if rows > 3 * per_class * len(part.eligible):  # memory stays that of a few samples, however many tiles
-            parts = [thin(_union(parts), per_class)]
+        if rows > 6 * per_class * len(part.eligible):  # memory stays that of a few samples, however many tiles
+            whole = _union(parts)
+            parts = [whole.take(_smallest_of_both(whole.y, whole.hash, len(whole.eligible), per_class))]
             rows = parts[0].rows
     if not parts:
         raise ValueError("nothing to merge")
-    return _sort(thin(_union(parts), per_class))
+    whole = _union(parts)
+    keep = []
+    for y in range(len(whole.eligible)):
+        rows_of = [np.flatnonzero((whole.y == y) & first) for first in (whole.hash < FIRST, whole.hash >= FIRST)]
+        most = max(round(first_share * per_class), per_class - len(rows_of[1]))
+        firsts = _smallest(rows_of[0], whole.hash, most)
+        keep += [firsts, _smallest(rows_of[1], whole.hash, per_class - len(firsts))]
+    return _sort(whole.take(np.concatenate(keep)))
 
 
 def _union(parts: Sequence[Sample]) -> Sample:
@@ -169,20 +184,24 @@ def _union(parts: Sequence[Sample]) -> Sample:
     )
 
 
-def _smallest(y: NDArray[np.uint8], drawn: NDArray[np.uint64], n_classes: int, per_class: int) -> NDArray[np.int64]:
-    """Index of the `per_class` rows of every class with the smallest random numbers."""
-    keep = []
-    for c in range(n_classes):
-        rows = np.flatnonzero(y == c)
-        if len(rows) > per_class:
-            rows = rows[np.argpartition(drawn[rows], per_class - 1)[:per_class]]
-        keep.append(rows)
-    return np.concatenate(keep)
+def _smallest_of_both(
+    y: NDArray[np.uint8], drawn: NDArray[np.uint64], n_classes: int, per_class: int
+) -> NDArray[np.int64]:
+    """Index of the `per_class` rows of every class with the smallest random numbers, of those below `FIRST` and of
+    others."""
+    below = drawn < FIRST
+    kinds = [np.flatnonzero((y == c) & kind) for c in range(n_classes) for kind in (below, ~below)]
+    return np.concatenate([_smallest(rows, drawn, per_class) for rows in kinds])
+
+
+def _smallest(rows: NDArray[np.int64], drawn: NDArray[np.uint64], most: int) -> NDArray[np.int64]:
+    """Of `rows` the `most` with the smallest random numbers."""
+    return rows if len(rows) <= most else rows[np.argpartition(drawn[rows], max(most - 1, 0))[:most]]
 
 
 def thin(sample: Sample, per_class: int) -> Sample:
-    """Of every class the `per_class` rows with the smallest hashes."""
-    return sample.take(_smallest(sample.y, sample.hash, len(sample.eligible), per_class))
+    """Of every class the `per_class` rows with the smallest hashes, in the order of their keys."""
+    return join((sample,), per_class)
 
 
 def _sort(sample: Sample) -> Sample:

@@ -46,14 +46,14 @@ def candidates(
     inside : bool (rows,), the row lies in a training area.
     classes : the classes in the order of the votes.
     place : int64 (rows, 2), x and y in whole millimetres, where the sample is to know.
-    first : bool (rows,), rows that are drawn before all others.
+    first : bool (rows,), rows that are drawn before all others, as far as `corrected_share` lets them.
     """
     return draw(features, reference, key, inside, classes, params.samples_per_class, params.seed, place, first)
 
 
 def merge(samples: Iterable[Sample], params: TrainParams) -> Sample:
     """The survey's sample: that of the union of all tiles, whatever the tiling and the order."""
-    return join(samples, params.samples_per_class)
+    return join(samples, params.samples_per_class, params.corrected_share)
 
 
 class Grower:
@@ -170,7 +170,7 @@ def train(
     return assemble(trees, facts)
 
 
-TRAIN_SAMPLE = Computation(name="sample", version=4)
+TRAIN_SAMPLE = Computation(name="sample", version=5)
 TRAIN_TREES = Computation(name="trees", version=1)
 TRAIN_IMPORTANCE = Computation(name="importance", version=1)
 TRAIN = Computation(name="train", version=4)

@@ -156,6 +156,23 @@ def test_what_was_changed_becomes_corrections_and_the_next_run_takes_them(run, o
     assert read_corrections(run).rows == rows.rows + 1
 
 
+def test_what_was_not_changed_is_confirmed_on_request(run, out, made):
+    edited(tile(out), swapped)
+    ended = collect(out, "--confirm")
+    assert ended.returncode == 0 and "keep their class" in ended.stdout, ended.stderr
+    changed, table = read_corrections(run).standing(), delivered(run)
+    mine = table[(table.x >= 500_000) & (table.x < 500_050) & (table.y >= 5_400_000) & (table.y < 5_400_025)]
+    assert changed.rows == len(mine)
+    by_echo = {(r.strip, r.pulse, r.echo_number): r.classification for r in mine.itertuples()}
+    now = zip(changed.strip.tolist(), changed.pulse.tolist(), changed.echo_number.tolist(), strict=True)
+    differ = sum(by_echo[k] != c for k, c in zip(now, changed.code.tolist(), strict=True))
+    assert 0 < differ < 0.5 * changed.rows
+    assert "nothing new" in collect(out).stdout and read_corrections(run).standing().rows == changed.rows
+    assert fwclass("run", made[0], "--out", run, "--workers", 0, "--set", "train.trees=3").returncode == 0
+    ended = collect(out, "--confirm")
+    assert ended.returncode == 1 and "delivered anew since" in ended.stderr
+
+
 def test_again_adds_nothing_and_what_is_undone_is_taken_back(run, out):
     original = tile(out).read_bytes()
     assert "nothing new" in collect(out).stdout and not (run / "labels").exists()

@@ -65,6 +65,28 @@ def test_the_sample_does_not_depend_on_the_tiling_or_the_order(parts):
     assert whole.counts.tolist() == [300, 300, 300]
 
 
+@pytest.mark.parametrize("parts", [1, 2, 7, 40])
+@pytest.mark.parametrize(("corrected", "share"), [(0.05, 0.25), (0.6, 0.25), (0.6, 1.0), (1.0, 0.25)])
+def test_corrected_rows_are_a_share_of_a_class_unless_others_do_not_suffice(parts, corrected, share):
+    features, reference, key, inside = survey()
+    inside |= True
+    params, r = small(corrected_share=share), np.random.default_rng(5)
+    first = r.random(len(key)) < corrected
+    cut = np.array_split(r.permutation(len(key)), parts)
+    drawn = [
+        candidates(features.take(c), reference[c], key[c], inside[c], params, CLASSES, first=first[c]) for c in cut
+    ]
+    sample = merge(drawn, params)
+    same(sample, merge([candidates(features, reference, key, inside, params, CLASSES, first=first)], params))
+    is_first = first[np.argsort(key)][np.searchsorted(np.sort(key), sample.key)]
+    index = class_index(reference, CLASSES)
+    for k in range(len(CLASSES)):
+        there = first[index == k]
+        assert (sample.y == k).sum() == min(len(there), 300)
+        expected = min(there.sum(), max(round(share * 300), 300 - (~there).sum()))
+        assert (is_first & (sample.y == k)).sum() == expected
+
+
 def test_the_same_forest_whatever_the_parts():
     features, reference, key, inside = survey(2000)
     params = small()
