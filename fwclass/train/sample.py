@@ -145,8 +145,8 @@ def kept_sample(
 def join(samples: Iterable[Sample], per_class: int, first_share: float = 1.0) -> Sample:
     """One sample of the union of the rows that `samples` were drawn from, whatever their order or number.
 
-    Of every class at most `per_class` rows (rows,); those that were drawn `first` are at most the share `first_share` of
-    them, and more where others do not suffice. `ValueError` where there is no sample, or they have other features.
+    Of every class at most `per_class` rows (rows,); those that were drawn `first` are at most the share `first_share`
+    of them, and more where others do not suffice. `ValueError` where there is no sample, or they have other features.
     """
     parts: list[Sample] = []
     rows = 0
