@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -28,10 +28,10 @@ from fwclass.vectors.buildings import OUTLINES, footprints
 from fwclass.vectors.cells import (
     CELL_COLUMNS,
     MARGIN,
-    Counts,
     by_piece,
     cell_of,
     count_cells,
+    count_passage,
     join_cells,
     median_density,
     pieces,
@@ -72,8 +72,9 @@ def find_buildings(here: StageInputs, params: VectorParams) -> Result:
     """The buildings that lie in one block, and the cells of those that may go on beyond its edge."""
     cell = here.inputs.meta(CELL, "all")["cell"]
     core = owned(here.tile, cell)
-    counts = _count(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
-    inner = core.within(core.grown(MARGIN))
+    wide = core.grown(MARGIN)
+    counts = count_cells(_read_window(here, wide), wide, params.buildings.codes, params.buildings.low)
+    inner = core.within(wide)
     whole, beyond = pieces(roofs(counts)[inner], counts.within(inner), core)
     shapes = footprints(by_piece(whole), cell, params.buildings)
     _write(here, shapes)
@@ -86,13 +87,15 @@ def find_trees(here: StageInputs, params: VectorParams) -> Result:
     cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
     core = owned(here.tile, cell)
     window = core.grown(math.ceil(params.trees.halo(cell) / cell))
-    shapes = trees(_count(here, window, params.trees.codes, 0.0), window, core, params.trees)
+    table, codes = _read_window(here, window), params.trees.codes
+    passage = count_passage(table, last_of(table), window, codes, params.trees.clear)
+    shapes = trees(count_cells(table, window, codes, 0.0), passage, window, core, params.trees)
     _write(here, shapes)
     return {"trees": shapes.rows.rows}
 
 
-def _count(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
-    return count_cells(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
+def _read_window(here: StageInputs, window: Window) -> Table:
+    return here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
 
 
 def _write(here: StageInputs, shapes: Shapes) -> None:
@@ -278,8 +281,9 @@ FIND_BUILDINGS = Stage(
 FIND_TREES = replace(
     FIND_BUILDINGS,
     name="tree-tops",
-    version=3,
+    version=4,
     function=find_trees,
+    reads=("classification", "confidence", "height_above_ground", "echo_number", "number_of_echoes"),
     when=lambda plan: "trees" in vector_layers(plan),
     halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),
 )

@@ -58,10 +58,8 @@ def count_cells(table: Table, window: Window, codes: Sequence[int], low: float) 
     `table` has x, y, height_above_ground, classification and confidence; what lies outside the window is left out.
     Sums are of whole numbers, so that the rows' order does not count.
     """
-    mm = whole_millimetres(window.cell, "cell")
-    col, row = millimetres(table["x"]) // mm - window.col, millimetres(table["y"]) // mm - window.row
-    inside = (col >= 0) & (row >= 0) & (col < window.ncols) & (row < window.nrows)
-    table, place = table.take(inside), (row * window.ncols + col)[inside]
+    place, inside = _places(table, window)
+    table = table.take(inside)
     mine, height = np.isin(table["classification"], codes), table["height_above_ground"]
     cells = window.nrows * window.ncols
     beneath = np.bincount(place[~mine & (height < low)], minlength=cells) > 0
@@ -77,6 +75,51 @@ def count_cells(table: Table, window: Window, codes: Sequence[int], low: float) 
         percent.astype(np.int64).reshape(window.shape),
         np.where(np.isfinite(top), top, np.nan).astype(np.float32).reshape(window.shape),
     )
+
+
+@dataclass(frozen=True)
+class Passage:
+    """How far pulses come through vegetation, of the cells of a window: int64, row 0 in the south.
+
+    Attributes
+    ----------
+    pulses : that end in the cell, by their last echo.
+    through : those of them that end near the ground.
+    echoes : of vegetation away from the ground.
+    """
+
+    pulses: NDArray[np.int64]
+    through: NDArray[np.int64]
+    echoes: NDArray[np.int64]
+
+    def within(self, part: tuple[slice, slice]) -> Passage:
+        """Of the cells of a part of the window."""
+        return Passage(self.pulses[part], self.through[part], self.echoes[part])
+
+
+def count_passage(table: Table, last: NDArray[np.bool_], window: Window, codes: Sequence[int], clear: float) -> Passage:
+    """Pulses in the cells of `window`, of which the echoes `last` (rows,) are the ends, and echoes of `codes` that lie
+    `clear` [m] above the ground and more; echoes without a height do not count.
+
+    `table` has x, y, height_above_ground and classification.
+    """
+    place, inside = _places(table, window)
+    high = table["height_above_ground"][inside] >= clear
+    ends = last[inside] & np.isfinite(table["height_above_ground"][inside])
+    mine = np.isin(table["classification"][inside], codes)
+    cells = window.nrows * window.ncols
+    pulses, through, echoes = (
+        np.bincount(place[some], minlength=cells).reshape(window.shape) for some in (ends, ends & ~high, mine & high)
+    )
+    return Passage(pulses, through, echoes)
+
+
+def _places(table: Table, window: Window) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The cells of the echoes that lie in a window, row by row, and which these are."""
+    mm = whole_millimetres(window.cell, "cell")
+    col, row = millimetres(table["x"]) // mm - window.col, millimetres(table["y"]) // mm - window.row
+    inside = (col >= 0) & (row >= 0) & (col < window.ncols) & (row < window.nrows)
+    return (row * window.ncols + col)[inside], inside
 
 
 def roofs(counts: Counts) -> NDArray[np.bool_]:

@@ -49,15 +49,16 @@ class TreeParams(Params):
     codes : class codes of vegetation.
     least_height : of a tree [m].
     cell : edge of the cells at least [m].
-    least_area : of a crown [m²].
+    least_area, least_echoes : of a crown [m²], and in it.
     smooth : standard deviation that the surface is smoothed by [m].
     pit : radius of the ball that closes pits of the surface [m].
     scale, widest : standard deviation that crowns are looked for at: share of the height, and at most [m].
     narrowest, widening : width of a crown at no height [m], and more of it for a square metre of height [1/m].
     round : share of the directions from a top in which the surface is no higher than its round crown.
     blur : standard deviation that what sticks out of round crowns is smoothed by: share of the height.
-    beside : that a tree sticks out of round crowns beside it, at least [m].
-    apart : of such a tree from the top of the nearest: share of that one's height.
+    clear : a pulse that ends lower has come through [m].
+    around : standard deviation within which the pulses that come through are counted [m].
+    beside : that a tree sticks out of round crowns beside it, at least: weighted as `trees.tops_beside` does [m].
     share : of a tree's height that its crown is not lower than.
     spread : from a tree's top to the end of its crown, share of the height.
     reach : from a tree's top to the end of its crown, at most [m].
@@ -67,6 +68,7 @@ class TreeParams(Params):
     least_height: float = Field(ge=0.5, le=100)
     cell: float = Field(ge=0.05, le=100)
     least_area: float = Field(ge=0, le=10_000)
+    least_echoes: int = Field(ge=1, le=1_000_000)
     smooth: float = Field(ge=0.05, le=10)
     pit: float = Field(ge=0.05, le=10)
     scale: float = Field(gt=0, le=1)
@@ -75,8 +77,9 @@ class TreeParams(Params):
     widening: float = Field(ge=0, le=1)
     round: float = Field(ge=0, le=1)
     blur: float = Field(gt=0, le=1)
-    beside: float = Field(ge=0.5, le=1000)
-    apart: float = Field(ge=0, le=1)
+    clear: float = Field(gt=0, le=100)
+    around: float = Field(ge=0.1, le=10)
+    beside: float = Field(ge=0.05, le=1000)
     share: float = Field(gt=0, le=1)
     spread: float = Field(gt=0, le=10)
     reach: float = Field(ge=1, le=50)
@@ -84,7 +87,7 @@ class TreeParams(Params):
     def halo(self, cell: float) -> float:
         """What is read around cells of `cell` [m] for the trees whose tops lie in them [m]: their crowns, those beside,
         the round crowns that these stick out of, and what their surface comes from."""
-        beside = 2.0 * self.reach + 3.0 * self.widest + self.narrowest
+        beside = 2.0 * self.reach + 3.0 * max(self.widest, self.around) + self.narrowest
         return 2.0 * self.reach + beside + 3.0 * (self.widest + self.smooth) + 2.0 * self.pit + 6.0 * cell
 
     def width(self, height: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window
 from fwclass.schema import Table
-from fwclass.vectors.cells import EIGHT, Counts
+from fwclass.vectors.cells import EIGHT, Counts, Passage
 from fwclass.vectors.outline import Ring, area, corners, fill_holes, mask_of, rings, simplify, sound
 from fwclass.vectors.params import TreeParams
 from fwclass.vectors.shapes import Shapes
@@ -28,6 +28,9 @@ _TRUNCATE = 3.0
 
 _WAYS = 16
 """Directions from a top that the surface is looked at in."""
+
+_MOST = 3.0
+"""Echoes of vegetation that a pulse is taken to have at most; more come of cells where few pulses end."""
 
 _ASIDE = 2
 """Cells that the highest echo of a tree may lie beside the middle of its crown."""
@@ -141,24 +144,42 @@ def round_crowns(
     return out
 
 
-def tops_beside(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, params: TreeParams) -> NDArray[np.int64]:
+def tops_beside(
+    surface: Canopy, passage: Passage, tree_tops: NDArray[np.int64], cell: float, params: TreeParams
+) -> NDArray[np.int64]:
     """Row and column (trees, 2) of cells where the surface sticks out most of the round crowns of `tree_tops`: trees on
     the shoulder of a taller one, which the surface does not bulge over.
 
-    What sticks out is smoothed by `params.blur` of the height; it is `params.beside` at least, and the most within half
+    What sticks out [m] is smoothed by `params.blur` of the height, and weighted by the distance from the nearest top as
+    a share of the height and by the square of `depth`; it is `params.beside` at least then, and the most within half
     the width of the narrowest crown.
     """
     over = np.maximum(surface.smooth - round_crowns(surface.smooth, tree_tops, cell, params), 0.0)
     value = np.zeros_like(over)
     for scale, weight in _scales(params.blur * surface.smooth, cell, params.widest):
         value += weight * _smoothed(over, scale / cell)
+    away = np.full(over.shape, params.reach)
+    if len(tree_tops):
+        others = np.ones(over.shape, bool)
+        others[tuple(tree_tops.T)] = False
+        away = np.minimum(away, cell * scipy.ndimage.distance_transform_edt(others))
+    high = surface.surface >= params.least_height
+    value *= away / np.maximum(surface.smooth, params.least_height) * depth(passage, cell, params) ** 2
     disc = _disc(max(1, round(params.narrowest / cell)))
     most = (value >= params.beside) & (value == scipy.ndimage.maximum_filter(value, footprint=disc, mode="constant"))
-    places = np.argwhere(most & (surface.surface >= params.least_height))
-    if not len(tree_tops) or not len(places):
-        return places
-    far, nearest = scipy.spatial.cKDTree(tree_tops).query(places)
-    return places[far * cell > params.apart * surface.smooth[tuple(tree_tops[nearest].T)]]
+    return np.argwhere(most & high)
+
+
+def depth(passage: Passage, cell: float, params: TreeParams) -> NDArray[np.float64]:
+    """How much vegetation pulses meet: the share of them that do not come through, times echoes of vegetation a pulse;
+    0 to `_MOST`, and 0 where no pulse ends. Where two crowns stand over each other both are higher."""
+    pulses, through, echoes = (
+        _smoothed(some.astype(np.float64), params.around / cell)
+        for some in (passage.pulses, passage.through, passage.echoes)
+    )
+    some = pulses > 0.0
+    stopped = 1.0 - np.divide(through, pulses, out=np.ones_like(pulses), where=some).clip(max=1.0)
+    return np.asarray(stopped * np.divide(echoes, pulses, out=np.zeros_like(pulses), where=some).clip(max=_MOST))
 
 
 def _around(row: int, col: int, wide: int) -> tuple[slice, slice]:
@@ -196,9 +217,9 @@ def crowns(surface: Canopy, tree_tops: NDArray[np.int64], cell: float, params: T
     return tree
 
 
-def _cropped(counts: Counts, window: Window, params: TreeParams) -> tuple[Counts, Window]:
-    """`counts` and `window` without what lies further from all vegetation than a cell can see."""
-    near = math.ceil((2.0 * params.reach + 2.0 * _TRUNCATE * params.widest) / window.cell)
+def _cropped(counts: Counts, passage: Passage, window: Window, params: TreeParams) -> tuple[Counts, Passage, Window]:
+    """`counts`, `passage` and `window` without what lies further from all vegetation than a cell can see."""
+    near = math.ceil((2.0 * params.reach + 2.0 * _TRUNCATE * max(params.widest, params.around)) / window.cell)
     high = counts.top > 0.0
     part = []
     for axis in (0, 1):
@@ -209,16 +230,16 @@ def _cropped(counts: Counts, window: Window, params: TreeParams) -> tuple[Counts
     inner = Window(
         window.cell, window.col + cols.start, window.row + rows.start, cols.stop - cols.start, rows.stop - rows.start
     )
-    return counts.within((rows, cols)), inner
+    return counts.within((rows, cols)), passage.within((rows, cols)), inner
 
 
-def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> Shapes:
+def trees(counts: Counts, passage: Passage, window: Window, core: Window, params: TreeParams) -> Shapes:
     """The trees whose tops lie in `core`, part of `window`: `COLUMNS` of each, by row and column of the top, and the
     outline of its crown [m]."""
-    counts, window = _cropped(counts, window, params)
+    counts, passage, window = _cropped(counts, passage, window, params)
     surface = canopy(counts, window.cell, params)
     places = tops(surface, window.cell, params)
-    places = np.concatenate([places, tops_beside(surface, places, window.cell, params)])
+    places = np.concatenate([places, tops_beside(surface, passage, places, window.cell, params)])
     seen = core.grown(math.ceil(2.0 * params.reach / window.cell))  # what may share cells with a crown of the core
     at = places + np.array([window.row - seen.row, window.col - seen.col])
     places = places[((at >= 0) & (at < (seen.nrows, seen.ncols))).all(axis=1)]
@@ -232,7 +253,8 @@ def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> S
         labels, _ = scipy.ndimage.label(tree[piece] == k, EIGHT)
         at = places[k - 1] - (piece[0].start, piece[1].start)
         mine = labels == labels[at[0], at[1]]
-        if mine.sum() * window.cell**2 < params.least_area:
+        echoes = int(counts.echoes[piece][mine].sum())
+        if mine.sum() * window.cell**2 < params.least_area or echoes < params.least_echoes:
             continue
         polygon = _outline(mine, window, piece)
         rated, percent = int(counts.rated[piece][mine].sum()), int(counts.percent[piece][mine].sum())
@@ -241,7 +263,7 @@ def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> S
         size = sum(area(ring) for ring in polygon)
         sure = 0.01 * percent / rated if rated else math.nan
         x, y = (col + 0.5) * window.cell, (row + 0.5) * window.cell
-        rows.append((x, y, height, size, sure, int(counts.echoes[piece][mine].sum())))
+        rows.append((x, y, height, size, sure, echoes))
         polygons.append(polygon)
     if not rows:
         return Shapes.of(Table.empty(COLUMNS), [])

@@ -9,9 +9,9 @@ import shapely
 from fwclass import conf
 from fwclass.grid import Window
 from fwclass.schema import Table
-from fwclass.vectors.cells import count_cells
+from fwclass.vectors.cells import Passage, count_cells, count_passage
 from fwclass.vectors.shapes import Shapes
-from fwclass.vectors.trees import bulge, canopy, round_crowns, tops, trees, without_pits
+from fwclass.vectors.trees import bulge, canopy, depth, round_crowns, tops, tops_beside, trees, without_pits
 
 CELL = 0.5
 TREES = np.array([[12.2, 14.1, 9.0, 3.0], [17.9, 13.2, 12.0, 3.5], [31.4, 31.8, 15.0, 5.0], [50.0, 20.0, 6.0, 2.0]])
@@ -49,7 +49,13 @@ def leafy(table: Table, depth: float, seed=1) -> Table:
     return table.with_columns({"height_above_ground": np.where(height > 0, np.maximum(height - inside, 0.1), 0.0)})
 
 
-def found(table: Table, edge: int = 128, settings=None) -> Shapes:
+def passage(table: Table, window: Window, settings, last=None) -> Passage:
+    """Every echo is a pulse of its own, unless it is said which are the `last`."""
+    last = np.ones(table.rows, bool) if last is None else last
+    return count_passage(table, last, window, settings.codes, settings.clear)
+
+
+def found(table: Table, edge: int = 128, settings=None, last=None) -> Shapes:
     """The trees of windows of `edge` cells, each read with its halo."""
     settings = settings or params()
     halo, parts = int(np.ceil(settings.halo(CELL) / CELL)), []
@@ -57,7 +63,8 @@ def found(table: Table, edge: int = 128, settings=None) -> Shapes:
         for col in range(0, 128, edge):
             core = Window(CELL, col, row, edge, edge)
             wide = core.grown(halo)
-            parts.append(trees(count_cells(table, wide, settings.codes, 0.0), wide, core, settings))
+            counts = count_cells(table, wide, settings.codes, 0.0)
+            parts.append(trees(counts, passage(table, wide, settings, last), wide, core, settings))
     made = Shapes.together(parts)
     return made.ordered(np.lexsort((made.rows["x"], made.rows["y"])))
 
@@ -78,6 +85,14 @@ def test_every_tree_is_found_with_its_height_and_its_crown():
 @pytest.mark.parametrize("edge", [32, 64])
 def test_windows_change_no_tree(edge):
     one, other = found(echoes()), found(echoes(), edge)
+    assert all((one.rows[n] == other.rows[n]).all() for n in one.rows)
+    assert all((one.corners[n] == other.corners[n]).all() for n in one.corners)
+
+
+def test_windows_change_no_tree_beside_another():
+    table, last = through_both(beside_each_other(1.1))
+    one, other = found(table, last=last), found(table, 16, last=last)
+    assert one.rows.rows == 2
     assert all((one.rows[n] == other.rows[n]).all() for n in one.rows)
     assert all((one.corners[n] == other.corners[n]).all() for n in one.corners)
 
@@ -128,15 +143,58 @@ def test_a_tree_on_the_shoulder_of_a_taller_one_is_found():
     assert made.rows.rows == 2 and (near.min(axis=0) < 2.0).all()
 
 
+def beside_each_other(turn: float) -> np.ndarray:
+    """A tree that grew into a taller one: the two bulge as one."""
+    return np.array([[30.0, 30.0, 14.0, 4.5], [30.0 + 3.5 * np.cos(turn), 30.0 + 3.5 * np.sin(turn), 11.0, 3.0]])
+
+
+def through_both(pair: np.ndarray) -> tuple[Table, np.ndarray]:
+    """Echoes of pulses that end in the lower one of two crowns where they stand over each other; which are the last."""
+    upper, parts = echoes(pair), [echoes(pair[k : k + 1]) for k in (0, 1)]
+    lower = np.minimum(parts[0]["height_above_ground"], parts[1]["height_above_ground"])
+    under = np.flatnonzero(lower > 0)
+    second = upper.take(under).with_columns({"height_above_ground": lower[under]})
+    return Table.concat([upper, second]), np.r_[~(lower > 0), np.ones(len(under), bool)]
+
+
 @pytest.mark.parametrize("turn", [0.0, 1.1, 2.5])
-def test_a_tree_that_grew_into_a_taller_one_sticks_out_of_its_round_crown(turn):
-    """The two bulge as one; only that the taller one's crown is lower in all other directions tells the smaller one."""
-    pair = np.array([[30.0, 30.0, 14.0, 4.5], [30.0 + 3.5 * np.cos(turn), 30.0 + 3.5 * np.sin(turn), 11.0, 3.0]])
-    counts = count_cells(echoes(pair), Window(CELL, 0, 0, 128, 128), params().codes, 0.0)
-    assert len(tops(canopy(counts, CELL, params()), CELL, params())) == 1
-    made = found(echoes(pair))
-    near = np.hypot(made.rows["x"][:, None] - pair[:, 0], made.rows["y"][:, None] - pair[:, 1])
-    assert made.rows.rows == 2 and (near.min(axis=0) < 2.5).all()
+def test_a_tree_that_grew_into_a_taller_one_is_told_by_the_depth_of_both(turn):
+    """The surface sticks out of a round crown; that pulses meet two crowns there makes that a tree."""
+    pair, window, settings = beside_each_other(turn), Window(CELL, 0, 0, 128, 128), params()
+    both, last = through_both(pair)
+    surface = canopy(count_cells(both, window, settings.codes, 0.0), CELL, settings)
+    highest = tops(surface, CELL, settings)
+    assert len(highest) == 1
+    deep = count_passage(both, last, window, settings.codes, settings.clear)
+    (found,) = tops_beside(surface, deep, highest, CELL, settings)
+    assert np.hypot(*((found[::-1] + 0.5) * CELL - pair[1, :2])) < 2.5
+    upper = passage(echoes(pair), window, settings)
+    assert not len(tops_beside(surface, upper, highest, CELL, settings))
+    none = Passage(*(np.zeros(window.shape, np.int64) for _ in range(3)))
+    assert not len(tops_beside(surface, none, highest, CELL, settings))
+
+
+def test_pulses_that_come_through_and_those_that_meet_two_echoes_differ_in_depth():
+    window, settings = Window(CELL, 0, 0, 60, 60), params()
+    pulses = np.full(window.shape, 4)
+    for through, met, deep in ((0, 4, 1.0), (4, 0, 0.0), (2, 4, 0.5), (0, 8, 2.0), (0, 80, 3.0)):
+        counted = Passage(pulses, np.full(window.shape, through), np.full(window.shape, met))
+        assert depth(counted, CELL, settings)[30, 30] == pytest.approx(deep)
+
+
+def test_the_ends_of_pulses_are_counted_by_their_height():
+    table = Table(
+        {
+            "x": np.array([0.1, 0.2, 0.3, 0.4, 0.7, 9.0]),
+            "y": np.full(6, 0.1),
+            "height_above_ground": np.array([8.0, 5.0, 0.1, np.nan, 6.0, 7.0]),
+            "classification": np.array([5, 5, 2, 5, 6, 5]),
+        }
+    )
+    counted = count_passage(table, np.array([False, True, True, True, True, True]), Window(CELL, 0, 0, 2, 1), (5,), 2.0)
+    assert counted.pulses.tolist() == [[2, 1]]
+    assert counted.through.tolist() == [[1, 0]]
+    assert counted.echoes.tolist() == [[2, 0]]
 
 
 def test_of_a_round_crown_nothing_sticks_out():
