@@ -171,8 +171,9 @@ def tops_beside(
 
 
 def depth(passage: Passage, cell: float, params: TreeParams) -> NDArray[np.float64]:
-    """How much vegetation pulses meet: the share of them that do not come through, times echoes of vegetation a pulse;
-    0 to `_MOST`, and 0 where no pulse ends. Where two crowns stand over each other both are higher."""
+    """float64 (rows, columns): how much vegetation pulses meet around each cell of `cell` [m], 0 to `_MOST`: the share
+    of them that do not come through, times echoes of vegetation a pulse; 0 where no pulse ends. Where two crowns stand
+    over each other both are higher."""
     pulses, through, echoes = (
         _smoothed(some.astype(np.float64), params.around / cell)
         for some in (passage.pulses, passage.through, passage.echoes)
