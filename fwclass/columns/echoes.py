@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fwclass.columns.record import NAN, Column
+from fwclass.columns.record import NAN, Column, extra_byte, measured
 
 ECHOES = (
     # who an echo is; (strip, pulse, echo_number) is unique and the canonical order
@@ -12,8 +12,7 @@ ECHOES = (
         "u4",
         "",
         "index of the pulse in its strip, in order of first appearance in the file; without waveforms, of the return",
-        las="pulse",
-        las_about="its place in the source file",
+        **extra_byte("pulse", "its place in the source file"),
     ),
     Column(
         "echo_number",
@@ -34,136 +33,90 @@ ECHOES = (
     Column("y", "f8", "m", "northing in the survey's CRS, whole millimetres"),
     Column("z", "f8", "m", "height in the survey's CRS, whole millimetres"),
     Column("gps_time", "f8", "s", "time of the pulse as the source gives it", null=NAN),
-    Column("beam_x", "f4", "", "unit vector from sensor to target, east", null=NAN, low=-1, high=1),
-    Column("beam_y", "f4", "", "unit vector from sensor to target, north", null=NAN, low=-1, high=1),
-    Column("beam_z", "f4", "", "unit vector from sensor to target, up (negative)", null=NAN, low=-1, high=1),
+    measured("beam_x", "", "unit vector from sensor to target, east", low=-1, high=1),
+    measured("beam_y", "", "unit vector from sensor to target, north", low=-1, high=1),
+    measured("beam_z", "", "unit vector from sensor to target, up (negative)", low=-1, high=1),
     # what the waveform says
-    Column(
+    measured(
         "amplitude",
-        "f4",
         "DN",
         "height of the fitted echo above the baseline; a kept return's vendor amplitude [dB] or intensity",
-        null=NAN,
         low=0,
-        las="amplitude DN",
-        las_about="height above the baseline",
-        las_dtype="u4",
-        las_scale=0.1,
+        **extra_byte("amplitude DN", "height above the baseline", "u4", 0.1),
     ),
-    Column(
+    measured(
         "amplitude_db",
-        "f4",
         "dB",
         "10 log10 of amplitude over the strip's detection limit; vendor's value where read",
-        null=NAN,
         source="RIEGL extra byte `Amplitude`",
-        las="Amplitude",
-        las_about="above the detection limit",
-        las_dtype="i2",
-        las_scale=0.01,
+        **extra_byte("Amplitude", "above the detection limit", "i2", 0.01),
     ),
-    Column(
+    measured(
         "width",
-        "f4",
         "ns",
         "echo width, full width at half maximum",
-        null=NAN,
         low=0,
-        las="echo width",
-        las_about="full width at half maximum",
-        las_dtype="u2",
-        las_scale=0.01,
+        **extra_byte("echo width", "full width at half maximum", "u2", 0.01),
     ),
-    Column(
+    measured(
         "time",
-        "f4",
         "ns",
         "time of the echo in its waveform, from the first sample of the pulse's first segment",
-        null=NAN,
-        las="echo time",
-        las_about="from the first sample",
+        **extra_byte("echo time", "from the first sample"),
     ),
-    Column(
+    measured(
         "energy",
-        "f4",
         "DN ns",
         "area under the fitted echo, times the segment's relative gain",
-        null=NAN,
         low=0,
-        las="echo energy",
-        las_about="area under the echo",
+        **extra_byte("echo energy", "area under the echo"),
     ),
-    Column(
+    measured(
         "amplitude_sigma",
-        "f4",
         "DN",
         "standard error of amplitude, from the fit's covariance",
-        null=NAN,
         low=0,
-        las="amplitude sigma",
-        las_about="standard error of amplitude",
+        **extra_byte("amplitude sigma", "standard error of amplitude"),
     ),
-    Column(
+    measured(
         "width_sigma",
-        "f4",
         "ns",
         "standard error of width, from the fit's covariance",
-        null=NAN,
         low=0,
-        las="width sigma",
-        las_about="standard error of width",
+        **extra_byte("width sigma", "standard error of width"),
     ),
-    Column(
+    measured(
         "range_sigma",
-        "f4",
         "m",
         "standard error of the echo's place along the beam, from the fit's covariance",
-        null=NAN,
         low=0,
-        las="range sigma",
-        las_about="standard error of range",
+        **extra_byte("range sigma", "standard error of range"),
     ),
-    Column(
+    measured(
         "deviation",
-        "f4",
         "",
         "1000 x root mean square residual around the echo over its amplitude; 0 is the system's pulse",
-        null=NAN,
         low=0,
         source="RIEGL extra byte `Deviation`",
-        las="Deviation",
-        las_about="1000 x rms residual / amplitude",
-        las_dtype="u2",
+        **extra_byte("Deviation", "1000 x rms residual / amplitude", "u2"),
     ),
-    Column("beam_range", "f4", "m", "distance from the sensor, where the source gives its place", null=NAN, low=0),
-    Column(
-        "baseline",
-        "f4",
-        "DN",
-        "level of the waveform without echoes",
-        null=NAN,
-        las="baseline",
-        las_about="level of the waveform",
+    measured("beam_range", "m", "distance from the sensor, where the source gives its place", low=0),
+    measured(
+        "baseline", "DN", "level of the waveform without echoes", **extra_byte("baseline", "level of the waveform")
     ),
-    Column(
+    measured(
         "noise_level",
-        "f4",
         "DN",
         "standard deviation of the waveform's noise",
-        null=NAN,
         low=0,
-        las="noise",
-        las_about="of the waveform",
+        **extra_byte("noise", "of the waveform"),
     ),
-    Column(
+    measured(
         "misfit",
-        "f4",
         "",
         "reduced chi-square of the pulse's fit",
-        null=NAN,
         low=0,
-        las="misfit",
-        las_about="reduced chi-square of the fit",
+        **extra_byte("misfit", "reduced chi-square of the fit"),
     ),
     Column(
         "fit_flags",
@@ -171,8 +124,7 @@ ECHOES = (
         "",
         "1 saturated, 2 overlapping, 4 poor fit, 8 at the segment's edge, 16 vendor return kept, "
         "32 far from the vendor's returns, 64 not fitted for want of a usable waveform, 128 implausible",
-        las="fit flags",
-        las_about="bits, see docs/waveforms.md",
+        **extra_byte("fit flags", "bits, see docs/waveforms.md"),
     ),
     Column(
         "source_class",
@@ -187,36 +139,28 @@ ECHOES = (
         "1 the surface of water, 2 its bottom, placed behind the bent beam, 0 another echo",
         low=0,
         high=2,
-        las="water",
-        las_about="1 surface, 2 bottom",
+        **extra_byte("water", "1 surface, 2 bottom"),
     ),
-    Column(
+    measured(
         "water_decay",
-        "f4",
         "1/m",
         "how fast light fades in the pulse's water column, to and fro together, a metre along the beam",
-        null=NAN,
         low=0,
-        las="water decay",
-        las_about="of the column's light",
+        **extra_byte("water decay", "of the column's light"),
     ),
-    Column(
+    measured(
         "water_depth",
-        "f4",
         "m",
         "how far a bottom lies below the surface of its pulse, vertically",
-        null=NAN,
         low=0,
-        las="water depth",
-        las_about="of a bottom, vertical",
+        **extra_byte("water depth", "of a bottom, vertical"),
     ),
     Column(
         "stacked_pulses",
         "u1",
         "",
         "pulses whose waveforms show the echo together; none alone does",
-        las="stacked pulses",
-        las_about="that show the echo together",
+        **extra_byte("stacked pulses", "that show the echo together"),
     ),
     Column(
         "significance",
@@ -224,8 +168,7 @@ ECHOES = (
         "",
         "height of the stacked echo over its standard deviation",
         low=0,
-        las="significance",
-        las_about="height over standard deviation",
+        **extra_byte("significance", "height over standard deviation"),
     ),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
     # samples of waveforms
@@ -237,21 +180,18 @@ ECHOES = (
         "DN ns",
         "energy that was sent back here: the waveform freed of the system's pulse",
         low=0,
-        las="returned energy",
-        las_about="energy sent back here",
+        **extra_byte("returned energy", "energy sent back here"),
     ),
     Column("share", "f4", "", "of the energy of all samples of the pulse", low=0, high=1, las="share"),
     # returns, as read
     Column("return_number", "u1", "", "vendor's return number; 0 occurs in faulty files"),
     Column("number_of_returns", "u1", "", "vendor's number of returns of the pulse"),
-    Column(
-        "location", "f4", "ns", "vendor's return location, from the first sample of the pulse's first segment", null=NAN
-    ),
+    measured("location", "ns", "vendor's return location, from the first sample of the pulse's first segment"),
     Column("withheld", "bool", "", "the source flags the return as withheld or synthetic"),
     Column("has_packet", "bool", "", "the return's waveform packet could be read"),
-    Column("vendor_amplitude", "f4", "dB", "extra byte `Amplitude` of the source", null=NAN),
-    Column("vendor_width", "f4", "ns", "extra byte `Pulse width` of the source", null=NAN),
-    Column("vendor_deviation", "f4", "", "extra byte `Deviation` of the source", null=NAN),
+    measured("vendor_amplitude", "dB", "extra byte `Amplitude` of the source"),
+    measured("vendor_width", "ns", "extra byte `Pulse width` of the source"),
+    measured("vendor_deviation", "", "extra byte `Deviation` of the source"),
     # pulses, as read
     Column("anchor_x", "f8", "m", "easting of the pulse's anchor return"),
     Column("anchor_y", "f8", "m", "northing of the pulse's anchor return"),
@@ -270,13 +210,7 @@ ECHOES = (
         "segment_start", "f4", "ns", "first sample of the segment after the first sample of the pulse's first segment"
     ),
     Column("anchor_range", "f8", "m", "distance from the sensor to the anchor, where the source gives it", null=NAN),
-    Column(
-        "outgoing_start",
-        "f4",
-        "ns",
-        "first sample of the recorded outgoing pulse after the pulse's time origin",
-        null=NAN,
-    ),
+    measured("outgoing_start", "ns", "first sample of the recorded outgoing pulse after the pulse's time origin"),
     Column("sample_spacing", "f4", "ns", "time between samples", low=0),
     Column("saturation", "f4", "DN", "highest value that the digitiser can record"),
     Column("gain", "f4", "", "volts a DN of the segment over those of the file's first waveform descriptor", low=0),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.columns.record import NAN, Column
+from fwclass.columns.record import Column, extra_byte, measured
 
 XIONG, WEINMANN = "Xiong 2018", "Weinmann 2015"
 PV = "Shi 2019, PV"
@@ -17,7 +17,7 @@ SHAPE = "rko"
 
 
 def _feature(name: str, unit: str, meaning: str, scales: str, source: str = "", **more: Any) -> Column:
-    return Column(name, "f4", unit, meaning, null=NAN, scales=scales, source=source, **more)
+    return measured(name, unit, meaning, scales=scales, source=source, **more)
 
 
 def _share(name: str, meaning: str, scales: str = ALL, source: str = "", **more: Any) -> Column:
@@ -33,8 +33,7 @@ FEATURES = (
         "",
         "Fan 2013, 2.1",
         low=0,
-        las="zc",
-        las_about="above the lowest of its cell",
+        **extra_byte("zc", "above the lowest of its cell"),
     ),
     _feature("optimal_radius", "m", "the radius whose eigenentropy is lowest", "", WEINMANN, low=0),
     _feature("pulse_intensity_variance", "", "variance of the intensities of the pulse's echoes", "", PV, low=0),
@@ -48,8 +47,7 @@ FEATURES = (
         "echoes in the sphere / echoes in the vertical cylinder of its radius",
         "r",
         "Fan 2013, eq. 2",
-        las="echo ratio",
-        las_about="echoes in sphere / in cylinder",
+        **extra_byte("echo ratio", "echoes in sphere / in cylinder"),
     ),
     # heights
     _feature("height_range", "m", "max z_i - min z_i", ALL, XIONG, low=0),
@@ -85,8 +83,7 @@ FEATURES = (
         "Fan 2013, A; Shi 2019, beta",
         low=0,
         high=90,
-        las="inclination",
-        las_about="local normal to vertical",
+        **extra_byte("inclination", "local normal to vertical"),
     ),
     _feature(
         "oriented_inclination",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 NAN = float("nan")
 
@@ -53,3 +54,13 @@ class Column:
     las_about: str = ""
     las_dtype: str = ""
     las_scale: float = 1.0
+
+
+def extra_byte(name: str, about: str, dtype: str = "", scale: float = 1.0) -> dict[str, Any]:
+    """How a column is published in LAS, as arguments of `Column`."""
+    return {"las": name, "las_about": about, "las_dtype": dtype, "las_scale": scale}
+
+
+def measured(name: str, unit: str, meaning: str, **more: Any) -> Column:
+    """A column of what is measured: a 32-bit float, NaN where there is none."""
+    return Column(name, "f4", unit, meaning, null=NAN, **more)

@@ -6,13 +6,15 @@ both sides), z the height; l1 >= l2 >= l3 the eigenvalues of the covariance of t
 
 from __future__ import annotations
 
-from fwclass.columns.record import NAN, Column
+from typing import Any
+
+from fwclass.columns.record import Column, measured
 
 _LI, _DEMANTKE = "Li 2018, 2.2", "Li 2018, eq. 7; Demantke 2011"
 
 
-def _feature(name: str, unit: str, meaning: str, source: str = _LI, **more: float) -> Column:
-    return Column(f"street_{name}", "f4", unit, meaning, null=NAN, scales="r", source=source, **more)  # type: ignore[arg-type]
+def _feature(name: str, unit: str, meaning: str, source: str = _LI, **more: Any) -> Column:
+    return measured(f"street_{name}", unit, meaning, scales="r", source=source, **more)
 
 
 STREET = (

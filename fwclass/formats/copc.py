@@ -10,9 +10,8 @@ import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
 from fwclass.formats.las_bytes import AT_EVLRS, AT_FORMAT, LASZIP
-from fwclass.formats.las_header import EVLR_HEADER, VLR_HEADER, Header, evlr_at
+from fwclass.formats.las_header import EVLR_HEADER, VLR_HEADER
 from fwclass.formats.laz_writer import assemble, record
 
 INFO = struct.Struct("<5d2Q2d88x")
@@ -25,8 +24,6 @@ USER, INFO_RECORD, PAGES_RECORD = "copc", 1, 1000
 _COMPRESSED = 0x80
 _INFO_AT = 375 + VLR_HEADER
 _ROOT_AT = _INFO_AT + 40
-MAX_NODES = 1 << 24
-"""Nodes of a file that is read: 512 MiB of entries."""
 
 
 @dataclass(frozen=True)
@@ -107,88 +104,3 @@ def _entries(
         out.append(ENTRY.pack(*key, at, size, count))
         at += size
     return b"".join(out)
-
-
-@dataclass(frozen=True)
-class Node:
-    """A node of a file that is read: its key, and where its chunk lies."""
-
-    key: tuple[int, int, int, int]
-    offset: int
-    size: int
-    points: int
-
-
-def is_copc(header: Header) -> bool:
-    """The first record says so, as COPC 1.0 asks."""
-    return bool(header.vlrs) and (header.vlrs[0].user, header.vlrs[0].number) == (USER, INFO_RECORD)
-
-
-def nodes_of(header: Header) -> tuple[Node, ...]:
-    """All nodes of a COPC file, every count and place held against the file before it is believed.
-
-    Raises
-    ------
-    InputError
-        No COPC file; a page outside the file, read twice or of half an entry; a node twice, outside the octree, without
-        its parent, or with a chunk outside the points; or nodes with more or fewer echoes than the header says.
-    """
-    if not is_copc(header) or len(header.vlrs[0].body) < INFO.size:
-        _refuse(header, "an info record of 160 bytes as the first record", "none")
-    *_, root, size, _, _ = INFO.unpack_from(header.vlrs[0].body)
-    pages, visited, nodes = [(int(root), int(size))], set[int](), dict[tuple[int, int, int, int], Node]()
-    left = header.size // ENTRY.size
-    with header.path.open("rb") as file:
-        while pages:
-            at, size = pages.pop()
-            if at in visited:
-                _refuse(header, "every page once", f"that at byte {at} again")
-            if size % ENTRY.size or size < 0 or at + size > header.size:
-                _refuse(header, f"pages of whole entries inside {header.size} bytes", f"{size} bytes at byte {at}")
-            visited.add(at)
-            left -= size // ENTRY.size
-            if left < 0 or len(nodes) > MAX_NODES:
-                _refuse(header, "no more entries than the file has room for", "more")
-            file.seek(at)
-            for *key, offset, length, points in ENTRY.iter_unpack(file.read(size)):
-                _take(header, (key[0], key[1], key[2], key[3]), offset, length, points, nodes, pages)
-    total = sum(node.points for node in nodes.values())
-    if total != header.n_points:
-        _refuse(header, f"{header.n_points} points in all nodes", total)
-    return tuple(nodes[key] for key in sorted(nodes))
-
-
-def _take(
-    header: Header,
-    key: tuple[int, int, int, int],
-    offset: int,
-    size: int,
-    points: int,
-    nodes: dict[tuple[int, int, int, int], Node],
-    pages: list[tuple[int, int]],
-) -> None:
-    """One entry: a node, or a page that is read later."""
-    level, *place = key
-    if not 0 <= level <= 31 or any(not 0 <= p < 1 << level for p in place) or points < -1 or size < 0:
-        _refuse(header, "a node inside the octree", f"node {key}, {points} points in {size} bytes")
-    if offset + size > header.size:
-        _refuse(header, f"chunks inside {header.size} bytes", f"{size} bytes at byte {offset}")
-    if points == -1:
-        pages.append((offset, size))
-        return
-    if key in nodes:
-        _refuse(header, "every node once", f"node {key} again")
-    nodes[key] = Node(key, offset, size, points)
-
-
-def _refuse(header: Header, expected: object, got: object) -> None:
-    raise InputError(
-        "the pages of a COPC file do not fit it",
-        where=header.path,
-        expected=expected,
-        got=got,
-        do="copy the file anew; its points can be read by any LAZ reader if its chunk table is sound",
-    )
-
-
-__all__ = ["Cube", "Node", "evlr_at", "is_copc", "nodes_of", "write_copc"]

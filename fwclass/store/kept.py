@@ -91,12 +91,3 @@ def _keep(file: File, groups: list[int], columns: dict[str, list[NDArray]]) -> N
                 _bytes += one.nbytes - (before.nbytes if before is not None else 0)
         while _bytes > MOST:
             _bytes -= _columns.popitem(last=False)[1].nbytes
-
-
-def forget_all() -> None:
-    """Keep nothing."""
-    global _bytes
-    with _guard:
-        _columns.clear()
-        _groups.clear()
-        _bytes = 0

@@ -14,9 +14,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from commandline import fwclass
+from copcreader import nodes_of
 from smallsurvey import small_survey
 
-from fwclass.formats.copc import Cube, nodes_of, write_copc
+from fwclass.formats.copc import Cube, write_copc
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels, echo_labels_bytes, read_echo_labels
 from fwclass.formats.las_header import read_header
 from fwclass.store.atomic import file_digest

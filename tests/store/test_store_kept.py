@@ -1,5 +1,7 @@
 """What is kept of tables is what would be read, of the file that lies there now, and no more than may be kept."""
 
+from collections import OrderedDict
+
 import numpy as np
 import pytest
 
@@ -10,10 +12,10 @@ from fwclass.store.tables import read_table, row_groups, write_table
 
 
 @pytest.fixture(autouse=True)
-def _nothing_kept():
-    kept.forget_all()
-    yield
-    kept.forget_all()
+def _nothing_kept(monkeypatch):
+    monkeypatch.setattr(kept, "_columns", OrderedDict())
+    monkeypatch.setattr(kept, "_groups", OrderedDict())
+    monkeypatch.setattr(kept, "_bytes", 0)
 
 
 def rows_of(n=3000, seed=0):
