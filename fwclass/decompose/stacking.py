@@ -27,21 +27,10 @@ STACKED = 3
 """Value of `origin`: an echo of several pulses together."""
 
 STACK_COLUMNS = (
-    "strip",
-    "pulse",
-    "echo_number",
-    "number_of_echoes",
-    "origin",
-    "x",
-    "y",
-    "z",
-    "gps_time",
-    "amplitude",
-    "amplitude_sigma",
-    "range_sigma",
-    "stacked_pulses",
-    "significance",
-    "classification",
+    *("strip", "pulse", "echo_number", "number_of_echoes", "origin"),
+    *("x", "y", "z", "gps_time"),
+    *("amplitude", "amplitude_sigma", "range_sigma"),
+    *("stacked_pulses", "significance", "classification"),
 )
 
 NEIGHBOURS, LOOKED_AT = 8, 20_000

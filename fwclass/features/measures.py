@@ -51,29 +51,14 @@ from fwclass.units import QUANTUM
 
 _COUNTS = ("count", "density", "reach", "echo_ratio")
 _HEIGHTS = (
-    "height_range",
-    "height_std",
-    "height_variance",
-    "height_skewness",
-    "height_kurtosis",
-    "height_above_mean",
-    "height_above_lowest",
-    "height_below_highest",
+    *("height_range", "height_std", "height_variance", "height_skewness", "height_kurtosis"),
+    *("height_above_mean", "height_above_lowest", "height_below_highest"),
 )
 _RANKS = tuple(f"height_above_p{p:02d}" for p in PERCENTILES)
 _EIGEN = (
-    "eigenvalue_1",
-    "eigenvalue_2",
-    "eigenvalue_3",
-    "eigenvalue_sum",
-    "linearity",
-    "planarity",
-    "sphericity",
-    "anisotropy",
-    "surface_variation",
-    "omnivariance",
-    "eigenentropy",
-    "plane_std",
+    *("eigenvalue_1", "eigenvalue_2", "eigenvalue_3", "eigenvalue_sum"),
+    *("linearity", "planarity", "sphericity", "anisotropy"),
+    *("surface_variation", "omnivariance", "eigenentropy", "plane_std"),
 )
 _NORMAL = ("verticality", "inclination", "roughness", "plane_range", "normal_x", "normal_y", "normal_z")
 _KINDS = ("single_share", "first_share", "intermediate_share", "last_share", "egi", "ebi", "evi")

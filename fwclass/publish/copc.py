@@ -30,22 +30,10 @@ from fwclass.publish.params import PublishParams
 from fwclass.schema import Table, require, split_name
 
 PARQUET_ALONE = frozenset(
-    {
-        "time",
-        "energy",
-        "amplitude_sigma",
-        "width_sigma",
-        "range_sigma",
-        "deviation",
-        "baseline",
-        "noise_level",
-        "misfit",
-        "cross_section",
-        "backscatter",
-        "zc",
-        "echo_ratio",
-        "inclination",
-    }
+    (
+        *("time", "energy", "amplitude_sigma", "width_sigma", "range_sigma", "deviation", "baseline", "noise_level"),
+        *("misfit", "cross_section", "backscatter", "zc", "echo_ratio", "inclination"),
+    )
 )
 """Columns with a name as an extra byte that would be floating-point here, and nobody colours a map by."""
 

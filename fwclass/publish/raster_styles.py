@@ -12,17 +12,9 @@ from numpy.typing import NDArray
 from fwclass.publish.qgis_style import HEIGHTS, MANY, SURE, class_raster_style, grey_raster_style, ramp_raster_style
 
 STYLED = (
-    "classes",
-    "confidence",
-    "density",
-    "dtm",
-    "dsm",
-    "ndsm",
-    "hillshade",
-    "slope",
-    "roughness",
-    "dtm_mask",
-    "dtm_distance",
+    *("classes", "confidence", "density"),
+    *("dtm", "dsm", "ndsm"),
+    *("hillshade", "slope", "roughness", "dtm_mask", "dtm_distance"),
 )
 
 MASK = {1: "measured", 2: "interpolated", 3: "extrapolated", 4: "water, flattened", 5: "breakline"}

@@ -49,6 +49,11 @@ from fwclass.publish.sections import (
 from fwclass.publish.stage_graph import stage_graph
 
 TEMPLATE = "report.html.j2"
+SECTIONS = (
+    *("layers", "maps", "accuracy", "sure", "curve", "importance", "selection", "waves", "next_steps", "sampling"),
+    *("distribution", "waveforms", "plausibility", "ground", "quality", "stages", "outputs", "config"),
+)
+"""Of the page, in its order; those without content are left out."""
 LISTED = 8
 """Outputs of a kind that are listed openly; the others unfold."""
 
@@ -81,30 +86,7 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     with whole(path) as beside:
         beside.write_text(page, encoding="utf-8", newline="\n")
         size = beside.stat().st_size
-    shown = [
-        name
-        for name in (
-            "layers",
-            "maps",
-            "accuracy",
-            "sure",
-            "curve",
-            "importance",
-            "selection",
-            "waves",
-            "next_steps",
-            "sampling",
-            "distribution",
-            "waveforms",
-            "plausibility",
-            "ground",
-            "quality",
-            "stages",
-            "outputs",
-            "config",
-        )
-        if view[name]
-    ]
+    shown = [name for name in SECTIONS if view[name]]
     return {"path": str(path), "bytes": size, "sections": shown}
 
 

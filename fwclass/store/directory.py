@@ -41,6 +41,11 @@ CURRENT = "current"
 GENERATIONS = "generations"
 FACTS, MANIFEST = "generation.json", "manifest.json"
 """Of a generation: what it says of itself, and of each of its files."""
+DELIVERED = (
+    *(CURRENT, "laz", "parquet", "rasters", "model", "survey.qgz", "tiles.gpkg", "contours.gpkg", "contours.qml"),
+    *("quality.gpkg", "quality.html", "quality.json", "vectors", "vectors.gpkg", "report.html", "report.json"),
+)
+"""What readers see of a delivery: links in the run directory."""
 
 Facts = Mapping[str, Any]
 """``bytes`` and ``digest`` of a file; of one of a generation on object storage ``e_tag`` too."""
@@ -251,24 +256,7 @@ class Directory:
                 )
         if (self.root / CURRENT).is_dir() and not (self.root / CURRENT).is_symlink():
             raise self._copied()
-        for name in (
-            CURRENT,
-            "laz",
-            "parquet",
-            "rasters",
-            "model",
-            "survey.qgz",
-            "tiles.gpkg",
-            "contours.gpkg",
-            "contours.qml",
-            "quality.gpkg",
-            "quality.html",
-            "quality.json",
-            "vectors",
-            "vectors.gpkg",
-            "report.html",
-            "report.json",
-        ):
+        for name in DELIVERED:
             path = self.root / name
             if path.exists() and not path.is_symlink():
                 raise StoreError(

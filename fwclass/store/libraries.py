@@ -20,20 +20,10 @@ import fwclass
 from fwclass.store.atomic import digest_of
 
 LIBRARIES = (
-    "numpy",
-    "numba",
-    "llvmlite",
-    "scipy",
-    "scikit-learn",
-    "pyarrow",
-    "zarr",
-    "numcodecs",
-    "laspy",
-    "lazrs",
-    "laszip",
-    "rasterio",
-    "pyogrio",
-    "pyproj",
+    *("numpy", "numba", "llvmlite", "scipy", "scikit-learn"),
+    *("pyarrow", "zarr", "numcodecs"),
+    *("laspy", "lazrs", "laszip"),
+    *("rasterio", "pyogrio", "pyproj"),
 )
 
 BESIDE = {

@@ -21,14 +21,8 @@ OUTLINES = {RIGHT_ANGLED: "right-angled", SIMPLIFIED: "simplified", OF_CELLS: "c
 """What an outline is."""
 
 COLUMNS = (
-    "cell_row",
-    "cell_column",
-    "object_height",
-    "median_height",
-    "object_area",
-    "confidence",
-    "object_echoes",
-    "outline",
+    *("cell_row", "cell_column"),
+    *("object_height", "median_height", "object_area", "confidence", "object_echoes", "outline"),
 )
 
 

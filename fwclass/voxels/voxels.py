@@ -24,19 +24,10 @@ from fwclass.waveforms import IMPLAUSIBLE
 Floats = NDArray[np.float64]
 
 ECHOES_READ = (
-    "x",
-    "y",
-    "z",
-    "strip",
-    "pulse",
-    "echo_number",
-    "energy",
-    "beam_x",
-    "beam_y",
-    "beam_z",
-    "fit_flags",
-    "noise",
-    "height_above_ground",
+    *("x", "y", "z"),
+    *("strip", "pulse", "echo_number"),
+    *("energy", "beam_x", "beam_y", "beam_z"),
+    *("fit_flags", "noise", "height_above_ground"),
 )
 
 ARRAYS = {

@@ -40,16 +40,8 @@ PLACE = (*IDENTITY, "number_of_echoes", "x", "y", "z", "gps_time", "source_class
 """Columns that are written whatever is asked for."""
 
 FOR_RADIOMETRY = (
-    "beam_x",
-    "beam_y",
-    "beam_z",
-    "beam_range",
-    "amplitude",
-    "amplitude_db",
-    "width",
-    "energy",
-    "fit_flags",
-    "origin",
+    *("beam_x", "beam_y", "beam_z", "beam_range"),
+    *("amplitude", "amplitude_db", "width", "energy", "fit_flags", "origin"),
 )
 
 
