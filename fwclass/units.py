@@ -30,6 +30,11 @@ QUANTUM = 0.001
 differences below 16 km, in float32."""
 
 
+def finite_or_none(value: float) -> float | None:
+    """`value` for JSON, which has neither NaN nor infinity."""
+    return float(value) if math.isfinite(value) else None
+
+
 def number_of(word: str) -> float:
     """The number that a word of a file is; `ValueError` for none, also for what Python alone takes for one (``1_5`` for
     15, digits of other scripts)."""

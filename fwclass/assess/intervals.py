@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fwclass.units import finite_or_none
+
 DRAWS = 2000
 """Bootstrap samples; the ends of a 95 % interval are then known to 4 % of its width."""
 
@@ -76,7 +78,8 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
     whole = both.sum(axis=0)[None]
     gain = (scores(whole[:, :, split:]) - scores(whole[:, :, :split]))[0]
     intervals = {
-        name: {"difference": _number(value), "interval": ends[name]} for name, value in zip(FIGURES, gain, strict=True)
+        name: {"difference": finite_or_none(value), "interval": ends[name]}
+        for name, value in zip(FIGURES, gain, strict=True)
     }
     return {"level": LEVEL, "blocks": len(both), "caution": caution(len(both)), **intervals}
 
@@ -172,7 +175,3 @@ def _ends(drawn: NDArray[np.float64]) -> dict[str, list[float] | None]:
         known = values[~np.isnan(values)]
         ends[name] = [float(v) for v in np.quantile(known, TAILS)] if len(known) else None
     return ends
-
-
-def _number(value: float) -> float | None:
-    return None if np.isnan(value) else float(value)

@@ -31,9 +31,9 @@ WANTED, CROWDED = 4, 16
 """Echoes of a cell of the search on average, and of the cell that an echo is in above which cells are halved."""
 
 
-def model_share_columns(codes: Iterable[int], base: str = "model_share") -> tuple[str, ...]:
+def model_share_columns(codes: Iterable[int]) -> tuple[str, ...]:
     """Names of the columns with the model's own share of every class."""
-    return tuple(f"{base}_{int(code)}" for code in codes)
+    return tuple(f"model_share_{int(code)}" for code in codes)
 
 
 def whole_columns(answered: Table, codes: Iterable[int]) -> Table:

@@ -13,7 +13,6 @@ from fwclass.decompose.autoregression import WHITE
 from fwclass.decompose.fitting import Fits, alike, channels_of, kind_of, pulses_of, sample_limits, signal_of
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.pulse_fit import WEAK
-from fwclass.decompose.refraction import refract
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.decompose.water_kernel import (
     A_B,
@@ -282,3 +281,24 @@ def place_water(
         variance = (fast * surface) ** 2 + (slow * bottom) ** 2 + 2.0 * fast * slow * both
         out["range_sigma"][deep] = np.sqrt(np.maximum(variance, 0.0))
     return {**out, "water": waters.kind, "water_decay": decay, "water_depth": depth}
+
+
+def refract(beam: NDArray[np.float64], before: float, after: float) -> NDArray[np.float64]:
+    """Unit vectors of `beam`, (n, 3), behind a horizontal surface, by Snell's law.
+
+    Parameters
+    ----------
+    beam : unit vectors; up or down.
+    before, after : refractive index on the side that the beam comes from, and behind the surface.
+
+    Returns
+    -------
+    float64 (n, 3); NaN beyond the limit angle, where nothing passes, and for a beam along the surface.
+    """
+    ratio, down = before / after, beam[:, 2]
+    with np.errstate(invalid="ignore"):
+        steep = np.sqrt(1.0 - ratio**2 * (1.0 - down**2))
+    out = ratio * beam
+    out[:, 2] = np.where(down == 0.0, np.nan, np.copysign(steep, down))
+    out[np.isnan(out[:, 2])] = np.nan
+    return out

@@ -22,6 +22,7 @@ from fwclass.model import Contextual
 from fwclass.run.inputs import PartInputs
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
+from fwclass.units import finite_or_none
 from fwclass.view.cache import Cache
 from fwclass.waveforms import Waveforms
 
@@ -79,7 +80,7 @@ class BehindEchoes:
             "curves": [_finite(c) for c in picture.curves],
             "vendor": _finite(picture.vendor),
             "echoes": [
-                {k: _plain(e[k]) for k in ("time", "amplitude", "amplitude_sigma", "width", "width_sigma")}
+                {k: finite_or_none(e[k]) for k in ("time", "amplitude", "amplitude_sigma", "width", "width_sigma")}
                 for e in facts["echoes"]
             ],
         }
@@ -144,13 +145,13 @@ class BehindEchoes:
         features = [
             {
                 "name": names[k],
-                "value": _plain(mine[0, k]),
-                "own": _plain(medians[winner][0.5][k]),
-                "own_low": _plain(medians[winner][0.05][k]),
-                "own_high": _plain(medians[winner][0.95][k]),
-                "others": _plain(medians[other][0.5][k]),
-                "others_low": _plain(medians[other][0.05][k]),
-                "others_high": _plain(medians[other][0.95][k]),
+                "value": finite_or_none(mine[0, k]),
+                "own": finite_or_none(medians[winner][0.5][k]),
+                "own_low": finite_or_none(medians[winner][0.05][k]),
+                "own_high": finite_or_none(medians[winner][0.95][k]),
+                "others": finite_or_none(medians[other][0.5][k]),
+                "others_low": finite_or_none(medians[other][0.05][k]),
+                "others_high": finite_or_none(medians[other][0.95][k]),
                 "effect": float(effects[k]),
             }
             for k in telling
@@ -208,8 +209,3 @@ def _quantiles(X: NDArray, y: NDArray, forest: Any) -> Mapping[str, Mapping[floa
 
 def _finite(values: NDArray) -> list[float | None]:
     return [round(float(v), 4) if math.isfinite(v) else None for v in values]
-
-
-def _plain(value: Any) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None

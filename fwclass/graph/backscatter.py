@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, join_samples
 from fwclass.decompose.params import DecomposeParams, SampleParams
-from fwclass.graph.ground import around_block, terrain_blocks
+from fwclass.graph.ground import around_block, survey_blocks, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, owned
 from fwclass.graph.sources import MEASURE_PULSE, READ_SPAN, placement_of, pulse_of, strip_of, waveforms_of
@@ -204,10 +204,6 @@ def _any_product(plan: Plan) -> bool:
     return config.samples.write or config.voxels.write or config.profile.write
 
 
-def _blocks(plan: Plan) -> tuple[Tile, ...]:
-    return plan.layout.blocks(plan.config.terrain.block)
-
-
 def _samples_around(box: Callable[[Plan, Tile], Box]) -> Callable[[Plan, Tile], list[Name]]:
     """The chunks whose samples may lie in the box of a block's product."""
 
@@ -251,7 +247,7 @@ FILL_VOXELS = Stage(
     "echo",
     fill_voxels,
     when=lambda plan: plan.config.voxels.write,
-    parts=_blocks,
+    parts=survey_blocks,
     arguments=lambda plan: {"params": plan.config.voxels, "block": plan.config.terrain.block},
     reads=voxels.ECHOES_READ,
     halo=lambda plan: plan.config.voxels.halo + plan.config.voxels.size,
@@ -265,7 +261,7 @@ FILL_PROFILES = Stage(
     "echo",
     fill_profiles,
     when=lambda plan: plan.config.profile.write,
-    parts=_blocks,
+    parts=survey_blocks,
     arguments=lambda plan: {
         "params": plan.config.profile,
         "terrain_cell": plan.config.terrain.cell,
@@ -281,7 +277,7 @@ DELIVER_SAMPLES = Stage(
     "echo",
     deliver_samples,
     when=lambda plan: plan.config.samples.write,
-    parts=_blocks,
+    parts=survey_blocks,
     arguments=lambda plan: {
         "params": plan.config.publish,
         "crs": plan.survey.crs,
@@ -306,7 +302,7 @@ DELIVER_VOXELS = Stage(
         "crs": plan.survey.crs,
     },
     after=("voxels",),
-    needs=lambda plan, part: [("voxels", b.key) for b in _blocks(plan)],
+    needs=lambda plan, part: [("voxels", b.key) for b in survey_blocks(plan)],
     where="deliver",
 )
 DELIVER_PROFILES = Stage(
@@ -318,6 +314,6 @@ DELIVER_PROFILES = Stage(
     when=lambda plan: plan.config.profile.write,
     arguments=lambda plan: {"params": plan.config.profile, "block": plan.config.terrain.block, "crs": plan.survey.crs},
     after=("profiles",),
-    needs=lambda plan, part: [("profiles", b.key) for b in _blocks(plan)],
+    needs=lambda plan, part: [("profiles", b.key) for b in survey_blocks(plan)],
     where="deliver",
 )

@@ -201,6 +201,11 @@ def terrain_blocks(layout: Layout) -> tuple[Tile, ...]:
     return tuple(b for b in blocks if b.box.touches(layout.box))
 
 
+def survey_blocks(plan: Plan) -> tuple[Tile, ...]:
+    """Blocks of the terrain's edge that hold tiles; what is made of echoes alone needs no more."""
+    return plan.layout.blocks(plan.config.terrain.block)
+
+
 def _stacked_around(plan: Plan, block: Tile) -> list[Name]:
     """The blocks whose stacked echoes reach into a block of the terrain and its halo."""
     if not plan.config.stack.enabled:

@@ -14,6 +14,7 @@ from fwclass import __version__
 from fwclass.formats.wkb import point_wkb
 from fwclass.graph.check_points import CHECK_POINTS, FILE, has_check_points
 from fwclass.graph.coverage import area_coverage, read_area
+from fwclass.graph.ground import survey_blocks
 from fwclass.graph.left_aside import LEFT_ASIDE
 from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.raster_outputs import check_cells
@@ -287,7 +288,7 @@ DELIVER_QUALITY = Stage(
     silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS | {"echoes", "file"},
     after=(MEASURE_QUALITY.name, CHECK_POINTS),
     needs=lambda plan, part: [
-        *((MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)),
+        *((MEASURE_QUALITY.name, b.key) for b in survey_blocks(plan)),
         *([(CHECK_POINTS, "all")] if has_check_points(plan) else []),
     ],
     source=lambda plan, part: source_of(plan.survey.area),

@@ -37,6 +37,7 @@ from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
 from fwclass.survey.layout import FileDigests, Layout
+from fwclass.units import finite_or_none
 
 _POINTING = ("x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z")
 COUNTS, CALIBRATION = "counts", "calibration.json"
@@ -147,7 +148,7 @@ def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Result:
     return table, {
         "sums": strip_sums(own, trajectory, table, np.isfinite(own["beam_x"]), params),
         "without_range": int(np.isnan(table["range"]).sum()),
-        "pointing_error": error if np.isfinite(error) else None,
+        "pointing_error": finite_or_none(error),
     }
 
 

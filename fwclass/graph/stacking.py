@@ -13,7 +13,7 @@ from fwclass.decompose.params import DecomposeParams, StackParams
 from fwclass.decompose.plane_surface import planar, plane_surface
 from fwclass.decompose.stack_candidates import Candidates, Surface, candidates
 from fwclass.decompose.stacking import STACK, STACK_COLUMNS, roughness_of, stack
-from fwclass.graph.ground import around_block, terrain_blocks
+from fwclass.graph.ground import around_block, survey_blocks, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.sources import placement_of, pulse_of, strip_of, waveforms_of
@@ -142,10 +142,6 @@ def _is_enabled(plan: Plan) -> bool:
     return plan.config.stack.enabled
 
 
-def _blocks(plan: Plan) -> tuple[Tile, ...]:
-    return plan.layout.blocks(plan.config.terrain.block)
-
-
 def chunks_near(plan: Plan, box: Box) -> Names:
     """Chunks with waveforms that have an echo in a tile that `box`, grown by `ASIDE`, touches."""
     chunks = _chunks_of_tiles(plan)
@@ -205,7 +201,7 @@ STACK_PULSES = Stage(
     "pulse",
     stack_block,
     when=_is_enabled,
-    parts=_blocks,
+    parts=survey_blocks,
     arguments=lambda plan: {
         "params": plan.config.stack,
         "fit": plan.config.decompose,
@@ -225,7 +221,7 @@ DELIVER_STACK = Stage(
     "part",
     deliver_stack,
     when=_is_enabled,
-    parts=_blocks,
+    parts=survey_blocks,
     arguments=lambda plan: {
         "params": plan.config.publish,
         "crs": plan.survey.crs,

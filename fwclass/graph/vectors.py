@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.formats.wkb import point_wkb, polygon_wkb
+from fwclass.graph.ground import survey_blocks
 from fwclass.graph.outputs import NO_BYTE, class_names, crs_of_wkt
 from fwclass.graph.rasters import owned
 from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
@@ -212,13 +213,9 @@ def vector_remarks(facts: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _blocks(plan: Plan) -> tuple[Tile, ...]:
-    return plan.layout.blocks(plan.config.terrain.block)
-
-
 def _of_blocks(stage: str) -> Any:
     def needs(plan: Plan, part: object) -> Iterator[Name]:
-        return ((stage, block.key) for block in _blocks(plan))
+        return ((stage, block.key) for block in survey_blocks(plan))
 
     return needs
 
@@ -244,7 +241,7 @@ COUNT_PULSES = Stage(
     "echo",
     count_pulses,
     when=lambda plan: bool(vector_layers(plan)),
-    parts=_blocks,
+    parts=survey_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"square": plan.config.vectors.square},
     reads=("echo_number", "number_of_echoes"),
@@ -269,7 +266,7 @@ FIND_BUILDINGS = Stage(
     "echo",
     find_buildings,
     when=lambda plan: "buildings" in vector_layers(plan),
-    parts=_blocks,
+    parts=survey_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=_arguments,
     reads=("classification", "confidence", "height_above_ground"),
@@ -299,7 +296,7 @@ DELIVER_VECTORS = Stage(
     after=(CELL, FIND_BUILDINGS.name, FIND_TREES.name),
     needs=lambda plan, part: [
         (CELL, "all"),
-        *((s.name, b.key) for s in (FIND_BUILDINGS, FIND_TREES) if s.when(plan) for b in _blocks(plan)),
+        *((s.name, b.key) for s in (FIND_BUILDINGS, FIND_TREES) if s.when(plan) for b in survey_blocks(plan)),
     ],
     where="deliver",
 )

@@ -48,7 +48,7 @@ def _patch(x: float, y: float, wide: float, tall: float, colour: Any) -> Any:
     return Rectangle((x, y), wide, tall, facecolor=colour, edgecolor="none")
 
 
-def draw_grid(values: NDArray[np.uint8], names: Sequence[str], colours: Sequence[str], title: str = "") -> bytes:
+def draw_grid(values: NDArray[np.uint8], names: Sequence[str], colours: Sequence[str]) -> bytes:
     """A variable-scale grid, beams upwards over frames (Li 2018, figure 10); PNG.
 
     values : (frames, beams) index into `names` and `colours`, 255 without a return.
@@ -71,7 +71,6 @@ def draw_grid(values: NDArray[np.uint8], names: Sequence[str], colours: Sequence
     )
     axis.set_xlabel("frame")
     axis.set_ylabel("beam")
-    axis.set_title(title, fontsize=10)
     handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(names), fontsize=8, frameon=False)
     return _png(figure)

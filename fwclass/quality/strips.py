@@ -16,6 +16,7 @@ from fwclass.quality.offsets import Offsets, SlopePairs
 from fwclass.quality.params import PlaneParams
 from fwclass.quality.pieces import Pieces, Strip, groups_of, lines
 from fwclass.quality.planes import PlanePairs
+from fwclass.units import finite_or_none
 
 By = Literal["files", "times"]
 
@@ -124,8 +125,8 @@ class Comparison:
             "adjusted": len(sample.dz),
             "apart": self.apart,
             "rms": math.sqrt(square / n) if n else None,
-            "left": _finite_or_none(adjustment.left),
-            "sigma": _finite_or_none(adjustment.sigma),
+            "left": finite_or_none(adjustment.left),
+            "sigma": finite_or_none(adjustment.sigma),
             "strips": [_strip(k, s, files, by, adjustment, int(group[k])) for k, s in enumerate(strips)],
             "between": [
                 {
@@ -200,10 +201,6 @@ def _draw(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDArr
     return np.asarray((hash_keys(0, cell) >> np.uint64(11)) < np.uint64(share * 2**53))
 
 
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _strip(
     number: int, strip: Strip, files: Mapping[int, str], by: By, adjustment: Adjusted, group: int
 ) -> dict[str, Any]:
@@ -223,7 +220,7 @@ def _strip(
     }
     for k, name in enumerate(("height", "roll", "pitch")):
         facts[name], facts[f"{name}_error"] = (
-            _finite_or_none(v[number, k]) for v in (adjustment.values, adjustment.errors)
+            finite_or_none(v[number, k]) for v in (adjustment.values, adjustment.errors)
         )
     return facts
 

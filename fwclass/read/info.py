@@ -41,6 +41,7 @@ from fwclass.read.return_counts import (
     unit_fault,
 )
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
+from fwclass.units import finite_or_none
 
 MANY = 100
 """Points from which on it is no accident that all have one intensity or one GPS time, or that their coordinates are
@@ -160,7 +161,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         "offsets": list(source.offsets),
         "crs": describe_crs(crs),
         "bounds": [*tally.low.tolist(), *tally.high.tolist()] if has_points else None,
-        "header_bounds": [_finite(v) for v in source.bounds],
+        "header_bounds": [finite_or_none(v) for v in source.bounds],
         "gps_time": list(tally.gps) if np.isfinite(tally.gps[0]) else None,
         "returns": _counts(tally.pairs.sum(axis=1)),
         "numbers_of_returns": _counts(tally.pairs.sum(axis=0)),
@@ -192,11 +193,6 @@ def _packet_hole(source: LasSource) -> str:
     return "" if hole is None else f"a hole of zeros in {waves.path.name}, from byte {hole}: waveforms never written"
 
 
-def _finite(value: float) -> float | None:
-    """JSON has no NaN."""
-    return float(value) if np.isfinite(value) else None
-
-
 def _counts(values: NDArray[np.int64]) -> dict[str, int]:
     return {str(i): int(n) for i, n in enumerate(values) if n}
 
@@ -216,7 +212,7 @@ def _waveforms(source: LasSource, tally: _Tally) -> dict[str, Any]:
                 "bits": d.bits,
                 "compression": d.compression,
                 "samples": d.n_samples,
-                "spacing_ns": _finite(d.spacing_ns),
+                "spacing_ns": finite_or_none(d.spacing_ns),
                 "points": int(tally.descriptors[i]),
             }
             for i, d in sorted(source.descriptors.items())

@@ -16,6 +16,7 @@ from fwclass.read.pls_stated import misfit_of
 from fwclass.read.pls_waves import FAULTS, SILENT, Pulses, Samplings, blocks_of, reach, waves_fault
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import quantities_of, words_of
+from fwclass.units import finite_or_none
 
 _MOST_COUNTED = 16
 
@@ -71,7 +72,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
         "offsets": list(source.offsets),
         "crs": describe_crs(crs),
         "bounds": [*tally.low.tolist(), *tally.high.tolist()] if np.isfinite(tally.low).all() else None,
-        "header_bounds": [float(v) if np.isfinite(v) else None for v in source.bounds],
+        "header_bounds": [finite_or_none(v) for v in source.bounds],
         "gps_time": list(tally.gps) if np.isfinite(tally.gps).all() else None,
         "returns": {},
         "numbers_of_returns": {},
@@ -93,8 +94,8 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
                 {
                     "index": i,
                     "pulses": int(tally.descriptors[i]),
-                    "unit_ns": _finite(d.unit_ns),
-                    "optical_centre_ns": _finite(d.centre * d.unit_ns),
+                    "unit_ns": finite_or_none(d.unit_ns),
+                    "optical_centre_ns": finite_or_none(d.centre * d.unit_ns),
                     "samplings": _samplings(d),
                 }
                 for i, d in sorted(source.descriptors.items())
@@ -112,10 +113,6 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
     }
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _samplings(descriptor: PulseDescriptor) -> list[dict[str, Any]]:
     names = {OUTGOING: "outgoing", RETURNING: "returning"}
     return [
@@ -123,7 +120,7 @@ def _samplings(descriptor: PulseDescriptor) -> list[dict[str, Any]]:
             "type": names.get(s.kind, "unknown"),
             "channel": s.channel,
             "bits": s.bits,
-            "spacing_ns": _finite(s.spacing_ns),
+            "spacing_ns": finite_or_none(s.spacing_ns),
             "samples": "varies" if s.length_bits else s.samples,
             "segments": "varies" if s.segment_bits else s.segments,
             "lookup_table": s.table,

@@ -11,9 +11,9 @@ from scipy.integrate import quad
 from watermaker import AIR, WATER, lake, scored
 
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
-from fwclass.decompose.refraction import refract
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import Channel, SystemPulse
+from fwclass.decompose.water_column import refract
 from fwclass.decompose.water_model import ENDLESS, column_shape
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.waveforms import BATHYMETRY_COLUMNS, ECHO_COLUMNS

@@ -250,7 +250,7 @@ def test_memory_of_the_loop_does_not_grow():
     import tracemalloc
     from dataclasses import replace
 
-    from fwclass.single_file.street.latency import Latency
+    from fwclass.single_file.street.online import Latency
     from fwclass.store.models import load_model
 
     loop = online.Loop(load_model(directory() / "model"), config().street)

@@ -25,7 +25,6 @@ from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, impl
 from fwclass.model import Model
 from fwclass.model.ranges import RangeCounter
 from fwclass.report.drift import drift
-from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
@@ -317,3 +316,36 @@ def describe_batch(summary: dict[str, Any], target: Path) -> str:
         lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in summary["faults"].items()))
     lines += crown_lines(summary["accuracy"]) if summary["accuracy"] else []
     return "\n".join([*lines, *output_lines(summary, target)])
+
+
+BIN, BINS = 1e-5, 200_000
+"""s; two seconds of them: the last bin holds what takes longer, so that an hour takes no more memory than a second."""
+
+
+class Latency:
+    """How long answers take: counts by bins of `BIN` seconds."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(BINS, np.int64)
+        self._most = 0.0
+
+    def add(self, seconds: float) -> None:
+        """Count one time [s]."""
+        self._counts[min(int(seconds / BIN), BINS - 1)] += 1
+        self._most = max(self._most, seconds)
+
+    def summary(self) -> dict[str, float | int | None]:
+        """Frames, median, 99 and 99.9 %, and the most [ms]; upper ends of bins."""
+        total = int(self._counts.sum())
+        sums = np.cumsum(self._counts)
+
+        def quantile(share: float) -> float | None:
+            return 1e3 * BIN * (int(np.searchsorted(sums, share * total)) + 1) if total else None
+
+        return {
+            "frames": total,
+            "median_ms": quantile(0.5),
+            "p99_ms": quantile(0.99),
+            "p999_ms": quantile(0.999),
+            "most_ms": round(1e3 * self._most, 3) if total else None,
+        }

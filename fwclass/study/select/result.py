@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from fwclass import __version__
+from fwclass.assess.confusion import percent
 from fwclass.errors import first_few
 from fwclass.select.score import Names, cheapest, front
 from fwclass.select.search import Search, Step
@@ -25,10 +26,9 @@ PICKS = ("best", "smallest", "cheapest")
 error, the one with fewest features or with least time."""
 
 
-def sets_to_time(search: Search, smallest_parts: bool = True) -> list[Names]:
+def sets_to_time(search: Search) -> list[Names]:
     """Every set on the curve, and parts of the best one."""
-    parts = parts_of(search.best.features) if smallest_parts else ({}, {}, {})
-    more = [s for group in parts for s in group.values()]
+    more = [s for group in parts_of(search.best.features) for s in group.values()]
     return list(dict.fromkeys([(), *(s.score.features for s in search.steps), *more]))
 
 
@@ -138,8 +138,8 @@ def _row(step: Mapping[str, Any], result: Mapping[str, Any], on_front: bool) -> 
     tried = step["tried"]
     shown = first_few([sign + n for n in tried], 3)
     shown += "" if step["kept"] else " (no gain, dropped)"
-    accuracy = f"{_percent(step['accuracy'])} ± {_percent(step['accuracy_std'])}"
-    kappa = f"{_percent(step['kappa'])} ± {_percent(step['kappa_std'])}"
+    accuracy = f"{percent(step['accuracy'])} ± {percent(step['accuracy_std'])}"
+    kappa = f"{percent(step['kappa'])} ± {percent(step['kappa_std'])}"
     star = "*" if on_front else " "
     time = f"{step['microseconds']:8.2f}"
     return f"{marks:<3}{star}{len(step['features']):>6}  {accuracy:>15}  {kappa:>15}  {time}  {shown}"
@@ -158,10 +158,6 @@ def _advice(result: Mapping[str, Any]) -> list[str]:
             f"echo less (--pick cheapest): {', '.join(cheap['features'])}"
         )
     return lines
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.1f}"
 
 
 def curve_of(result: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
