@@ -219,7 +219,7 @@ DELIVER_RASTERS = Stage(
     "cell",
     deliver_rasters,
     parts=lambda plan: sites(plan.layout),
-    key=lambda site: site.name,
+    part_name=lambda site: site.name,
     arguments=lambda plan: {
         "params": plan.config.publish,
         "crs": plan.survey.crs,

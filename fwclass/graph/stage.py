@@ -239,7 +239,7 @@ class Stage:
     parts : its parts; unless given all tiles, the blocks that own an echo, or the one part `all` of the survey.
     waves : of strips and chunks those with (True) or without (False) waveforms alone.
     edge, margin : of its blocks [m], and how many more lie around those that own an echo.
-    key : name of a part.
+    part_name : of a part, in the store and in receipts.
     arguments : what `function` gets besides, the same for every part; all of it enters the key. One called `params`, a
         section of the configuration, enters field by field, so that its fields stand beside the other arguments.
     each : likewise, of one part.
@@ -273,7 +273,7 @@ class Stage:
     waves: bool | None = None
     edge: Callable[[Plan], float] | None = None
     margin: int = 0
-    key: Callable[[Any], str] = lambda part: str(getattr(part, "key", part))
+    part_name: Callable[[Any], str] = lambda part: str(getattr(part, "key", part))
     arguments: Callable[[Plan], Mapping[str, Any]] = lambda plan: {}
     each: Callable[[Plan, Any], Mapping[str, Any]] = lambda plan, part: {}
     keyed: Callable[[Plan], Mapping[str, Any]] = lambda plan: {}
@@ -356,10 +356,10 @@ class _Maker:
 
     def __call__(self, part: Any) -> Task:
         stage, plan = self.stage, self.plan
-        key, place = stage.key(part), part if isinstance(part, Tile) else None
-        present, within = self._around(key, place)
+        name, place = stage.part_name(part), part if isinstance(part, Tile) else None
+        present, within = self._around(name, place)
         read = ((s, t) for t in present for s in sorted({*self.of_reads.values(), "tile"})) if self.reads else ()
-        mine = ((s, key) for s in sorted({*self.of_own.values(), "tile"})) if self.own else ()
+        mine = ((s, name) for s in sorted({*self.of_own.values(), "tile"})) if self.own else ()
         more_needs = tuple(stage.needs(plan, part))
         for other, _ in more_needs:
             if other not in stage.after:
@@ -375,7 +375,7 @@ class _Maker:
         location, external = stage.source(plan, part) or (None, ())
         here = partial(
             StageInputs,
-            part=key,
+            part=name,
             needs=needs,
             place=place,
             halo=self.halo,
@@ -388,16 +388,16 @@ class _Maker:
         )
         work = Work(stage.function, {**self.arguments, **more}, here, stage.cells, plan.declares)
         return Task(
-            stage.name, key, stage.version, params, work, needs, external, stage.where, within, check=self.check
+            stage.name, name, stage.version, params, work, needs, external, stage.where, within, check=self.check
         )
 
-    def _around(self, key: str, place: Tile | None) -> tuple[tuple[str, ...], Within]:
+    def _around(self, name: str, place: Tile | None) -> tuple[tuple[str, ...], Within]:
         """Tiles that echoes are read of, and within which box, or under which name."""
         if self.stage.named:
-            return (), key
+            return (), name
         if place is None:
             return (tuple(t.key for t in self.stage.tiles(self.plan)) if self.reads else ()), None
         if self.stage.halo is None:
-            return (key,), None
+            return (name,), None
         box = self.stage.area(self.plan, place).grown(self.halo)
-        return (self.plan.layout.around(box, self.plan.layout.keys) if self.reads else (key,)), box
+        return (self.plan.layout.around(box, self.plan.layout.keys) if self.reads else (name,)), box

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from fwclass import conf
 from fwclass.classify.exempt import Exempt
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.lines import line_remarks
+from fwclass.classify.params import ClassifyParams
 from fwclass.classify.unsure import by_percent, unsure_facts
 from fwclass.conf.checks import refuse_regularized
 from fwclass.errors import ConfigError, InputError, first_few, visible
@@ -113,6 +114,83 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     """
     began = time.perf_counter()
     job = replace(job, model=model_place(job.model))
+    checked = _check(job)
+    model, params, kept = checked.model, checked.params, Kept.of(checked.params)
+    asked = Asked.of(n for n in model.features if is_feature(n))
+    echoes = _echoes(job, model, asked, tell)
+    if isinstance(model, TwoLayer):
+        check_computed(model.fine, conf.section("features", job.settings), job.model)
+    tiles, walk, without = _classify(echoes.table, model, (job.model, checked.digest), job.settings, tell)
+    first = model.coarse if isinstance(model, Layered) else model
+    facts = {stage: tiles.facts(stage) for stage in walk}
+    drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one])
+    crowd = None
+    if any(is_feature(n) for n in first.features):
+        crowd = Crowd.of_parts(one.get("dense") for one in tiles.facts(COMPUTE_FEATURES))
+    tell("writing")
+    answered, own = _points_answered(job, checked, echoes, tiles.columns(walk[-1], walk[-1].columns(tiles.plan)))
+    classes = answered["classification"]
+    extra = {name: answered[name] for name in answered if name != "classification"}
+    wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
+    used, counts = np.unique(classes, return_counts=True)
+    by_code = dict(zip(*(n.tolist() for n in np.unique(own, return_counts=True)), strict=True))
+    sure = answered["confidence"][np.isfinite(answered["confidence"])]
+    unsure = unsure_facts(by_percent(answered["confidence"]), params, model.card)
+    return {
+        "input": str(job.source),
+        "output": str(job.output),
+        "model": str(job.model),
+        "kind": model.kind,
+        "points": answered.rows,
+        "echoes": echoes.table.rows,
+        "features": list(model.features),
+        "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
+        "names": {
+            **{str(code): name for code, name in other_names(by_code, params, ()).items()},
+            **{str(int(checked.codes[c.code])): c.name for c in model.classes},
+        },
+        "kept": {str(code): n for code, n in kept_codes(by_code, kept).items()},
+        "confidence": float(sure.mean()) if len(sure) else None,
+        "without_value": {n: int(k) for n, k in zip(first.features, without, strict=True) if k},
+        "judged": echoes.judged,
+        "drift": drifted,
+        "unsure": unsure,
+        "filled": sum(one.get("filled", 0) for some in facts.values() for one in some),
+        "boundary": sum(one["boundary"] for one in facts[WIDEN_BOUNDARY]) if WIDEN_BOUNDARY in facts else None,
+        "waveforms": wrote.get("wdp"),
+        "notes": [
+            *echoes.notes,
+            *([crowd.text(conf.section("features", job.settings))] if crowd else []),
+            *checked.notes,
+            *line_remarks(facts[walk[-1]]),
+            *_drift_notes(drifted),
+            *(unsure or {}).get("remarks", ()),
+            *class_remarks(by_code, known_codes(model.classes), kept, "points"),
+            *(str(n) for n in wrote.get("notes", ())),
+        ],
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A file and a model that fit each other and the settings.
+
+    Attributes
+    ----------
+    codes : uint8 (256,), what every class code is written as.
+    """
+
+    source: LasSource
+    model: Model
+    digest: str
+    params: ClassifyParams
+    codes: NDArray[np.uint8]
+    notes: Sequence[str]
+
+
+def _check(job: ClassifyJob) -> _Checked:
+    """All that can be refused before a point is read."""
     conf.check_settings(job.settings, SECTIONS, MODELS_OWN)
     for text in job.settings:
         if text.startswith(OF_TRAINING):
@@ -126,70 +204,18 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     check_output(job.source, job.output, job.overwrite)
     check_computed(model, conf.section("features", job.settings), job.model)
     notes = check_learned(model.card, {source.path.name: quantities_of(source)}, job.model)
-    codes = legal_codes(job, model, source, params.leave)
-    asked = Asked.of(n for n in model.features if is_feature(n))
-    echoes = _echoes(job, model, asked, tell)
-    if isinstance(model, TwoLayer):
-        check_computed(model.fine, conf.section("features", job.settings), job.model)
-    kept = Kept.of(params)
-    tiles, walk, without = _classify(echoes.table, model, (job.model, digest), job.settings, tell)
-    results = tiles.columns(walk[-1], walk[-1].columns(tiles.plan))
-    first = model.coarse if isinstance(model, Layered) else model
-    facts = {stage: tiles.facts(stage) for stage in walk}
-    medians = sum(one.get("filled", 0) for some in facts.values() for one in some)
-    drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one])
-    boundary = sum(one["boundary"] for one in facts[WIDEN_BOUNDARY]) if WIDEN_BOUNDARY in facts else None
-    crowd = None
-    if any(is_feature(n) for n in first.features):
-        crowd = Crowd.of_parts(one.get("dense") for one in tiles.facts(COMPUTE_FEATURES))
-    tell("writing")
+    return _Checked(source, model, digest, params, legal_codes(job, model, source, params.leave), notes)
+
+
+def _points_answered(
+    job: ClassifyJob, checked: _Checked, echoes: FileEchoes, results: Mapping[str, NDArray]
+) -> tuple[Table, NDArray[np.uint8]]:
+    """Of every point what is written, from the `results` of the echoes, and the class that it has in the file."""
     rows = _row_of_point(echoes, job.source)
-    own = classes_of(source) if source.has_waves else echoes.table["source_class"][rows]
+    own = classes_of(checked.source) if checked.source.has_waves else echoes.table["source_class"][rows]
     answered = Table({name: values[rows] for name, values in results.items()})
-    answered = answered.with_columns({"classification": codes[answered["classification"]]})
-    answered = with_kept(answered, own, kept)
-    classes = answered["classification"]
-    extra = {name: answered[name] for name in answered if name != "classification"}
-    wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
-    used, counts = np.unique(classes, return_counts=True)
-    by_code = dict(zip(*(n.tolist() for n in np.unique(own, return_counts=True)), strict=True))
-    stay = kept_codes(by_code, kept)
-    sure = answered["confidence"][np.isfinite(answered["confidence"])]
-    unsure = unsure_facts(by_percent(answered["confidence"]), params, model.card)
-    return {
-        "input": str(job.source),
-        "output": str(job.output),
-        "model": str(job.model),
-        "kind": model.kind,
-        "points": len(rows),
-        "echoes": echoes.table.rows,
-        "features": list(model.features),
-        "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
-        "names": {
-            **{str(code): name for code, name in other_names(by_code, params, ()).items()},
-            **{str(int(codes[c.code])): c.name for c in model.classes},
-        },
-        "kept": {str(code): n for code, n in stay.items()},
-        "confidence": float(sure.mean()) if len(sure) else None,
-        "without_value": {n: int(k) for n, k in zip(first.features, without, strict=True) if k},
-        "judged": echoes.judged,
-        "drift": drifted,
-        "unsure": unsure,
-        "filled": medians,
-        "boundary": boundary,
-        "waveforms": wrote.get("wdp"),
-        "notes": [
-            *echoes.notes,
-            *([crowd.text(conf.section("features", job.settings))] if crowd else []),
-            *notes,
-            *line_remarks(facts[walk[-1]]),
-            *_drift_notes(drifted),
-            *(unsure or {}).get("remarks", ()),
-            *class_remarks(by_code, known_codes(model.classes), kept, "points"),
-            *(str(n) for n in wrote.get("notes", ())),
-        ],
-        "seconds": round(time.perf_counter() - began, 3),
-    }
+    answered = answered.with_columns({"classification": checked.codes[answered["classification"]]})
+    return with_kept(answered, own, Kept.of(checked.params)), own
 
 
 def _drift_notes(drifted: Mapping[str, Any] | None) -> list[str]:

@@ -31,7 +31,7 @@ from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_f
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
 from fwclass.graph.vectors import lacking
 from fwclass.label.stage import LABEL
-from fwclass.model import Contextual, Layered, TwoLayer
+from fwclass.model import Contextual, Layered, Model, TwoLayer
 from fwclass.report.write import write_report
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
@@ -77,14 +77,18 @@ def with_model(config: Config) -> Config:
         )
     if survey.base_model is None:
         return replace(config, survey=survey.model_copy(update=update))
-    config = replace(config, survey=survey.model_copy(update={**update, "features": model.features}))
+    return _with_context(
+        replace(config, survey=survey.model_copy(update={**update, "features": model.features})), model
+    )
+
+
+def _with_context(config: Config, base: Model) -> Config:
+    """`config` with the context of a base model's rows, where it may have one and leaves its cells open."""
     one_layer = config.classify.refine.between or config.thin.rate < 1.0 or config.train.method != "forest"
     open_ = config.classify.context.cells in (None, "auto")
-    if not open_ or not isinstance(model, Contextual) or one_layer:
+    if not open_ or not isinstance(base, Contextual) or one_layer or not one_to_one(base.classes, config.classes):
         return config
-    if not one_to_one(model.classes, config.classes):
-        return config
-    context = config.classify.context.model_copy(update={"cells": model.cells})
+    context = config.classify.context.model_copy(update={"cells": base.cells})
     return replace(config, classify=config.classify.model_copy(update={"context": context}))
 
 
@@ -245,7 +249,6 @@ def until_report(
     keys = tiles.tiles(layout, plan.survey.crs, runner.display.say) if isinstance(tiles, Area) else tiles
     stages = tuple(stages)
     graph = graph_of(plan, (SIMULATE, *TO_TILES, *stages))
-    tasks = tasks_of(plan, stages)
     for words in (
         describe_sites(sites(layout), plan.survey.strips, tiles_of_strips(plan)),
         small_tiles(layout),
@@ -254,29 +257,37 @@ def until_report(
         if words:
             runner.display.say(words)
     if keys is not None:
-        if not any(stage.name == DELIVER_TILE.name for stage in stages):
-            raise ConfigError(
-                "this workflow delivers no tiles",
-                where="--tiles, --aoi",
-                expected="a workflow that does, as classification or ground",
-                got=f"{len(keys)} tiles asked for",
-                do="leave it out: all of the survey is measured",
-            )
-        tasks = Tasks.held(ancestors(tasks, _wanted(layout, keys)))
-    elif COUNT_LABELS in stages:  # before anything is computed that the labels may not be worth
-        first = [stage for stage in stages if stage.name in LABELLING]
-        receipts = runner.do(tasks_of(plan, first))
-        counted = {name: receipt for name, receipt in receipts.items() if name[0] == COUNT_LABELS.name}
-        if not runner.failures:  # what failed may hold the labels that are lacking
-            runner.carry_out(lambda: check_labels(plan, counted))
-        tasks = tasks_of(plan, [stage for stage in stages if stage not in first])
+        tasks = Tasks.held(ancestors(tasks_of(plan, stages), _wanted(layout, keys, stages)))
+    else:
+        if COUNT_LABELS in stages:
+            stages = _judge_labels(plan, runner, stages)
+        tasks = tasks_of(plan, stages)
     runner.do(tasks)
     runner.finish(whole=keys is None)
     card = load_model(local(plan.model[0])).card if plan.model else None
     return runner.carry_out(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph, card))
 
 
-def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
+def _judge_labels(plan: Plan, runner: Runner, stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
+    """The other stages, once those of the labels are made: nothing is computed that the labels may not be worth."""
+    first = [stage for stage in stages if stage.name in LABELLING]
+    receipts = runner.do(tasks_of(plan, first))
+    counted = {name: receipt for name, receipt in receipts.items() if name[0] == COUNT_LABELS.name}
+    if not runner.failures:  # what failed may hold the labels that are lacking
+        runner.carry_out(lambda: check_labels(plan, counted))
+    return tuple(stage for stage in stages if stage not in first)
+
+
+def _wanted(layout: Layout, tiles: frozenset[str], stages: Iterable[Stage]) -> list[tuple[str, str]]:
+    """The delivered parts of `tiles`."""
+    if not any(stage.name == DELIVER_TILE.name for stage in stages):
+        raise ConfigError(
+            "this workflow delivers no tiles",
+            where="--tiles, --aoi",
+            expected="a workflow that does, as classification or ground",
+            got=f"{len(tiles)} tiles asked for",
+            do="leave it out: all of the survey is measured",
+        )
     unknown = sorted(tiles - layout.keys)
     if unknown:
         raise ConfigError(
