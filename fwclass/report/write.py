@@ -56,7 +56,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import read_json, write_json
-from fwclass.store.directory import link
+from fwclass.store.links import link
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Layout, Survey
 from fwclass.tile.stage import SPLIT, TILE

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -32,6 +31,7 @@ from fwclass.store.atomic import (
     write_text,
 )
 from fwclass.store.digests import Looks, check_file, looks, remember
+from fwclass.store.links import leads_to, link, link_to, same_file
 from fwclass.store.objects import Mark, StoredObject
 from fwclass.store.receipts import Receipt
 
@@ -284,7 +284,7 @@ class Directory:
         """What a generation has at its top, and in whose place something else stands in the run directory."""
         tops = (p.name for p in _inside(self.root / GENERATIONS / name) if p.name not in (FACTS, MANIFEST))
         there = [top for top in tops if os.path.lexists(self.root / top)]
-        return tuple(sorted(top for top in there if not _leads_to(self.root / top, Path(CURRENT) / top)))
+        return tuple(sorted(top for top in there if not leads_to(self.root / top, Path(CURRENT) / top)))
 
     def _copied(self) -> StoreError:
         """What to say of a run directory whose links became files."""
@@ -300,11 +300,11 @@ class Directory:
     def point(self, name: str, facts: Mapping[str, Any], mark: Mark | None) -> None:
         """Lead readers to a generation, in place of what `mark` marks: one rename; then links for what is new in it,
         none for what is gone."""
-        _link_to(self.root / CURRENT, Path(GENERATIONS) / name)
+        link_to(self.root / CURRENT, Path(GENERATIONS) / name)
         entries = {p.name for p in (self.root / GENERATIONS / name).iterdir() if p.name not in (FACTS, MANIFEST)}
         for entry in sorted(entries):
             if not (self.root / entry).is_symlink():
-                _link_to(self.root / entry, Path(CURRENT) / entry)
+                link_to(self.root / entry, Path(CURRENT) / entry)
         for path in self.root.iterdir():
             if path.is_symlink() and path.name not in entries and path.readlink().parent == Path(CURRENT):
                 path.unlink(missing_ok=True)
@@ -322,7 +322,7 @@ class Directory:
             if target.parent not in directories:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 directories.update(d for d in target.parents if pending in d.parents)
-            if not before or not _same_file(source, self.root / GENERATIONS / before / name):
+            if not before or not same_file(source, self.root / GENERATIONS / before / name):
                 check_file(str(source), digest)
             link(source, target)
             manifest[name] = _facts_of(target, digest)
@@ -353,42 +353,8 @@ def _file_of(path: Path) -> tuple[int, int] | Path:
     return (facts.st_dev, facts.st_ino) if facts.st_nlink > 1 else path
 
 
-def link(source: Path, target: Path) -> None:
-    """Give a finished file a second name; a copy where the file system has no hard links (or no more of them)."""
-    try:
-        os.link(source, target)
-    except FileNotFoundError as fault:
-        raise StoreError(
-            "a part's file is gone", where=source, got=fault, do="run again; the missing parts are made"
-        ) from fault
-    except OSError:
-        shutil.copy2(source, target)
-        sync(target)
-
-
-def _leads_to(path: Path, target: Path) -> bool:
-    return path.is_symlink() and path.readlink() == target
-
-
-def _link_to(path: Path, target: Path) -> None:
-    """Make `path` a link to `target`, in place of the link that it was."""
-    beside = path.with_name(f".{path.name}.link")
-    beside.unlink(missing_ok=True)
-    if _leads_to(path, target):
-        return
-    beside.symlink_to(target)
-    beside.replace(path)
-
-
 def _facts_of(path: Path, digest: str) -> dict[str, Any]:
     return {"bytes": path.stat().st_size, "digest": digest}
-
-
-def _same_file(path: Path, other: Path) -> bool:
-    try:
-        return path.samefile(other)
-    except OSError:
-        return False
 
 
 def _size(path: str) -> int | None:
