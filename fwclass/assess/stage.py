@@ -4,35 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.assess.blocks import BlockCounts
-from fwclass.assess.confusion import confusion, describe, figures, unclassified
-from fwclass.assess.distribution import QUANTILES, distribution, pack, quantiles, summary, unpack
-from fwclass.assess.intervals import caution, difference, intervals
-from fwclass.assess.objects import describe_objects
 from fwclass.assess.params import AssessParams
 from fwclass.errors import QualityError
-
-__all__ = [
-    "ASSESS_VERSION",
-    "CONFUSION_VERSION",
-    "QUANTILES",
-    "AssessParams",
-    "BlockCounts",
-    "caution",
-    "confusion",
-    "describe",
-    "describe_objects",
-    "difference",
-    "distribution",
-    "figures",
-    "intervals",
-    "judge",
-    "pack",
-    "quantiles",
-    "summary",
-    "unclassified",
-    "unpack",
-]
 
 
 def judge(result: dict[str, Any], params: AssessParams) -> None:

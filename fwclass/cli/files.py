@@ -154,7 +154,8 @@ def assess(
     if reference.is_dir() and prediction.is_dir():
         _assess_runs(reference, prediction, as_json)
         return
-    from fwclass.assess.stage import describe, describe_objects
+    from fwclass.assess.confusion import describe
+    from fwclass.assess.objects import describe_objects
     from fwclass.single_file.assess import assess_files
     from fwclass.single_file.likeness import judge_likeness
 

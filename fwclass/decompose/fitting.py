@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 from fwclass.decompose.autoregression import WHITE, Autoregression
 from fwclass.decompose.least_squares import add_echoes
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_fit import EDGE, FEWEST, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, Kind, fit_all
+from fwclass.decompose.pulse_fit import FEWEST, HIGHEST, Echoes, Kind, fit_all
 from fwclass.decompose.second_look import Settings
 from fwclass.decompose.shapes import Lookup, Profiles, Widths, fits_spacing, lookup, widths_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
-
-__all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of", "sample_limits"]
-
 
 SPARED = 4
 """One of so many samples of a waveform may be spent on foretelling the others."""

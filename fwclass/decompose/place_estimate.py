@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.fitting import EDGE, OVERLAPPING, SATURATED, Fits, fit_waveforms
+from fwclass.decompose.fitting import Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
 from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
+from fwclass.decompose.pulse_fit import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
 from fwclass.units import SIGMA_PER_MAD

@@ -15,12 +15,10 @@ from fwclass.decompose import pulse_scan
 from fwclass.decompose.params import FEWEST, PulseParams
 from fwclass.decompose.pulse_align import Echoes, cut_samples, fit_template, half_sample_mode, narrowest
 from fwclass.decompose.pulse_channels import channel_groups, clip_levels, estimate_channels, rough_levels
-from fwclass.decompose.pulse_sample import join_samples, rows_of, sample_pulses
+from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, make_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.waveforms import Waveforms
-
-__all__ = ["PulseParams", "describe", "estimate_pulse", "join_samples", "sample_pulses"]
 
 Floats = NDArray[np.floating]
 

@@ -8,19 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.assess.blocks import BlockCounts
+from fwclass.assess.confusion import confusion, figures, unclassified
+from fwclass.assess.distribution import pack, summary, unpack
+from fwclass.assess.intervals import intervals
 from fwclass.assess.remarks import pure_share
-from fwclass.assess.stage import (
-    ASSESS_VERSION,
-    CONFUSION_VERSION,
-    BlockCounts,
-    confusion,
-    figures,
-    intervals,
-    pack,
-    summary,
-    unclassified,
-    unpack,
-)
+from fwclass.assess.stage import ASSESS_VERSION, CONFUSION_VERSION
 from fwclass.classes import GROUND, counts_of
 from fwclass.classify.kept import Kept
 from fwclass.classify.unsure import PERCENT, percent_of

@@ -13,20 +13,12 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.stage import Flown, Plan, Result, Stage, StageInputs
+from fwclass.radiometry.calibration import Calibration, calibrate
+from fwclass.radiometry.overlap import Overlap, overlap
+from fwclass.radiometry.params import RadiometryParams
+from fwclass.radiometry.ranges import check_pointing, pointing_error
 from fwclass.radiometry.soundness import strip_sums
-from fwclass.radiometry.stage import (
-    CALIBRATE,
-    OVERLAP,
-    RADIOMETRY,
-    Calibration,
-    Overlap,
-    RadiometryParams,
-    calibrate,
-    check_pointing,
-    overlap,
-    pointing_error,
-    radiometry,
-)
+from fwclass.radiometry.stage import CALIBRATE, OVERLAP, RADIOMETRY, radiometry
 from fwclass.read.trajectory import in_survey_time, read_trajectory, thin_trajectory
 from fwclass.run.inputs import TABLE
 from fwclass.run.part import Name

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.envelope import Envelope
-from fwclass.decompose.params import BathymetryParams, DecomposeParams
+from fwclass.decompose.params import BathymetryParams, DecomposeParams, PulseParams
 from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
 from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
-from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
-from fwclass.decompose.pulse_sample import outgoing_of
+from fwclass.decompose.pulse_estimate import describe, estimate_pulse
+from fwclass.decompose.pulse_sample import join_samples, outgoing_of, sample_pulses
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.stage import BlockCounts, difference
+from fwclass.assess.blocks import BlockCounts
+from fwclass.assess.intervals import difference
 from fwclass.errors import InputError
 from fwclass.graph.assess import COUNTS
 from fwclass.store.arrays import read_arrays

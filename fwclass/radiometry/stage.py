@@ -5,30 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.radiometry.calibration import Calibration, calibrate
+from fwclass.radiometry.calibration import Calibration
 from fwclass.radiometry.formulas import backscatter, beam_area, cross_section, reflectance
-from fwclass.radiometry.overlap import READS, Overlap, incidence_cosine, overlap
-from fwclass.radiometry.params import RADIOMETRIC, OverlapParams, RadiometryParams, TargetParams
-from fwclass.radiometry.ranges import check_pointing, pointing_error, ranges, with_beams
+from fwclass.radiometry.overlap import READS, incidence_cosine
+from fwclass.radiometry.params import RADIOMETRIC, RadiometryParams
+from fwclass.radiometry.ranges import ranges, with_beams
 from fwclass.schema import Table, require
 from fwclass.stage import Chunk, Computation
-
-__all__ = [
-    "CALIBRATE",
-    "OVERLAP",
-    "RADIOMETRY",
-    "Calibration",
-    "Overlap",
-    "OverlapParams",
-    "RadiometryParams",
-    "TargetParams",
-    "calibrate",
-    "check_pointing",
-    "overlap",
-    "pointing_error",
-    "radiometry",
-    "ranges",
-]
 
 ONE_OF_SEVERAL, NO_RANGE, NO_NORMAL, CLIPPED, SATURATED, UNCALIBRATED = 1, 2, 4, 8, 16, 32
 """Values of `radiometry_flags`."""

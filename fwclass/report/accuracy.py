@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.assess.stage import caution
+from fwclass.assess.intervals import caution
 from fwclass.conf import Config
 from fwclass.graph.classify import OUTSIDE
 from fwclass.graph.ground_auto import AUTO, auto_facts

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.assess.blocks import BlockCounts
+from fwclass.assess.confusion import confusion, figures, unclassified
 from fwclass.assess.objects import ObjectCells, cells_across, count_objects, object_classes, object_figures
-from fwclass.assess.stage import BlockCounts, confusion, figures, unclassified
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.grid import quantise
 from fwclass.model import ClassDef

@@ -25,8 +25,12 @@ from fwclass.grid import Tile
 from fwclass.publish.files import check_free
 from fwclass.publish.laz import without, write_tile_laz
 from fwclass.radiometry import soundness
+from fwclass.radiometry.calibration import calibrate
+from fwclass.radiometry.overlap import overlap
+from fwclass.radiometry.params import RadiometryParams
+from fwclass.radiometry.ranges import check_pointing, pointing_error
 from fwclass.radiometry.soundness import altitude_faults
-from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
+from fwclass.radiometry.stage import radiometry
 from fwclass.read.beams import sensor_height
 from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.assess.blocks import BlockCounts
+from fwclass.assess.confusion import confusion, figures
 from fwclass.assess.remarks import pure_share
-from fwclass.assess.stage import confusion, figures
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.graph.corrections import corrections_in

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fwclass.assess.stage import describe as confusion_table
-from fwclass.assess.stage import describe_objects
+from fwclass.assess.confusion import describe as confusion_table
+from fwclass.assess.objects import describe_objects
 from fwclass.report.sampling import ambiguous_text
 
 MOST = 10

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from fwclass import conf
-from fwclass.assess.stage import AssessParams, confusion, describe, figures, judge, unclassified
+from fwclass.assess.confusion import confusion, describe, figures, unclassified
+from fwclass.assess.params import AssessParams
+from fwclass.assess.stage import judge
 from fwclass.errors import QualityError
 from fwclass.model import ClassDef
 

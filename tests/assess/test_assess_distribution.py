@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fwclass.assess.distribution import BINS
-from fwclass.assess.stage import QUANTILES, distribution, pack, quantiles, summary, unpack
+from fwclass.assess.distribution import BINS, QUANTILES, distribution, pack, quantiles, summary, unpack
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 

@@ -36,10 +36,11 @@ from watermaker import Score, lake, scored  # noqa: E402
 
 from fwclass.classes import BUILDING, WATER  # noqa: E402
 from fwclass.decompose.fitting import fit_waveforms  # noqa: E402
-from fwclass.decompose.params import BathymetryParams, DecomposeParams, StackParams  # noqa: E402
+from fwclass.decompose.params import BathymetryParams, DecomposeParams, PulseParams, StackParams  # noqa: E402
 from fwclass.decompose.placement import AS_STORED  # noqa: E402
 from fwclass.decompose.plane_surface import planar, plane_surface  # noqa: E402
-from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse, join_samples  # noqa: E402
+from fwclass.decompose.pulse_estimate import estimate_pulse  # noqa: E402
+from fwclass.decompose.pulse_sample import join_samples  # noqa: E402
 from fwclass.decompose.quiet import with_correlated_noise  # noqa: E402
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise  # noqa: E402
 from fwclass.decompose.stack_candidates import Surface, candidates  # noqa: E402

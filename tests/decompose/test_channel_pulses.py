@@ -12,8 +12,8 @@ import wavemaker as wm
 from fwclass import conf
 from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of, signal_of
 from fwclass.decompose.params import DecomposeParams, PulseParams
-from fwclass.decompose.pulse_estimate import estimate_pulse, join_samples
-from fwclass.decompose.pulse_sample import outgoing_of, rows_of
+from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.decompose.pulse_sample import join_samples, outgoing_of, rows_of
 from fwclass.decompose.quiet import quiet_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse, disagree

@@ -8,8 +8,8 @@ from lasmaker import digitise, gaussian, survey, write_las
 from scipy.stats import spearmanr
 from tolerances import FLOAT32_RTOL, FLOAT32_UNIT, MILLIMETRE
 
-from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse
+from fwclass.decompose.params import DecomposeParams, PulseParams
+from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.stage import LINK_COLUMNS, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span

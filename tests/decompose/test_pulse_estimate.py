@@ -11,9 +11,11 @@ from defaults import BASE as DEFAULTS
 from scipy.stats import f as fisher
 from wavemaker import FWHM, Pulse, mix, noise_only, ringing, rows_of, simulate, skewed, survey_mix, waves_of
 
+from fwclass.decompose.params import PulseParams
 from fwclass.decompose.pulse_align import half_sample_mode, narrowest
 from fwclass.decompose.pulse_channels import prior_variance
-from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
+from fwclass.decompose.pulse_estimate import describe, estimate_pulse
+from fwclass.decompose.pulse_sample import join_samples, sample_pulses
 from fwclass.decompose.pulse_template import gaussian_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.errors import InputError

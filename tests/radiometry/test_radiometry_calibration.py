@@ -12,8 +12,10 @@ import pytest
 from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.grid import Box, Tile, TileGrid
+from fwclass.radiometry.calibration import Calibration, calibrate
 from fwclass.radiometry.overlap import PARTS, STEP, Overlap, merge, overlap, within
-from fwclass.radiometry.stage import OVERLAP, Calibration, RadiometryParams, calibrate, radiometry
+from fwclass.radiometry.params import RadiometryParams
+from fwclass.radiometry.stage import OVERLAP, radiometry
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 

@@ -20,7 +20,11 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import features
 from fwclass.grid import Tile
-from fwclass.radiometry.stage import Calibration, RadiometryParams, calibrate, overlap, pointing_error, radiometry
+from fwclass.radiometry.calibration import Calibration, calibrate
+from fwclass.radiometry.overlap import overlap
+from fwclass.radiometry.params import RadiometryParams
+from fwclass.radiometry.ranges import pointing_error
+from fwclass.radiometry.stage import radiometry
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table

@@ -15,7 +15,10 @@ from fwclass.errors import InputError
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.grid import Tile
-from fwclass.radiometry.stage import RADIOMETRY, Calibration, RadiometryParams, pointing_error, radiometry, ranges
+from fwclass.radiometry.calibration import Calibration
+from fwclass.radiometry.params import RadiometryParams
+from fwclass.radiometry.ranges import pointing_error, ranges
+from fwclass.radiometry.stage import RADIOMETRY, radiometry
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
 from fwclass.units import AREA_PER_FWHM

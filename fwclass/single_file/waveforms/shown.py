@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.fitting import OVERLAPPING, Fits, fit_waveforms, pulses_of
+from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.pulse_fit import OVERLAPPING
 from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.units import FWHM_PER_SIGMA

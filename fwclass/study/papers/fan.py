@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.assess.stage import figures
+from fwclass.assess.confusion import figures
 from fwclass.conf import Config
 from fwclass.schema import base_of
 from fwclass.study.papers.claims import judge_claims

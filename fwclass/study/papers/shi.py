@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.assess.confusion import figures
 from fwclass.assess.intervals import caution, class_gains, difference, intervals
-from fwclass.assess.stage import figures
 from fwclass.classes import GROUND
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
