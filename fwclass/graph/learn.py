@@ -32,8 +32,9 @@ from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
 from fwclass.train.baselines.stage import machine_weights, train_other
 from fwclass.train.importance import drops
+from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, review
-from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_TREES, TrainParams, grow_trees, train
+from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_TREES, grow_trees, train
 
 TREES, DROPS = "trees", "drops"
 TRAIN_COARSE = "train-coarse"

@@ -16,7 +16,8 @@ TRAJECTORY, TRUTH = "trajectory", "truth"
 
 def simulate_part(here: StageInputs, params: SimulateParams, prefix: str) -> Result:
     """A strip of the simulated survey, or its trajectory, in the directory `prefix`."""
-    from fwclass.simulate.stage import plan_strips, simulate_strip, write_trajectory  # other surveys need not load it
+    from fwclass.simulate.flight import plan_strips  # other surveys need not load it
+    from fwclass.simulate.stage import simulate_strip, write_trajectory
 
     directory = here.directory / prefix
     directory.mkdir(parents=True, exist_ok=True)

@@ -24,10 +24,11 @@ from fwclass.decompose.water_column import water_counts
 from fwclass.decompose.width_walk import width_walk
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.read.beams import sensor_height
+from fwclass.read.params import ReadParams
 from fwclass.read.return_counts import count_returns
 from fwclass.read.source import PulseSource, open_source
 from fwclass.read.spans import Span
-from fwclass.read.stage import READ, ReadParams, index_source, read_span, with_settings
+from fwclass.read.stage import READ, index_source, read_span, with_settings
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table

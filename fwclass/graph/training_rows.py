@@ -22,8 +22,9 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.store.arrays import write_arrays
+from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, join, review
-from fwclass.train.stage import TRAIN_SAMPLE, TrainParams, candidates, merge
+from fwclass.train.stage import TRAIN_SAMPLE, candidates, merge
 
 SAMPLE, BASE_ROWS = "sample", "base-rows"
 

@@ -42,8 +42,6 @@ from fwclass.simulate.scene import Scene
 from fwclass.simulate.trace import MAX_CANDIDATES, footprint
 from fwclass.units import FWHM_PER_SIGMA, METRES_PER_NS
 
-__all__ = ["SimulateParams", "StripPlan", "plan_strips", "simulate_strip", "write_trajectory"]
-
 
 def _receiver(params: SimulateParams, bits: int) -> Receiver:
     sensor = params.sensor

@@ -23,8 +23,6 @@ from fwclass.train.ranked import COUNTED, Ranks, rank
 from fwclass.train.sample import Sample, draw, join, review
 from fwclass.train.weights import whole_weights
 
-__all__ = ["TrainParams", "candidates", "card", "grow_tree", "grow_trees", "merge", "out_of_bag", "train"]
-
 
 def candidates(
     features: Table,

@@ -22,8 +22,9 @@ import yaml
 from fwclass.classify.vote import count, walkable, winners
 from fwclass.model import FORMAT, assemble
 from fwclass.train.importance import drops
+from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import Grower, TrainParams
+from fwclass.train.stage import Grower
 
 ROOT = Path(__file__).resolve().parents[2]
 BASE = TrainParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["train"])

@@ -6,7 +6,8 @@ from defaults import BASE as DEFAULTS
 
 from fwclass.classify.stage import votes
 from fwclass.model import FORMAT, assemble
-from fwclass.train.stage import TrainParams, grow_tree
+from fwclass.train.params import TrainParams
+from fwclass.train.stage import grow_tree
 
 ensemble = pytest.importorskip("sklearn.ensemble")
 BASE = TrainParams(**DEFAULTS["train"])

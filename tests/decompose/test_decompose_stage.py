@@ -12,7 +12,9 @@ from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.stage import LINK_COLUMNS, decompose
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.read.stage import ReadParams, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import index_source, read_span
 from fwclass.schema import Table, canonical_key
 from fwclass.waveforms import ECHO_COLUMNS, Waveforms
 

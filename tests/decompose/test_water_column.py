@@ -15,7 +15,9 @@ from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.decompose.water_column import refract
 from fwclass.decompose.water_model import ENDLESS, column_shape
-from fwclass.read.stage import ReadParams, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import index_source, read_span
 from fwclass.waveforms import BATHYMETRY_COLUMNS, ECHO_COLUMNS
 
 

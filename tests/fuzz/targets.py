@@ -38,7 +38,9 @@ class Target:
 
 
 def _spans(path: Path) -> None:
-    from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+    from fwclass.read.params import ReadParams
+    from fwclass.read.source import open_source
+    from fwclass.read.stage import check_source, index_source, read_span
 
     params = ReadParams(
         chunk_pulses=5,

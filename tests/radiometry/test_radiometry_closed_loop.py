@@ -25,13 +25,17 @@ from fwclass.radiometry.overlap import overlap
 from fwclass.radiometry.params import RadiometryParams
 from fwclass.radiometry.ranges import pointing_error
 from fwclass.radiometry.stage import radiometry
-from fwclass.read.stage import ReadParams, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import index_source, read_span
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table
 from fwclass.simulate import stage as simulator
 from fwclass.simulate.city import build_scene
+from fwclass.simulate.flight import plan_strips
+from fwclass.simulate.params import SimulateParams
 from fwclass.simulate.scene import Scene
-from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip, write_trajectory
+from fwclass.simulate.stage import simulate_strip, write_trajectory
 from fwclass.stage import Chunk
 
 SECTION: dict[str, Any] = {

@@ -13,7 +13,9 @@ from rawmaker import HALF_LIGHT, scene, write_csv, write_parquet
 
 from fwclass.errors import InputError
 from fwclass.read.info import info
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 
 PULSES, HEIGHT = 240, 700.0
 TURNS = {

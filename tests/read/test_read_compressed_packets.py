@@ -14,8 +14,10 @@ from fwclass.publish.strips import write_strip_laz
 from fwclass.read.compressed_packets import decompress
 from fwclass.read.info import info
 from fwclass.read.packets import References
+from fwclass.read.params import ReadParams
 from fwclass.read.points import PointReader
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 
 DAMAGED = "compressed packet damaged, or another file's"
 HEADER = 60

@@ -10,7 +10,9 @@ from lasmaker import Descriptor, digitise, gaussian, write_las
 
 from fwclass.errors import InputError
 from fwclass.read.info import info
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 
 GAIN, OFFSET = 10, 18
 """Bytes of a descriptor's gain and offset."""

@@ -11,7 +11,9 @@ from tolerances import FLOAT32_RTOL
 
 from fwclass.errors import InputError
 from fwclass.read.info import describe, info
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_cloud, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_cloud, read_span
 
 N = 6
 

@@ -13,7 +13,9 @@ from lasmaker import survey, to_laz
 
 from fwclass.errors import InputError
 from fwclass.read.info import describe, info
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_cloud, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_cloud, read_span
 
 ALLOCATION = 60
 """Bytes that reading may allocate per byte of the files, beyond `FIXED`: points become columns of 8 bytes, samples

@@ -12,7 +12,9 @@ from plsmaker import Descriptor, Pulse, Sampling, survey, write_pls
 
 from fwclass.errors import InputError
 from fwclass.read.info import describe, info
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 
 ALLOCATION = 400
 """Bytes that reading may allocate per byte of the files, beyond `FIXED`: a segment of one sample (7 bytes in the file)

@@ -21,8 +21,10 @@ from fwclass.operate.schedule.places import WAVES
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read import pls_compressed, pls_read
 from fwclass.read.info import describe, files_in, info
+from fwclass.read.params import ReadParams
 from fwclass.read.pls_waves import Samplings, find, read_records, waves_fault
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 from fwclass.waveforms import Waveforms
 
 

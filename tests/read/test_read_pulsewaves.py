@@ -14,8 +14,10 @@ from tolerances import FLOAT32_CHAIN_RTOL
 
 from fwclass.errors import InputError
 from fwclass.read.info import describe, info
+from fwclass.read.params import ReadParams
 from fwclass.read.pls_read import pulse_bounds
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_cloud, read_span
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_cloud, read_span
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS
 
 ANCHOR, AWAY = (500000.0, 5400000.0, 800.0), (0.1, 0.05, -1.0)

@@ -13,7 +13,9 @@ from rawmaker import GROUND, HALF_LIGHT, scene, write_csv, write_parquet
 
 from fwclass.errors import InputError
 from fwclass.read.info import info
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 
 TOLD = {"crs": "EPSG:32632", "spacing_ns": "1.0"}
 PARAMS = ReadParams(

@@ -13,8 +13,10 @@ from lasmaker import METRES_PER_NS, Descriptor, digitise, survey, to_laz, vlr, w
 from tolerances import FLOAT32_CHAIN_RTOL, FLOAT32_RTOL, MILLIMETRE
 
 from fwclass.read.info import describe, info
+from fwclass.read.params import ReadParams
 from fwclass.read.points import PointReader
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_cloud, read_span
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_cloud, read_span
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS
 
 

@@ -19,8 +19,10 @@ from rawmaker import HALF_LIGHT, scene, write_parquet
 from fwclass.errors import ConfigError, InputError
 from fwclass.read import riegl_sdf
 from fwclass.read.info import describe, info
+from fwclass.read.params import ReadParams
 from fwclass.read.riegl_sdf import LIBRARY, REFERENCE
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 from fwclass.store.run_store import Store
 from fwclass.survey.file_digests import Digests
 from fwclass.survey.gather import digests_of

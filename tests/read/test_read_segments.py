@@ -7,7 +7,9 @@ import pytest
 from lasmaker import METRES_PER_NS, Descriptor, to_laz, write_las
 from tolerances import FLOAT32_RTOL
 
-from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source, index_source, read_span
 
 N = 40
 """Samples of a packet, 1 ns apart."""

@@ -13,7 +13,9 @@ from lasmaker import survey, write_las
 from fwclass.errors import InputError
 from fwclass.read.packet_kernels import cut_spans, number_pulses, pulse_heads
 from fwclass.read.packets import OWN
-from fwclass.read.stage import ReadParams, index_source, open_source, read_span
+from fwclass.read.params import ReadParams
+from fwclass.read.source import open_source
+from fwclass.read.stage import index_source, read_span
 
 
 def whole(base, **changes) -> ReadParams:

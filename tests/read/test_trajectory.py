@@ -16,7 +16,8 @@ from fwclass.errors import InputError
 from fwclass.read import trajectory
 from fwclass.read.trajectory import ADJUSTED, WEEK, in_survey_time, read_trajectory, thin_trajectory
 from fwclass.schema import Table
-from fwclass.simulate.stage import SimulateParams, write_trajectory
+from fwclass.simulate.params import SimulateParams
+from fwclass.simulate.stage import write_trajectory
 
 CRS = "EPSG:25832"
 ROWS = np.array([[10.0, 500.0, 800.0, 370.5], [10.5, 530.0, 801.0, 371.0], [11.0, 560.0, 802.0, 371.25]])

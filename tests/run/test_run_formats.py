@@ -11,8 +11,9 @@ from lasmaker import Descriptor, survey, to_laz
 
 from fwclass import conf
 from fwclass.errors import InputError
+from fwclass.read.source import open_source
 from fwclass.read.spans import Span
-from fwclass.read.stage import open_source, read_span
+from fwclass.read.stage import read_span
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner

@@ -12,8 +12,9 @@ from fwclass.model import ClassDef
 from fwclass.store.arrays import arrays_at, read_arrays, write_arrays
 from fwclass.store.models import load_model
 from fwclass.train.importance import importance
+from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import TrainParams, grow_trees
+from fwclass.train.stage import grow_trees
 
 BASE = DEFAULTS["train"]
 CLASSES = (ClassDef("ground", 2, (2,)), ClassDef("tree", 5, (5,)))

@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 from tolerances import FLOAT64_UNIT
 
 from fwclass.simulate.city import build_scene
-from fwclass.simulate.flight import fire
-from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip
+from fwclass.simulate.flight import fire, plan_strips
+from fwclass.simulate.params import SimulateParams
+from fwclass.simulate.stage import simulate_strip
 from fwclass.simulate.trace import FOOTPRINT, MAX_CANDIDATES, _through, gather, to_ground
 
 

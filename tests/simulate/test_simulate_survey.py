@@ -16,9 +16,10 @@ from tolerances import FLOAT32_RTOL, FLOAT64_UNIT
 
 from fwclass.errors import ConfigError
 from fwclass.simulate.city import build_scene
-from fwclass.simulate.flight import StripPlan, fire, measure_pose, pose
+from fwclass.simulate.flight import StripPlan, fire, measure_pose, plan_strips, pose
+from fwclass.simulate.params import SimulateParams
 from fwclass.simulate.scene import WATER, in_gap, terrain
-from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip, write_trajectory
+from fwclass.simulate.stage import simulate_strip, write_trajectory
 from fwclass.units import METRES_PER_NS
 
 BLOCK = {4: 28, 9: 30}

@@ -9,7 +9,8 @@ from defaults import BASE as DEFAULTS
 from fwclass.hashing import GOLDEN, hash_keys, mix, seed_for
 from fwclass.model import LEAF
 from fwclass.train.gain import entropy_table
-from fwclass.train.stage import TrainParams, grow_tree
+from fwclass.train.params import TrainParams
+from fwclass.train.stage import grow_tree
 
 BASE = TrainParams(**DEFAULTS["train"])
 MASK = (1 << 64) - 1

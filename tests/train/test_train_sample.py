@@ -12,8 +12,9 @@ from fwclass.classify.stage import votes
 from fwclass.errors import ConfigError, InputError
 from fwclass.model import ClassDef, class_index, code_index
 from fwclass.schema import Table, canonical_key
+from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, review
-from fwclass.train.stage import TrainParams, candidates, card, grow_trees, merge, out_of_bag, train
+from fwclass.train.stage import candidates, card, grow_trees, merge, out_of_bag, train
 
 BASE = TrainParams(**DEFAULTS["train"])
 CLASSES = (ClassDef("ground", 2, (2, 9)), ClassDef("vegetation", 5, (3, 4, 5)), ClassDef("building", 6, (6,)))

@@ -60,11 +60,15 @@ from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
 from fwclass.publish.class_raster import class_rasters
 from fwclass.publish.octree import octree
+from fwclass.read.params import ReadParams
 from fwclass.read.pls_waves import read_records
-from fwclass.read.stage import ReadParams, index_source, open_source, read_span
+from fwclass.read.source import open_source
+from fwclass.read.stage import index_source, read_span
 from fwclass.read.text import read_text
 from fwclass.schema import Table
-from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip
+from fwclass.simulate.flight import plan_strips
+from fwclass.simulate.params import SimulateParams
+from fwclass.simulate.stage import simulate_strip
 from fwclass.stage import Chunk
 from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams, StreetSceneParams

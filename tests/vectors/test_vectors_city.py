@@ -12,8 +12,9 @@ from vectorscore import scored_run, true_buildings
 
 from fwclass import conf
 from fwclass.simulate.city import build_scene
+from fwclass.simulate.flight import plan_strips
 from fwclass.simulate.params import SimulateParams
-from fwclass.simulate.stage import plan_strips, simulate_strip
+from fwclass.simulate.stage import simulate_strip
 from fwclass.simulate.truth import parts_of_buildings, trees_of, write_truth
 
 CONFIG = """survey:

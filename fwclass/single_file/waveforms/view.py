@@ -21,8 +21,9 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.sources import StripSpan
 from fwclass.publish.files import check_free, whole
 from fwclass.publish.waveform_pictures import draw_waveforms
+from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
-from fwclass.read.stage import ReadParams, check_source
+from fwclass.read.stage import check_source
 from fwclass.report.plausibility import place_remarks, plausibility_remarks, strip_plausibility
 from fwclass.report.pulse_picture import receiver_picture
 from fwclass.single_file.strip import FileStrip, strip_of

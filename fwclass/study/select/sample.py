@@ -25,8 +25,9 @@ from fwclass.select.params import SelectParams
 from fwclass.store.arrays import write_arrays
 from fwclass.survey.layout import Layout, needs_of, plain, plain_classes
 from fwclass.thin.sample import THIN
+from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import TRAIN_SAMPLE, TrainParams, candidates, merge
+from fwclass.train.stage import TRAIN_SAMPLE, candidates, merge
 
 SAMPLE, FOLDS = "sample", "folds"
 PLACED, TRAINING = "select-sample", "select-training"

@@ -37,7 +37,8 @@ from fwclass.survey.layout import Layout, needs_of, plain, plain_classes
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform
-from fwclass.train.stage import TRAIN_TREES, TrainParams, candidates, grow_trees
+from fwclass.train.params import TrainParams
+from fwclass.train.stage import TRAIN_TREES, candidates, grow_trees
 from fwclass.walk.steps import tasks_until_labels, until_tiles
 
 THINNING = "thinning"

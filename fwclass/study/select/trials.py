@@ -20,8 +20,9 @@ from fwclass.store.atomic import digest_of
 from fwclass.study.select.sample import TRAINING, sample_tasks, training_of
 from fwclass.survey.layout import Layout, plain, plain_classes
 from fwclass.train.importance import importance
+from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import TRAIN_TREES, TrainParams, grow_trees
+from fwclass.train.stage import TRAIN_TREES, grow_trees
 
 TRIAL, RANKED = "select-trial", "select-ranked"
 """Stages: a trial, and one with importances."""
