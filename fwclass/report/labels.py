@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.assess.remarks import percent_words
 from fwclass.classes import BUILDING, PLANTS
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import refuse_named
@@ -35,13 +36,18 @@ lead, by 0.2 and more; where low ones are the only ones, by 0.04."""
 
 
 def label_facts(
-    labelled: Iterable[Receipt], tiles: Iterable[Receipt], params: PlausibilityParams, clouds: Iterable[Receipt] = ()
+    labelled: Iterable[Receipt],
+    tiles: Iterable[Receipt],
+    params: PlausibilityParams,
+    clouds: Iterable[Receipt] = (),
+    uncounted: float = 0.0,
 ) -> dict[str, Any] | None:
-    """``remarks`` on labels and classes, and what of them is not sound: ``elsewhere`` and ``exchanged``, each a
-    sentence or ""; None where nothing is delivered and nothing was learned.
+    """``remarks`` on labels and classes, and what of them is not sound: ``elsewhere``, ``exchanged`` and ``uncounted``,
+    each a sentence or ""; None where nothing is delivered and nothing was learned.
 
     `labelled`: of the survey's sample, and of its assessment. `tiles`: of the delivery. `clouds`: of the tiles' labels,
-    which tell of clouds alone.
+    which tell of clouds alone. `uncounted`: share of the classified echoes whose reference is a code of no class, which
+    is remarked on beside the accuracy.
     """
     labelled, tiles, clouds = list(labelled), list(tiles), list(clouds)
     if not labelled and not tiles:
@@ -52,6 +58,7 @@ def label_facts(
         "remarks": [text for text in (elsewhere, exchanged, _other_heights(clouds)) if text],
         "elsewhere": elsewhere if far > params.max_label_offset else "",
         "exchanged": exchanged,
+        "uncounted": f"{percent_words(uncounted)} of the echoes" if uncounted > params.max_uncounted else "",
     }
 
 
@@ -70,6 +77,14 @@ def judge_labels(facts: Mapping[str, Any] | None, params: PlausibilityParams, wh
             "classes are exchanged",
             "plants that pulses pass through, and roofs that they do not",
             "look at survey.classes, at the labels' codes, or at the model's classes",
+        ),
+        (
+            "uncounted",
+            "much of the survey is of none of its classes, and every echo is given one",
+            f"at most {percent_words(params.max_uncounted)} with a reference that no class counts "
+            "(plausibility.max_uncounted)",
+            "add their codes to survey.classes, as a class of its own where they are another thing, or leave them as "
+            "they are (classify.keep)",
         ),
     )
     refuse_named(facts, ways, params.accept, where)

@@ -192,6 +192,7 @@ def _of_the_classes(
             tiles if classified else (),
             config.plausibility,
             receipts_of_run(runner, "label"),
+            _uncounted(config, counted) if classified else 0.0,
         ),
         "accuracy": class_accuracy(runner, config),
         "automation": next(iter(metas_of_run(runner, "assess", "automation")), []),
@@ -201,6 +202,14 @@ def _of_the_classes(
         "drift": drift_of_run(runner),
         "unsure": unsure_of_run(tiles, config, card) if classified else None,
     }
+
+
+def _uncounted(config: Config, counted: Mapping[str, Any] | None) -> float:
+    """Share of the echoes that a reference of all echoes gives a code that no class counts, and that are classified."""
+    if counted is None or config.survey.reference.kind not in ("source", "cloud") or not counted["echoes"]:
+        return 0.0
+    stays = {int(code) for code in config.classify.keep}
+    return sum(n for code, n in counted["other_codes"].items() if int(code) not in stays) / counted["echoes"]
 
 
 def _remarks(

@@ -104,3 +104,17 @@ def test_it_is_told_and_far_ones_are_refused(
     with pytest.raises(QualityError, match="do not lie where the echoes are") as fault:
         judge_labels(facts, params, "run")
     assert "1.9 m to the north" in fault.value.got or offset.edge
+
+
+def test_much_of_the_survey_is_of_no_class(base: dict[str, Any]) -> None:
+    params = PlausibilityParams(**base["plausibility"])
+    sampled = Receipt.__new__(Receipt)
+    object.__setattr__(sampled, "meta", {})
+    for share, told in ((0.19, ""), (0.336, "33.6 % of the echoes")):
+        facts = label_facts([sampled], [], params, uncounted=share)
+        assert facts is not None and facts["uncounted"] == told
+        if told:
+            with pytest.raises(QualityError, match="is of none of its classes"):
+                judge_labels(facts, params, "run")
+        else:
+            judge_labels(facts, params, "run")

@@ -46,6 +46,10 @@ WITH_WAVEFORMS = (
 )
 
 
+UNCLASSIFIED, MOSTLY_SORTED = 1, 0.2
+"""A code of the LAS specification, and the share of the points from which it is no leftover."""
+
+
 class Meaning(NamedTuple):
     """A class as it is proposed: its name, the code it is delivered as, the codes of files that count as it."""
 
@@ -272,7 +276,15 @@ def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[s
     for one in classes:
         count = sum(holdings.codes[c] for c in one.codes)
         lines += [f"    - {{name: {one.name}, code: {one.code}, codes: [{_codes(one)}]}}    # {count:,} points"]
-    return lines + [f"    # not a class: {code} ({words})" for code, words in left.items()]
+    lines += [f"    # not a class: {code} ({words})" for code, words in left.items()]
+    share = holdings.codes[UNCLASSIFIED] / max(sum(holdings.codes.values()), 1)
+    if len(classes) > 1 and str(UNCLASSIFIED) in left and share > MOSTLY_SORTED:
+        lines += [
+            f"    # TO DO: {100 * share:.0f} % of the points have class {UNCLASSIFIED}, and each is given one of these:",
+            "    # where they are all that is left, plants and cars for example, learn them as another:",
+            f"    # - {{name: other, code: {UNCLASSIFIED}, codes: [{UNCLASSIFIED}]}}",
+        ]
+    return lines
 
 
 def _area_lines(classes: Sequence[Meaning], split: Split | None) -> list[str]:
