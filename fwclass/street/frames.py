@@ -202,6 +202,7 @@ class Track:
     _along: float = 0.0
     _speed: float = math.nan
     _given: float = math.nan
+    _bridged: float = 0.0
     _steps: list[float] = field(default_factory=list)
     _road: float = math.nan
     _moved: bool = False
@@ -274,11 +275,9 @@ class Track:
 
     def _advance(self, frame: Frame, step: float, leaps: bool) -> None:
         place, speed_given = self._within(frame.place, ROUND_THE_EARTH), self._within(frame.speed, FASTEST)
-        if math.isfinite(place):
-            moved = place - self._given if math.isfinite(self._given) else 0.0
-            if not self.used:
-                self._along = place
-            self._given = place
+        placed, bridged = math.isfinite(place), self._bridged != 0.0
+        if placed:
+            moved = self._to_place(place, speed_given, step, leaps)
         else:
             speed = speed_given if math.isfinite(speed_given) else self.params.speed
             if speed is None:
@@ -296,12 +295,28 @@ class Track:
                 )
             self._speed = speed
             moved = speed * step
+            self._bridged += moved
         self._along += moved
         self._moved = abs(moved) > STILL
         if self.used:
-            self.sound.move(moved, step, speed_given, math.isfinite(place), leaps)
+            self.sound.move(moved, step, speed_given, placed and not bridged, leaps)
             self.faults["reversing"] += moved < 0
             self.faults["standing"] += moved == 0
+
+    def _to_place(self, place: float, speed: float, step: float, leaps: bool) -> float:
+        """How far it is to `place`, past what was bridged by speed since the place before [m]."""
+        speed = speed if math.isfinite(speed) else self._speed
+        by_speed = speed * step if math.isfinite(speed) else 0.0
+        if math.isfinite(self._given):
+            moved = place - self._given - self._bridged
+            if self._bridged and not leaps:
+                self.sound.bridge(place - self._given, self._bridged + by_speed)
+        elif self.used:
+            moved = by_speed
+        else:
+            self._along, moved = place, 0.0
+        self._given, self._bridged = place, 0.0
+        return moved
 
     def _within(self, value: float, most: float) -> float:
         """`value`, or NaN for one that is beyond `most`, which is counted."""

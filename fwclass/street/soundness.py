@@ -98,6 +98,11 @@ class Soundness:
                 self.by_place += abs(moved)
                 self.by_speed += abs(speed) * step
 
+    def bridge(self, by_place: float, by_speed: float) -> None:
+        """The ways from one place to the next [m], where frames between them have only a speed."""
+        self.by_place += abs(by_place)
+        self.by_speed += abs(by_speed)
+
     def see(
         self,
         ranges: NDArray[np.float32],

@@ -14,8 +14,9 @@ from streetmaker import config, drive
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street.info import info
-from fwclass.street.frames import Scan, Track
+from fwclass.street.frames import Frame, Scan, Track
 from fwclass.street.recording_parquet import write_recording
+from fwclass.street.sphere_kernels import UNIT
 
 SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
 
@@ -196,6 +197,34 @@ def test_a_clock_that_leaps_and_a_vehicle_that_goes_back():
     assert len(placed) == 12
     assert track.counts()["faults"] == {"clock leaps": 1, "reversing": 6}
     assert placed[5].place > placed[11].place
+
+
+@pytest.mark.parametrize("placed", ["every other", "all but three seconds", "from the second on"])
+def test_places_and_speeds_that_take_turns_count_the_road_once(placed):
+    """The way by speed was added, and then the way between places again: 41.5 m of road for 27.75."""
+    scan = Scan(2, 0.0, 0.1, 0.1, 30.0)
+    chosen = {
+        "every other": lambda k: k % 2 == 0,
+        "all but three seconds": lambda k: not 100 < k < 220,
+        "from the second on": lambda k: k > 40,
+    }[placed]
+    track = Track(config("street.speed=null").street)
+    ways = []
+    for k in range(400):
+        speed, place = (math.nan, 7.0 + 0.025 * k) if chosen(k) else (1.0, math.nan)
+        ways.append(track.take(Frame(k, 0.025 * k, scan, np.full(2, 5.0, np.float32), speed, place)).place * UNIT)
+    assert ways[-1] - ways[0] == pytest.approx(0.025 * 399, abs=0.002)
+    assert np.ptp(np.diff(ways)) < 0.003
+    assert track.counts()["faults"] == {}
+
+
+def test_a_speed_between_places_is_held_against_them():
+    """In km/h, every other frame: the vehicle would go back and forth."""
+    scan, track = Scan(2, 0.0, 0.1, 0.1, 30.0), Track(config("street.speed=null").street)
+    for k in range(400):
+        speed, place = (math.nan, 0.025 * k) if k % 2 == 0 else (3.6, math.nan)
+        track.take(Frame(k, 0.025 * k, scan, np.full(2, 5.0, np.float32), speed, place))
+    assert track.counts()["sound"]["place_over_speed"] == pytest.approx(1 / 3.6, rel=0.01)
 
 
 def test_speed_that_is_nowhere():
