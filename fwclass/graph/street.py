@@ -186,7 +186,7 @@ def _rows(recording: int, at: int, seen: Seen) -> Rows:
         seen.features[beams],
         codes,
         key | beams.astype(np.uint64),
-        np.full(len(beams), frame.place * UNIT, np.float64),
+        (frame.place + (frame.x[beams] if len(frame.x) else np.zeros(len(beams)))).astype(np.float64) * UNIT,
         frame.y[beams].astype(np.float64) * UNIT,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ class Answer:
     number, time [s], place [m along the road].
     classification : uint8 (beams,), class codes, 0 without a return. confidence : uint8 (beams,) [%].
     y, z : float32 (beams,), to the left and above the scanner [m]; NaN without a return.
+    x : likewise, ahead of the scanner; (0,) where the scan plane is at right angles to the road.
     """
 
     number: int
@@ -41,9 +42,17 @@ class Answer:
     confidence: NDArray[np.uint8]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
+    x: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, np.float32))
+
+    @property
+    def along(self) -> NDArray[np.float64]:
+        """float64 (beams,): where every return lies along the road [m]; NaN without a return."""
+        return self.place + (self.x.astype(np.float64) if len(self.x) else np.where(np.isnan(self.y), np.nan, 0.0))
 
 
 LISTS = {"classification": pa.uint8(), "confidence": pa.uint8(), "y": pa.float32(), "z": pa.float32()}
+LEANING = {**LISTS, "x": pa.float32()}
+"""Columns with a value a beam, and those of a scanner that yaw or pitch turn along the road."""
 
 
 def make_answer(frame: Placed, codes: NDArray[np.uint8], shares: NDArray[np.float64]) -> Answer:
@@ -52,16 +61,22 @@ def make_answer(frame: Placed, codes: NDArray[np.uint8], shares: NDArray[np.floa
     classification, confidence = np.zeros(len(here), np.uint8), np.zeros(len(here), np.uint8)
     classification[here] = codes
     confidence[here] = np.rint(100.0 * shares)
-    y = np.where(here, frame.y * UNIT, np.nan).astype(np.float32)
-    z = np.where(here, frame.z * UNIT, np.nan).astype(np.float32)
-    return Answer(frame.number, frame.time, frame.place * UNIT, classification, confidence, y, z)
+    y, z, x = (
+        np.where(here, v * UNIT, np.nan).astype(np.float32) if len(v) else np.empty(0, np.float32)
+        for v in (frame.y, frame.z, frame.x)
+    )
+    return Answer(frame.number, frame.time, frame.place * UNIT, classification, confidence, y, z, x)
 
 
 class Writer:
-    """Bytes of the stream: `head` once, then `frame` by frame. Same answers, same bytes."""
+    """Bytes of the stream: `head` once, then `frame` by frame. Same answers, same bytes.
 
-    def __init__(self, beams: int) -> None:
-        lists = [pa.field(n, pa.list_(kind, beams)) for n, kind in LISTS.items()]
+    `leaning`: the returns of a frame have places of their own along the road (`Geometry.tilted`).
+    """
+
+    def __init__(self, beams: int, leaning: bool = False) -> None:
+        self._lists = LEANING if leaning else LISTS
+        lists = [pa.field(n, pa.list_(kind, beams)) for n, kind in self._lists.items()]
         head = [pa.field("frame", pa.int64()), pa.field("time", pa.float64()), pa.field("place", pa.float64())]
         self.schema = pa.schema([*head, *lists])
 
@@ -74,7 +89,7 @@ class Writer:
         """One message; written by one call it is there whole or not at all."""
         columns: list[Any] = [pa.array([answer.number], pa.int64()), pa.array([answer.time], pa.float64())]
         columns.append(pa.array([answer.place], pa.float64()))
-        for name, kind in LISTS.items():
+        for name, kind in self._lists.items():
             values = getattr(answer, name)
             flat = pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.ascontiguousarray(values))])
             columns.append(pa.FixedSizeListArray.from_arrays(flat, len(values)))
@@ -86,9 +101,10 @@ def read_answers(path: Path) -> Iterator[Answer]:
     try:
         with pa.OSFile(str(path)) as file:
             stream = pa.ipc.open_stream(file)
-            names = ["frame", "time", "place", *LISTS]
+            leaning = "x" in stream.schema.names
+            names = ["frame", "time", "place", *(LEANING if leaning else LISTS)]
             beams = stream.schema.field("classification").type.list_size if stream.schema.names == names else 0
-            if not 0 < beams <= MOST_BEAMS or stream.schema != Writer(beams).schema:
+            if not 0 < beams <= MOST_BEAMS or stream.schema != Writer(beams, leaning).schema:
                 raise _foreign(path, "other columns")
             while True:
                 try:
@@ -105,7 +121,9 @@ def read_answers(path: Path) -> Iterator[Answer]:
 def _rows(batch: pa.RecordBatch) -> Iterator[Answer]:
     for row in range(batch.num_rows):
         number, time, place = (batch.column(k)[row].as_py() for k in range(3))
-        lists = [np.asarray(batch.column(3 + k)[row].values.to_numpy(zero_copy_only=False)) for k in range(len(LISTS))]
+        lists = [
+            np.asarray(batch.column(k)[row].values.to_numpy(zero_copy_only=False)) for k in range(3, batch.num_columns)
+        ]
         yield Answer(number, time, place, *lists)
 
 

@@ -154,6 +154,19 @@ class Geometry:
         """How far frames may be apart along the road for a sphere of radius 1 m to touch both [m]."""
         return 1.0 / math.sqrt(1.0 - self.lean**2)
 
+    def offsets(self, left: bool) -> tuple[float, float]:
+        """How far behind and ahead of the scanner a return on one side of the track can lie along the road [m].
+
+        Which side it is on is told by its rounded y, which of a near return on the other side may be 0.
+        """
+        if not self.tilted:
+            return 0.0, 0.0
+        ahead, aside = self.direction[:, 0], self.direction[:, 1] * (1.0 if left else -1.0)
+        with np.errstate(divide="ignore"):
+            furthest = np.where(aside >= 0.0, np.inf, 0.5 * UNIT / np.abs(aside))
+        x = ahead * np.minimum(furthest, min(self.scan.range_max, FARTHEST))
+        return max(0.0, float(-x.min())) + UNIT, max(0.0, float(x.max())) + UNIT
+
 
 FARTHEST = 2000.0
 """m; no range is longer: coordinates and `FAR` are in 32 bits."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.street.answers import Answer
+from fwclass.street.frames import Geometry
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
 
@@ -26,7 +27,7 @@ class Segment:
     side : left or right. begin, end : along the road [m].
     low, high : of the crown above the road [m], without the outermost 2 % (`STRAY`). near, far : from the track [m],
         likewise. returns : of crowns. volume : of the voxels that hold one [m3].
-    density : returns / volume [1/m3]. speed : of the vehicle [m/s], NaN where it stood.
+    density : returns / volume [1/m3]. speed : of the vehicle beside it [m/s], NaN where it stood or was not yet.
     nozzle : by which the nozzle trails the scanner [m].
     seconds : until the nozzle is at `begin`, counted from when the last frame of the segment is answered; below 0, the
         nozzle has passed: it must trail further, or the spheres be smaller.
@@ -64,31 +65,42 @@ HELD = 200_000
 """Returns that are held before equal ones are counted together, as of a vehicle that stands."""
 
 MOST = 1_000_000
-"""Different returns of a segment; of more, y and z are rounded down to twice the unit, and so on."""
+"""Different returns of the segments that are held; of more, y and z are rounded down to twice the unit, and so on."""
+
+LEAST = 20_000
+"""Different returns that one side of a segment may have, however many are held."""
+
+_Seen = tuple[float, float]
+"""Time [s] and place [m] of a frame."""
+
+NOWHERE: _Seen = (math.nan, math.nan)
+
+AHEAD = 10.0
+"""m that a vehicle may go back before what lies ahead of it is written."""
 
 
 @dataclass
 class _Open:
-    """What is known of a segment that the scanner is in; returns of one voxel along the road, y and z are counted."""
+    """What is known of one side of a segment that is not written; returns of one voxel along the road, y and z are
+    counted. `share`: as many segments are held at a time, and have as much less memory each."""
 
     base: int
-    first: tuple[float, float]
-    last: tuple[float, float]
+    share: int = 1
     keys: list[NDArray[np.int64]] = field(default_factory=list)
     counts: list[NDArray[np.int64]] = field(default_factory=list)
     held: int = 0
     kept: int = 0
 
-    def add(self, cell: int, y: NDArray[np.float32], z: NDArray[np.float32]) -> None:
-        """Returns at `y` and `z` [m] in the voxel `cell` along the road."""
-        keys = np.full(len(y), cell - self.base, np.int64)
+    def add(self, cells: NDArray[np.int64], y: NDArray[np.float32], z: NDArray[np.float32]) -> None:
+        """Returns at `y` and `z` [m] in the voxels `cells` along the road."""
+        keys = cells - self.base
         for axis in (y, z):
             units = np.rint(axis.astype(np.float64) / UNIT).clip(-HALF, HALF - 1).astype(np.int64)
             keys = (keys << SPLIT) | (units + HALF)
         self.keys.append(keys)
         self.counts.append(np.ones(len(keys), np.int64))
         self.held += len(keys)
-        if self.held > max(HELD, 2 * self.kept):
+        if self.held > max(HELD // self.share, 2 * self.kept):
             self.count()
 
     def count(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -98,7 +110,7 @@ class _Open:
             even = ((1 << SPLIT) - 1) >> bits << bits
             keys, which = np.unique(keys & (-1 << 2 * SPLIT | even << SPLIT | even), return_inverse=True)
             counts = np.bincount(which, counts, len(keys)).astype(np.int64)
-            if len(keys) <= MOST:
+            if len(keys) <= max(MOST // self.share, min(MOST, LEAST)):
                 break
         self.keys, self.counts, self.held, self.kept = [keys], [counts], len(keys), len(keys)
         return keys, counts
@@ -125,57 +137,104 @@ def percentiles(values: NDArray[np.float64], counts: NDArray[np.int64], of: tupl
 
 
 class Prescriber:
-    """Takes answers in order; gives segments when the scanner has left them. Holds one segment of road, in memory that
-    does not grow while the vehicle stands."""
+    """Takes answers in order; gives segments when no return of a later frame can lie in them. Holds what the scanner
+    reaches along the road, in memory that does not grow while the vehicle stands.
 
-    def __init__(self, params: StreetParams, crown: int) -> None:
-        self.params, self.crown = params.prescription, crown
-        self._height, self._reach = params.mounting.height, max(params.radii)
-        self._number = 0
-        self._open: _Open | None = None
+    Each side of a segment is given once: `again` counts the crown returns of a vehicle that went back and saw written
+    ones anew. `geometry` of a scanner that is not at right angles to the road.
+    """
+
+    def __init__(self, params: StreetParams, crown: int, geometry: Geometry | None = None) -> None:
+        self.params, self.crown, self.again = params.prescription, crown, 0
+        self._height = params.mounting.height
+        self._reach = max(params.radii) * (1.0 if geometry is None else geometry.reach)
+        self._offsets = tuple((0.0, 0.0) if geometry is None else geometry.offsets(left) for left in (True, False))
+        self._reached: tuple[tuple[int, int], ...] = ()
+        self._open: dict[int, _Open] = {}
+        self._passed: dict[int, tuple[_Seen, _Seen]] = {}
+        self._written: set[int] = set()
 
     def take(self, answer: Answer) -> Iterator[Segment]:
         """The segments that this answer shows to be left."""
-        number, cell = (math.floor(answer.place / v) for v in (self.params.segment, self.params.voxel))
-        if number != self._number:
-            yield from self.rest()
-        here, now = self._open, (answer.time, answer.place)
-        if here is None:
-            base = math.floor(number * self.params.segment / self.params.voxel) - 1
-            here = self._open = _Open(base, now, now)
-        self._number, here.last = number, now
+        edge, now = self.params.segment, (answer.time, answer.place)
+        reached = tuple(
+            (math.floor((answer.place - behind) / edge), math.floor((answer.place + ahead + AHEAD) / edge))
+            for behind, ahead in self._offsets
+        )
+        if reached != self._reached:
+            self._reached = reached
+            yield from self._leave()
+        number = math.floor(answer.place / edge)
+        self._passed[number] = (self._passed.get(number, (now,))[0], now)
         crown = answer.classification == self.crown
         if crown.any():
-            here.add(cell, answer.y[crown], answer.z[crown])
+            self._add(answer.along[crown], answer.y[crown], answer.z[crown])
+
+    def _add(self, along: NDArray[np.float64], y: NDArray[np.float32], z: NDArray[np.float32]) -> None:
+        keys = 2 * np.floor(along / self.params.segment).astype(np.int64) + (y < 0)
+        cells = np.floor(along / self.params.voxel).astype(np.int64)
+        for key in np.unique(keys).tolist():
+            of = keys == key
+            if key in self._written:
+                self.again += int(of.sum())
+                continue
+            if key not in self._open:
+                self._open[key] = _Open(math.floor((key // 2) * self.params.segment / self.params.voxel) - 1)
+            here = self._open[key]
+            here.share = len(self._open)
+            here.add(cells[of], y[of], z[of])
+
+    def _leave(self) -> Iterator[Segment]:
+        """The segments that the scanner reaches no more."""
+        left = [k for k in self._open if not self._reached[k % 2][0] <= k // 2 <= self._reached[k % 2][1]]
+        yield from self._close(left)
+        low, high = (f(ends[k] for ends in self._reached) for k, f in ((0, min), (1, max)))
+        for number in [n for n in self._passed if not low <= n <= high]:
+            del self._passed[number]
 
     def rest(self) -> Iterator[Segment]:
-        """The segments that the scanner was in when answers ended."""
-        here, self._open = self._open, None
-        if here is None or not here.held:
-            return
-        x, y, z, counts = here.returns()
-        for side, of in (("left", y >= 0), ("right", y < 0)):
-            if int(counts[of].sum()) >= self.params.fewest:
-                yield self._segment(side, here, x[of], np.abs(y[of]), z[of] + self._height, counts[of])
+        """The segments that were not left when answers ended."""
+        yield from self._close(list(self._open))
 
-    def _segment(self, side: str, here: _Open, x: NDArray, y: NDArray, z: NDArray, counts: NDArray) -> Segment:
-        edge, number, returns = self.params.voxel, self._number, int(counts.sum())
+    def _close(self, keys: list[int]) -> Iterator[Segment]:
+        for key in sorted(keys):
+            x, y, z, counts = self._open.pop(key).returns()
+            if int(counts.sum()) >= self.params.fewest:
+                self._written.add(key)
+                yield self._segment(key, x, np.abs(y), z + self._height, counts)
+
+    def _segment(self, key: int, x: NDArray, y: NDArray, z: NDArray, counts: NDArray) -> Segment:
+        (number, right), edge, returns = divmod(key, 2), self.params.voxel, int(counts.sum())
         cells = np.concatenate([x[:, None], np.floor(np.stack([y, z], axis=1) / edge).astype(np.int64)], axis=1)
         volume = len(np.unique(cells, axis=0)) * edge**3
-        seconds = here.last[0] - here.first[0]
-        speed = (here.last[1] - here.first[1]) / seconds if seconds > 0 else math.nan
+        first, last = self._passed.get(number, (NOWHERE, NOWHERE))
+        seconds = last[0] - first[0]
+        speed = (last[1] - first[1]) / seconds if seconds > 0 else math.nan
         begin, end = number * self.params.segment, (number + 1) * self.params.segment
-        way = begin + self.params.nozzle - (end + self._reach)
+        way = begin + self.params.nozzle - (end + self._offsets[right][0] + self._reach)
         left = way / speed if speed > 0 else math.nan
         low, high, near, far = (v for of in (z, y) for v in percentiles(of, counts, STRAY))
-        return Segment(
-            side, begin, end, low, high, near, far, returns, volume, returns / volume, speed, self.params.nozzle, left
-        )
+        side, nozzle = ("left", "right")[right], self.params.nozzle
+        return Segment(side, begin, end, low, high, near, far, returns, volume, returns / volume, speed, nozzle, left)
 
 
-def segments(answers: Iterable[Answer], params: StreetParams, crown: int) -> Iterator[Segment]:
-    """The prescription of a whole recording."""
-    prescriber = Prescriber(params, crown)
+def segments(
+    answers: Iterable[Answer], params: StreetParams, crown: int, geometry: Geometry | None = None
+) -> tuple[list[Segment], int]:
+    """The prescription of a whole recording, and `Prescriber.again`."""
+    prescriber = Prescriber(params, crown, geometry)
+    given: list[Segment] = []
     for one in answers:
-        yield from prescriber.take(one)
-    yield from prescriber.rest()
+        given += prescriber.take(one)
+    given += prescriber.rest()
+    return given, prescriber.again
+
+
+def seen_again(returns: int) -> list[str]:
+    """What to say of `Prescriber.again`."""
+    if not returns:
+        return []
+    return [
+        f"the vehicle went back: {returns:,} crown returns of segments that were written before are in none, as "
+        "each is written once"
+    ]

@@ -58,6 +58,17 @@ def test_online_and_whole_give_the_same_bytes(tmp_path, once):
             assert (there / name).read_bytes() == (other / name).read_bytes(), (name, chunk)
 
 
+def test_online_and_whole_give_the_same_bytes_of_a_turned_scanner(tmp_path):
+    turned = {"mounting.yaw": 12, "mounting.pitch": -5}
+    told, there = run_online(tmp_path, **turned)
+    made, other = run_batch(tmp_path, 0, "turned", chunk=37, **turned)
+    for name in OUTPUTS:
+        assert (there / name).read_bytes() == (other / name).read_bytes(), name
+    answers = list(read_answers(there / ANSWERS))
+    assert all(len(a.x) == len(a.y) for a in answers)
+    assert told["segments"] == made["segments"] > 5
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_workers_give_the_same_bytes(tmp_path, once, workers):

@@ -30,10 +30,10 @@ from fwclass.store.unchanged import unchanged
 from fwclass.street.answers import ANSWERS, END, Writer, read_answers
 from fwclass.street.frames import Geometry, Placed, Scan, Track
 from fwclass.street.params import StreetParams
-from fwclass.street.prescription import segments
+from fwclass.street.prescription import seen_again, segments
 from fwclass.street.ring import Ring
 
-FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 3
+FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 4
 PART = "frames.bin"
 _COLUMNS = {"number": "<i8", "time": "<f8", "place": "<i8", "road": "<f8"}
 _GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "light": "<i4", "labels": "u1"}
@@ -112,7 +112,7 @@ def chunk(work: Work, first: int, last: int, inputs: PartInputs, directory: Path
     halo = work.params.most_frames
     low, high = max(0, first - halo), min(int(meta["frames"]), last + halo)
     ring = Ring(Geometry.of(scan, work.params.mounting), work.params, range(first - low, last - low))
-    writer = Writer(scan.beams)
+    writer = Writer(scan.beams, ring.geometry.tilted)
     most, cut, outside = 0, 0, RangeCounter.of(model.card, model.features)
     with (directory / PART).open("wb") as file:
         for frame in _frames(inputs, meta, scan, low, high):
@@ -163,8 +163,9 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         for at in range(0, count, step)
     ]
     receipts = require_all(runner, tasks)
+    geometry = Geometry.of(_scan(meta), work.params.mounting)
     with (target / ANSWERS).open("wb") as file:
-        file.write(Writer(_scan(meta).beams).head)
+        file.write(Writer(geometry.scan.beams, geometry.tilted).head)
         for task in tasks:
             with runner.store.path(CHUNK, task.part, PART).open("rb") as part:
                 shutil.copyfileobj(part, file, 1 << 20)
@@ -173,16 +174,17 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
     most, cut = (f(receipts[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
     drifted = drift(model.card, [receipts[t.name].meta["outside"] for t in tasks])
     most_frames = 2 * work.params.most_frames + 1
+    made, again = segments(read_answers(target / ANSWERS), work.params, int(model.codes[0]), geometry)
     summary = {
         **meta["counts"],
         "neighbourhood": {"most_frames": most, "held": most_frames, "cut": cut},
         "accuracy": accuracy,
         "implausible": meta["implausible"],
         "drift": drifted,
-        "remarks": [*remarks, *(drifted or {}).get("remarks", ())],
+        "remarks": [*remarks, *(drifted or {}).get("remarks", ()), *seen_again(again)],
         "street": work.params.model_dump(mode="json"),
     }
-    return finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)
+    return finish(target, made, summary)
 
 
 def _judge(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:
@@ -192,7 +194,7 @@ def _judge(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, 
     parts = []
     for row, one in zip(labels, read_answers(target / ANSWERS), strict=True):
         here = one.classification > 0
-        place = np.full(int(here.sum()), one.place)
+        place = one.along[here]
         parts.append(
             BlockCounts.of(place, np.zeros_like(place), row[here], one.classification[here], model.classes, block)
         )

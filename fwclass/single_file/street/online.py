@@ -31,9 +31,9 @@ from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
 from fwclass.store.unchanged import unchanged
 from fwclass.street.answers import ANSWERS, END, Answer, Writer, make_answer
-from fwclass.street.frames import Frame, Recording, Scan, Track
+from fwclass.street.frames import Frame, Geometry, Recording, Scan, Track
 from fwclass.street.params import StreetParams
-from fwclass.street.prescription import Prescriber, Segment
+from fwclass.street.prescription import Prescriber, Segment, seen_again
 from fwclass.street.ring import Ring, Seen
 
 WARM = 40
@@ -100,10 +100,16 @@ class Files:
         self._csv = (self.target / CSV).open("wb", buffering=0)
         self._csv.write(HEAD.encode())
 
-    def write(self, one: Answer) -> None:
+    @property
+    def again(self) -> int:
+        """As `Prescriber.again`."""
+        return self._prescriber.again
+
+    def write(self, one: Answer, geometry: Geometry | None) -> None:
         """Append an answer by one call, and the segments that it shows to be left."""
         if self._writer is None:
-            self._writer = Writer(len(one.classification))
+            self._writer = Writer(len(one.classification), len(one.x) > 0)
+            self._prescriber = Prescriber(self.params, self.crown, geometry)
             self._answers.write(self._writer.head)
         self._answers.write(self._writer.frame(one))
         self._append(self._prescriber.take(one))
@@ -165,7 +171,7 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
                 for frame, there in frames:
                     delivered = False
                     for one in loop.take(frame):
-                        files.write(one)
+                        files.write(one, loop.track.geometry)
                         delivered = True
                     took = time.perf_counter() - there
                     if delivered:
@@ -174,13 +180,13 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         except InputError as fault:
             broken = fault
         for one in loop.rest():
-            files.write(one)
+            files.write(one, loop.track.geometry)
         files.end()
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
     summary = _summary(loop, latency, late, faults, params)
     drifted = drift(model.card, [loop.outside.counts()] if loop.outside is not None else [])
-    remarks += (drifted or {}).get("remarks", [])
+    remarks += [*(drifted or {}).get("remarks", []), *seen_again(files.again)]
     summary |= {
         "drift": drifted,
         "implausible": implausible(recording, summary, params, summary["stream"]),
@@ -221,13 +227,15 @@ def warm(model: Model, params: StreetParams) -> None:
     scan = Scan.of(scanner(params.scanner))
     loop = Loop(model, params.model_copy(update={"speed": 1.0}))
     random = np.random.default_rng(1)
-    writer, prescriber = Writer(scan.beams), Prescriber(params, int(model.codes[0]))
     answers = []
     for k in range(WARM):
         ranges = random.uniform(0.5 * scan.range_max, scan.range_max, scan.beams).astype(np.float32)
         light = np.zeros(scan.beams, np.float32) if params.intensity is not None else None
         answers += list(loop.take(Frame(k, 0.025 * k, scan, ranges, intensities=light)))
     answers += list(loop.rest())
+    geometry = loop.track.geometry
+    writer = Writer(scan.beams, geometry is not None and geometry.tilted)
+    prescriber = Prescriber(params, int(model.codes[0]), geometry)
     for one in answers:
         writer.frame(one)
         list(prescriber.take(one))
