@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import stat
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -247,7 +249,16 @@ class OfDelivery(Adapter):
     def __call__(self, here: StageInputs, **settings: Any) -> Result:
         table = here.rows()
         self.function(table, here.directory, here.part, **settings)
-        names = [p.relative_to(here.directory).as_posix() for p in here.directory.rglob("*") if p.is_file()]
+        paths = sorted(here.directory.rglob("*"))
+        strange = [p for p in paths if not _is_own(p)]
+        if strange:
+            raise self.fault(
+                "what a stage delivers are files of its own",
+                "regular files and directories, no links: those of a delivery are made read-only and belong to it",
+                strange[0].relative_to(here.directory).as_posix(),
+                "copy the file",
+            )
+        names = [p.relative_to(here.directory).as_posix() for p in paths if p.is_file()]
         if not names:
             raise self.fault("nothing was written", "files below `directory`", "none", "write them there")
         for name in names:
@@ -259,6 +270,12 @@ class OfDelivery(Adapter):
                     "choose a directory and names of its own",
                 )
         return {"rows": table.rows}
+
+
+def _is_own(path: Path) -> bool:
+    """A directory, or a regular file that has no other name."""
+    facts = path.lstat()
+    return stat.S_ISDIR(facts.st_mode) or (stat.S_ISREG(facts.st_mode) and facts.st_nlink == 1)
 
 
 _PROGRAM = ("laz/", "parquet/", "rasters/", "model/", "report")

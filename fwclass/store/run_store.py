@@ -197,6 +197,14 @@ class Store:
             outputs = {}
             for name in names_below(directory):
                 path = directory / name
+                if path.is_symlink():
+                    raise StoreError(
+                        "a part's files are its own",
+                        where=f"{stage}/{part}: {name}",
+                        expected="a file: those of a delivery are made read-only and belong to it",
+                        got="a link",
+                        do="copy the file",
+                    )
                 self._files.finish(path, place == "deliver")
                 outputs[name] = {"bytes": path.stat().st_size, "digest": file_digest(path)}
             check()

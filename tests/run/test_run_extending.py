@@ -7,6 +7,7 @@ import py_compile
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from unittest import mock
 
 import laspy
@@ -15,12 +16,14 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
-from fwclass.errors import ConfigError, FwclassError
+from fwclass.errors import ConfigError, FwclassError, InputError
+from fwclass.graph.own_stage import OfDelivery
 from fwclass.operate.request import Request
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.verify import verify
 from fwclass.operate.status.walk import Silent
 from fwclass.run.cluster import Cluster
+from fwclass.schema import Table
 from fwclass.store.run_location import open_store
 from fwclass.store.tables import read_table
 from fwclass.workflows import workflow_of
@@ -299,6 +302,11 @@ GIVES = "def g(chunk):\n    return {}\n" + PUT.format("g")
             "a name that another may have",
         ),
         (
+            "import os\ndef g(table, directory, tile):\n    os.symlink(__file__, directory / f'{tile}.txt')\n"
+            "workflow = classification.with_stage(delivery_stage('d', g, ('x',)), after='publish-tile')",
+            "files of its own",
+        ),
+        (
             "def g(table):\n    n = table.rows\n"
             "    return {'classification': np.full(n, 99), 'confidence': np.ones(n), 'entropy': np.zeros(n)}\n"
             "workflow = classification.without_training().with_stage_instead(classifier_stage(g, ('z',)))",
@@ -319,6 +327,28 @@ def test_a_function_that_gives_nonsense_fails_in_words(survey, finished, tmp_pat
         walk(survey, root, workflow=str(path))
     messages = [failure.message for failure, _ in open_store(root, lists=True).failures.all().values()]
     assert any(re.search(words, m) for m in messages), messages
+    assert path.stat().st_mode & 0o200  # what a link leads to is not made read-only
+
+
+@pytest.mark.parametrize("kind", ["link", "link to a directory", "second name", "pipe"])
+def test_a_delivery_takes_regular_files_alone(tmp_path, kind):
+    """The file that a link led to was made read-only, and the delivery held the link."""
+    (tmp_path / "mine").write_text("x")
+    (tmp_path / "out").mkdir()
+
+    def write(table, directory, tile):
+        (directory / f"{tile}.txt").write_text("x")
+        there = directory / f"{tile}.csv"
+        {
+            "link": lambda: there.symlink_to(tmp_path / "mine"),
+            "link to a directory": lambda: there.symlink_to(tmp_path),
+            "second name": lambda: there.hardlink_to(tmp_path / "mine"),
+            "pipe": lambda: os.mkfifo(there),
+        }[kind]()
+
+    here = SimpleNamespace(directory=tmp_path / "out", part="1_2", rows=lambda: Table({"x": np.zeros(3)}))
+    with pytest.raises(InputError, match="files of its own"):
+        OfDelivery("d", write)(here)
 
 
 def test_a_classifier_of_ones_own_refuses_neighbours_that_agree(survey, tmp_path):
