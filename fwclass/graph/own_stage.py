@@ -154,7 +154,10 @@ class Adapter:
         return InputError(what, where=f"stage {self.stage}", expected=expected, got=got, do=do)
 
     def columns(self, values: Any, rows: int, names: tuple[str, ...]) -> Table:
-        """What a function gave as a table; `InputError` for anything but one sound value per row and column."""
+        """What a function gave as a table; `InputError` for anything but one sound value per row and column.
+
+        NaN and masked values are sound in floating columns whose record says so (`Column.null`).
+        """
         if not isinstance(values, Mapping):
             kind = type(values).__name__
             raise self.fault("a stage's function gives columns", f"a dict of {', '.join(names)}", kind, "return a dict")
@@ -164,7 +167,7 @@ class Adapter:
         return Table({n: self._check(n, v, rows) for n, v in values.items()})
 
     def _check(self, name: str, value: Any, rows: int) -> NDArray:
-        values = np.asarray(value)
+        values, none = np.asarray(np.ma.getdata(value)), column(name).null
         if values.shape != (rows,):
             raise self.fault(
                 f"a function gives a wrong number of values of {name!r}",
@@ -173,6 +176,11 @@ class Adapter:
                 "return one value per row",
             )
         target = np.dtype(column(name).dtype)
+        masked = np.ma.getmaskarray(value)
+        if masked.any():
+            if none is None:
+                raise self._without_value(name, int(masked.sum()), "masked")
+            values = np.where(masked, none, values)
         if values.dtype.kind not in "biuf":
             raise self.fault(f"{name!r} is no number", str(target), values.dtype, "return numbers")
         if target.kind in "ui":
@@ -189,7 +197,29 @@ class Adapter:
                 )
         if target.kind == "b" and values.dtype.kind != "b":
             raise self.fault(f"{name!r} is no truth value", "bool", values.dtype, "return a bool array")
-        return values.astype(target)
+        with np.errstate(over="ignore"):
+            fitting = values.astype(target)
+        if target.kind == "f":
+            missing = np.isnan(fitting)
+            if missing.any() and (none is None or not math.isnan(none)):
+                raise self._without_value(name, int(missing.sum()), "NaN")
+            endless = np.isinf(fitting)
+            if endless.any():
+                raise self.fault(
+                    f"a value of {name!r} does not fit its column",
+                    f"finite numbers, up to {np.finfo(target).max:.3g}",
+                    f"{values[endless][0]} and {int(endless.sum()) - 1:,} more",
+                    "give the column another dtype, or other values",
+                )
+        return fitting
+
+    def _without_value(self, name: str, count: int, kind: str) -> InputError:
+        return self.fault(
+            f"echoes have no value of {name!r}",
+            "one for every echo",
+            f"{count:,} {kind}",
+            "give them one, or say that there may be none: Column(..., null=float('nan'))",
+        )
 
 
 @dataclass(frozen=True)
@@ -198,7 +228,15 @@ class OfChunk(Adapter):
 
     def __call__(self, here: StageInputs, **settings: Any) -> Result:
         chunk = here.chunk()
-        return self.columns(self.function(chunk, **settings), len(chunk.core), here.writes)
+        table = self.columns(self.function(chunk, **settings), len(chunk.core), here.writes)
+        nulls = {n: column(n).null for n in table}
+        counts = {
+            n: np.isnan(v) if math.isnan(none) else v == none
+            for n, v in table.items()
+            if (none := nulls[n]) is not None
+        }
+        without = {n: int(of.sum()) for n, of in counts.items() if of.any()}
+        return (table, {"without_value": without}) if without else table
 
 
 @dataclass(frozen=True)

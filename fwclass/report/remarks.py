@@ -25,6 +25,7 @@ from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.report.facts import receipts_of_run
 from fwclass.report.summary import SHOWN
 from fwclass.run.runner import Runner
+from fwclass.store.metas import META
 from fwclass.survey.layout import Survey
 
 CORRECTED_FROM = 0.01
@@ -108,7 +109,7 @@ def remarks_of_parts(runner: Runner) -> list[str]:
     ]
     blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
     remarks += breakline_remarks(blocks)
-    remarks += [*_of_strips(runner), *_of_ranges(runner)]
+    remarks += [*_of_strips(runner), *_of_ranges(runner), *_of_own_stages(runner)]
     remarks += line_remarks(r.meta for r in receipts_of_run(runner, CLASSIFY.name))
     return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]
 
@@ -120,6 +121,15 @@ def _of_strips(runner: Runner) -> list[str]:
         for text in receipt.meta.get("lacking", ()):
             lacking.setdefault(text, []).append(receipt.part)
     return [f"delivered strips {first_few(parts, SHOWN)}: {text}" for text, parts in lacking.items()]
+
+
+def _of_own_stages(runner: Runner) -> list[str]:
+    """Echoes without a value in the columns of stages that the program does not know."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for stage in sorted({name for name, _ in runner.outcomes}.difference(META)):
+        for receipt in receipts_of_run(runner, stage):
+            counts.update({(stage, n): count for n, count in receipt.meta.get("without_value", {}).items()})
+    return [f"{n:,} echoes have no value of {visible(name)} (stage {stage})" for (stage, name), n in counts.items()]
 
 
 def _of_ranges(runner: Runner) -> list[str]:

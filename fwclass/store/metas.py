@@ -43,7 +43,7 @@ _OFFSET = Maybe({**dict.fromkeys(("x", "y"), FINITE), **dict.fromkeys(("cell", "
 _MOVES = ((COUNT,) * 11,) * 11
 _TRIAL = {"rows": COUNT, "counts": [COUNT]}
 
-EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": _REMARKS}
+EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": _REMARKS, "without_value?": _FAULTS}
 """Of any stage."""
 
 _VALUES = {

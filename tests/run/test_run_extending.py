@@ -16,8 +16,9 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
+from fwclass.columns import COLUMNS
 from fwclass.errors import ConfigError, FwclassError, InputError
-from fwclass.graph.own_stage import OfDelivery
+from fwclass.graph.own_stage import OfChunk, OfDelivery
 from fwclass.operate.request import Request
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.verify import verify
@@ -328,6 +329,29 @@ def test_a_function_that_gives_nonsense_fails_in_words(survey, finished, tmp_pat
     messages = [failure.message for failure, _ in open_store(root, lists=True).failures.all().values()]
     assert any(re.search(words, m) for m in messages), messages
     assert path.stat().st_mode & 0o200  # what a link leads to is not made read-only
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([0.0, np.nan, 1.0], "1 NaN"),
+        (np.ma.array([0.0, 1.0, 2.0], mask=[True, False, True]), "2 masked"),
+        ([0.0, np.inf, 1.0], "does not fit its column"),
+        ([0.0, 1e300, 1.0], "does not fit its column"),
+    ],
+)
+def test_a_value_that_is_none_is_refused(values, words):
+    adapter = OfChunk("mine", len)
+    narrow = [c for c in COLUMNS.values() if c.dtype == "f4" and not c.scales]
+    names = [next(c.name for c in narrow if c.null is None), "confidence"]
+    with pytest.raises(InputError, match=words):
+        adapter.columns({names[0]: values}, 3, names[:1])
+    if "fit" in words:
+        with pytest.raises(InputError, match=words):
+            adapter.columns({names[1]: values}, 3, names[1:])
+    else:
+        given = adapter.columns({names[1]: values}, 3, names[1:])[names[1]]
+        assert np.isnan(given).sum() == int(words[0])
 
 
 @pytest.mark.parametrize("kind", ["link", "link to a directory", "second name", "pipe"])
