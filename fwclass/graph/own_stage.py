@@ -256,9 +256,10 @@ class OfRows(Adapter):
                 strange,
                 "give codes of survey.classes, or add it there",
             )
-        sure = table["confidence"]
-        if not ((sure >= 0.0) & (sure <= 1.0)).all():
-            raise self.fault("a confidence is no share", "0 to 1", f"{sure.min():g} to {sure.max():g}", "scale it")
+        for name, words in (("confidence", "a confidence is no share"), ("entropy", "an entropy is no share")):
+            share = table[name]
+            if not ((share >= 0.0) & (share <= 1.0)).all():
+                raise self.fault(words, "0 to 1", f"{share.min():g} to {share.max():g}", "scale it")
         return table, {"codes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)}, "filled": 0}
 
 

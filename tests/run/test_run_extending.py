@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.util
+import math
 import os
 import py_compile
 import re
@@ -16,9 +17,10 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
+from fwclass.classes import ClassDef
 from fwclass.columns import COLUMNS
 from fwclass.errors import ConfigError, FwclassError, InputError
-from fwclass.graph.own_stage import OfChunk, OfDelivery
+from fwclass.graph.own_stage import OfChunk, OfDelivery, OfRows
 from fwclass.operate.request import Request
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.verify import verify
@@ -352,6 +354,15 @@ def test_a_value_that_is_none_is_refused(values, words):
     else:
         given = adapter.columns({names[1]: values}, 3, names[1:])[names[1]]
         assert np.isnan(given).sum() == int(words[0])
+
+
+@pytest.mark.parametrize("name", ["confidence", "entropy"])
+@pytest.mark.parametrize("value", [math.nan, -0.1, 1.5])
+def test_shares_of_a_classifier_are_shares(name, value):
+    given = {"classification": [2, 2], "confidence": [1.0, 1.0], "entropy": [0.0, 0.0], name: [0.5, value]}
+    here = SimpleNamespace(rows=lambda: Table({"x": np.zeros(2)}))
+    with pytest.raises(InputError, match=f"{name} is no share"):
+        OfRows("classify", lambda table: given)(here, (ClassDef("ground", 2, (2,)),))
 
 
 @pytest.mark.parametrize("kind", ["link", "link to a directory", "second name", "pipe"])
