@@ -81,15 +81,21 @@ class Request:
         """The command that makes the part `name` alone."""
         return self.command(name)
 
-    def keep(self, store: Store) -> None:
-        """Write it into the run (the holder of the lock calls this)."""
-        store.keep(_KEPT, seal({n: v for n, v in asdict(self).items() if n != "root"}))
+    def keep(self, store: Store, shown: Generation | None = None, workflow: str | None = None) -> None:
+        """Write it into the run (the holder of the lock calls this), with the `workflow` that the delivery `shown` is
+        of, where that is known."""
+        of = None if shown is None or workflow is None else [shown.name, workflow]
+        store.keep(_KEPT, seal({n: v for n, v in asdict(self).items() if n != "root"} | {"shown": of}))
 
     @staticmethod
-    def workflow_before(store: Store) -> str | None:
-        """The workflow of the last run in `store`, None where nothing tells."""
+    def workflow_of_shown(store: Store, shown: Generation | None) -> str | None:
+        """The workflow that made the delivery `shown`, None where nothing tells: the last run may have made none."""
         try:
-            return str(unseal(store.recall(_KEPT) or {})["workflow"])
+            plain = unseal(store.recall(_KEPT) or {})
+            if "shown" not in plain:  # kept before it was
+                return str(plain["workflow"])
+            name, workflow = plain["shown"]
+            return str(workflow) if shown is not None and name == shown.name else None
         except (KeyError, TypeError, ValueError, DamagedError):
             return None
 

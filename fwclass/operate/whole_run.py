@@ -30,7 +30,7 @@ class RunResult:
     report : as `report.json` has it.
     generation : what it delivered.
     shown : the generation that readers see now, `before` the one that they saw; None for none.
-    earlier : name of the workflow that the run directory's last run was of, None for none.
+    earlier : name of the workflow that `before` is of, None where nothing tells.
     failures : its failed parts.
     loss : a sentence where it lost accuracy against its predecessor, else empty.
     """
@@ -81,8 +81,9 @@ def run_survey(
         a paper), what was made is delivered all the same.
     """
     runner.store.generations.check_links()
-    before, earlier = runner.store.generations.current(), request.workflow_before(runner.store)
-    request.keep(runner.store)
+    before = runner.store.generations.current()
+    earlier = request.workflow_of_shown(runner.store, before)
+    request.keep(runner.store, before, earlier)
     runner.fail_fast = fail_fast
     entry.begin(runner)
     if verify:
@@ -94,10 +95,19 @@ def run_survey(
     except FwclassError:
         if report is None and (runner.pending / REPORT).exists():  # a later step failed, as a page of a paper
             entry.generation = runner.publish(config.run.keep_generations).number
+            _keep_shown(runner, request, before)
         raise
     entry.generation = generation.number
-    shown = runner.store.generations.current()
+    shown = _keep_shown(runner, request, before)
     return RunResult(report, generation, shown, before, earlier, runner.failures, entry.judged(report))
+
+
+def _keep_shown(runner: Runner, request: Request, before: Generation | None) -> Generation | None:
+    """The generation that readers see now; it is kept which workflow it is of, where it is another than `before`."""
+    shown = runner.store.generations.current()
+    if shown is not None and (before is None or shown.name != before.name):
+        request.keep(runner.store, shown, request.workflow)
+    return shown
 
 
 def _remove_damaged(runner: Runner) -> None:
