@@ -53,6 +53,12 @@ class Scan:
             and abs(self.step - other.step) * self.beams <= near
         )
 
+    def reaches_like(self, other: Scan) -> bool:
+        """The same valid ranges, to a millionth."""
+        return math.isclose(self.range_min, other.range_min, rel_tol=1e-6) and math.isclose(
+            self.range_max, other.range_max, rel_tol=1e-6
+        )
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -181,6 +187,7 @@ FAULTS = (
     "out of order",
     "doubled",
     "other beams",
+    "other limits",
     "no intensities",
     "clock leaps",
     "dropped before",
@@ -189,7 +196,7 @@ FAULTS = (
     "no speed",
     "impossible speed or place",
 )
-"""What frames are counted for; the first four are left out."""
+"""What frames are counted for; the first five are left out."""
 
 
 @dataclass
@@ -236,6 +243,9 @@ class Track:
             self._road = -self.params.mounting.height
         if not frame.scan.like(self.geometry.scan) or len(frame.ranges) != frame.scan.beams:
             self.faults["other beams"] += 1
+            return None
+        if not frame.scan.reaches_like(self.geometry.scan):
+            self.faults["other limits"] += 1
             return None
         if self.params.intensity is not None and not self._has_light(frame):
             self.faults["no intensities"] += 1

@@ -220,7 +220,9 @@ def recording_faults(
         each = ", ".join(f"{n:,} {name}" for name, n in faults.items() if n)
         return [f"none of {frames:,} frames can be used: {each}; are times in seconds?"] if frames else []
     lost = {
-        name: faults[name] for name in ("doubled", "out of order", "other beams", "no intensities") if faults.get(name)
+        name: faults[name]
+        for name in ("doubled", "out of order", "other beams", "other limits", "no intensities")
+        if faults.get(name)
     }
     lost |= {name: n for name, n in stream.items() if name != "garbage bytes" and n}
     every = frames + sum(stream.get(name, 0) for name in lost)

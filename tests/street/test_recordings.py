@@ -16,6 +16,7 @@ from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street.info import info
 from fwclass.street.frames import Frame, Scan, Track
 from fwclass.street.recording_parquet import write_recording
+from fwclass.street.soundness import recording_faults
 from fwclass.street.sphere_kernels import UNIT
 
 SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
@@ -216,6 +217,17 @@ def test_places_and_speeds_that_take_turns_count_the_road_once(placed):
     assert ways[-1] - ways[0] == pytest.approx(0.025 * 399, abs=0.002)
     assert np.ptp(np.diff(ways)) < 0.003
     assert track.counts()["faults"] == {}
+
+
+@pytest.mark.parametrize("limits", [(0.1, 5.0), (2.0, 30.0), (0.1, math.inf)])
+def test_frames_with_other_limits_are_left_out(limits):
+    """Ranges beyond a frame's own `range_max` were returns, where the first frame's was greater."""
+    frames = [replace(f, scan=replace(f.scan, range_max=30.0, range_min=0.1)) for f in drive()[:40]]
+    mixed = [replace(f, scan=Scan(f.scan.beams, f.scan.first, f.scan.step, *limits)) for f in frames]
+    placed, track = taken([a if k % 2 == 0 else b for k, (a, b) in enumerate(zip(frames, mixed, strict=True))])
+    assert len(placed) == 20 and track.counts()["faults"]["other limits"] == 20
+    faults = recording_faults(track.counts(), track.params, {}, (40, "frames"), {})
+    assert any("20 other limits" in text for text in faults), faults
 
 
 def test_a_speed_between_places_is_held_against_them():
