@@ -29,6 +29,7 @@ from fwclass.street.recording_columns import MOST_BEAMS
 from fwclass.street.recording_csv import CsvRecording
 from fwclass.street.recording_parquet import ParquetRecording
 from fwclass.street.soundness import OUTSIDE, SECOND, recording_faults
+from fwclass.street.way import LONG
 
 LAS_SUFFIXES = (".las", ".laz")
 
@@ -177,6 +178,18 @@ def implausible(
     rows = recording.source.n_points if isinstance(recording, LasRecording) else counts["frames"]
     what = "points" if isinstance(recording, LasRecording) else "frames"
     return recording_faults(counts, params, left_out, (rows, what), stream or {})
+
+
+def untested(recording: Recording | None, counts: Mapping[str, Any]) -> list[str]:
+    """That nothing tells whether a trajectory's places are metres, a sentence; none where something does. `counts` of
+    `Track.counts`."""
+    facts = counts["sound"]
+    if not isinstance(recording, OnTrajectory) or not (facts["place_over_speed"] is facts["stretch"] is None):
+        return []
+    return [
+        f"nothing tells whether the {facts['metres']:,.1f} m of road by the trajectory are metres: the recording has "
+        f"no speed, and what stands beside it tells only over {LONG:g} m and more"
+    ]
 
 
 def open_on_trajectory(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Recording:

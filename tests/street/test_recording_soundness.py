@@ -13,6 +13,7 @@ from commandline import fwclass
 from streetmaker import SHORT, config, directory, drive
 
 from fwclass.errors import InputError
+from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.street.info import info
 
 BEAMS = 1081
@@ -125,6 +126,17 @@ def test_beams_that_no_scanner_has(tmp_path: Path, change: dict, words: str) -> 
     path = write(tmp_path / "a.parquet", {k: np.full(n, v) for k, v in change.items()})
     with pytest.raises(InputError, match=words):
         told(path)
+
+
+@pytest.mark.parametrize(("speed", "said"), [(None, True), ("given", False)])
+def test_a_trajectory_that_nothing_tests_is_told(tmp_path: Path, speed: str | None, said: bool) -> None:
+    """27.7 m of road by a trajectory in feet: a map of 90.8 m, and not a word."""
+    path = write(tmp_path / "a.parquet", {"place": None} | ({} if speed else {"speed": None}))
+    (tmp_path / "way.csv").write_text("time,x,y,z\n" + "".join(f"{k},{1.5 * k},0,0\n" for k in range(-1, 9)))
+    way = TrajectoryFiles((tmp_path / "way.csv",))
+    remarks = info(path, config("street.speed=null").street, way)["remarks"]
+    assert any("nothing tells whether the" in text for text in remarks) is said, remarks
+    assert not any("nothing tells whether the" in text for text in info(path, config().street)["remarks"])
 
 
 def test_a_trajectory_of_another_day(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
 from fwclass.graph.street import crown_accuracy, model_remarks, params_of
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
 from fwclass.model import Model
 from fwclass.model.ranges import RangeCounter
 from fwclass.report.drift import drift
@@ -98,6 +98,7 @@ def _read(work: Work, directory: Path) -> Mapping[str, Any]:
         "scan": [used.beams, used.first, used.step, used.range_min, used.range_max],
         "counts": track.counts(),
         "implausible": implausible(recording, track.counts(), work.params),
+        "untested": untested(recording, track.counts()),
     }
 
 
@@ -181,7 +182,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         "accuracy": accuracy,
         "implausible": meta["implausible"],
         "drift": drifted,
-        "remarks": [*remarks, *(drifted or {}).get("remarks", ()), *seen_again(again)],
+        "remarks": [*remarks, *(drifted or {}).get("remarks", ()), *seen_again(again), *meta["untested"]],
         "street": work.params.model_dump(mode="json"),
     }
     return finish(target, made, summary)

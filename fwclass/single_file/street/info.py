@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
 from fwclass.store.unchanged import unchanged
 from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
@@ -71,7 +71,7 @@ def _facts(path: Path, params: StreetParams, trajectory: TrajectoryFiles) -> dic
     }
     return {
         **summary,
-        "remarks": remarks + _remarks(summary, params),
+        "remarks": [*remarks, *_remarks(summary, params), *untested(recording, summary)],
         "implausible": implausible(recording, summary, params),
     }
 

@@ -21,7 +21,7 @@ from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
 from fwclass.graph.street import model_remarks, params_of
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
 from fwclass.model import Model
 from fwclass.model.ranges import RangeCounter
 from fwclass.report.drift import drift
@@ -186,7 +186,7 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         faults.update(stream.faults if stream is not None else {})
     summary = _summary(loop, latency, late, faults, params)
     drifted = drift(model.card, [loop.outside.counts()] if loop.outside is not None else [])
-    remarks += [*(drifted or {}).get("remarks", []), *seen_again(files.again)]
+    remarks += [*(drifted or {}).get("remarks", []), *seen_again(files.again), *untested(recording, summary)]
     summary |= {
         "drift": drifted,
         "implausible": implausible(recording, summary, params, summary["stream"]),
