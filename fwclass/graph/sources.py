@@ -298,7 +298,7 @@ def link_table(inputs: PartInputs, part: str) -> Table:
 
 INDEX = Stage(
     "index",
-    4,
+    5,
     "strip",
     "point",
     index_strip,

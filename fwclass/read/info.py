@@ -25,7 +25,7 @@ from fwclass.read.beams import beam_fault
 from fwclass.read.cloud import first_beams
 from fwclass.read.echo_labels_info import describe_echo_labels, echo_labels_info
 from fwclass.read.las import LasSource
-from fwclass.read.packets import FAULTS, References, looked_into
+from fwclass.read.packets import FAULTS, REPEATED, References, looked_into
 from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import PARQUET, is_polygon_file
@@ -40,6 +40,7 @@ from fwclass.read.return_counts import (
     missing_returns,
     unit_fault,
 )
+from fwclass.read.segments import Rows, count_repeats
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
 from fwclass.units import finite_or_none
 
@@ -71,6 +72,8 @@ class _Tally:
     zero_intensity: int = 0
     flags: dict[str, int] = field(default_factory=lambda: {"withheld": 0, "synthetic": 0})
     heights: dict[int, int] = field(default_factory=dict)
+    repeated: int = 0
+    before: Rows | None = None
 
     def add(self, source: LasSource, points: Any, step: float) -> None:
         number = np.minimum(np.asarray(points["return_number"], np.int64), MOST - 1)
@@ -99,6 +102,9 @@ class _Tally:
             refs = References.of(points)
             self.packets += np.bincount(looked_into(source, refs), minlength=len(FAULTS))
             self.descriptors += np.bincount(refs.descriptor, minlength=256)
+            rows = Rows.of_points(source, points)
+            self.repeated += count_repeats(source, rows, self.before)
+            self.before = rows.take(slice(-1, None))
 
 
 def files_in(directory: Path) -> tuple[Path, ...]:
@@ -252,6 +258,8 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     missing = missing_returns(tally.pairs)
     if missing:
         faults.append(f"at least {missing} returns of pulses with several are missing (a cropped or filtered file)")
+    if tally.repeated:
+        faults.append(f"{tally.repeated} of {n} returns: {REPEATED}")
     if source.has_waves and tally.packets[0] < n:
         if tally.packets[0] == 0:
             faults.append("NO WAVEFORM CAN BE READ: the returns alone can be used (read.missing_packets=keep)")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -51,11 +51,15 @@ alone do not."""
 MAX_SPACING = 100.0
 """No laser scanner samples slower than this [ns]: 15 m a sample."""
 
+REPEATED = "waveform packet repeats samples of the return before (taken once)"
 UNITLESS = "descriptor without a usable gain or offset (taken for the gain of the others)"
 MOST_GAIN = 1e4
 """Ratio of two descriptors' gains that a receiver may have; more is a mistake."""
 
 _OVERLAP = 2
+
+PAIRS = 4096
+"""Pairs of packets that are compared at once."""
 
 MOST_PACKED = 1024
 """Samples of a compressed packet take at most so many times its bytes: 5000 equal ones of 16 bits take 300 times."""
@@ -85,6 +89,10 @@ class References:
         if mirrored:
             step[:, :2] *= -1.0
         return cls(a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"], location * 1e-3, step * 1e3)
+
+    def take(self, index: Any) -> References:
+        """Those of an index or a mask."""
+        return References(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
 def packet_keys(points: Any) -> NDArray[np.uint64]:
@@ -206,6 +214,34 @@ def looked_into(source: LasSource, refs: References) -> NDArray[np.uint8]:
     return fault
 
 
+def repeats(source: LasSource, first: References, second: References, after: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Per pair of usable packets of one descriptor whether the second, which begins `after` samples after the first,
+    holds the same samples wherever both have some."""
+    table, same = _Lookup.of(source), np.zeros(len(after), np.bool_)
+    order = np.lexsort((after, first.descriptor))
+    breaks = np.flatnonzero((np.diff(after[order]) != 0) | (np.diff(first.descriptor[order]) != 0)) + 1
+    for alike in np.split(order, breaks):
+        for pair in np.split(alike, range(PAIRS, len(alike), PAIRS)):
+            if len(pair):
+                same[pair] = _repeat(source, table, first.take(pair), second.take(pair), int(after[pair[0]]))
+    return same
+
+
+def _repeat(source: LasSource, table: _Lookup, first: References, second: References, after: int) -> NDArray[np.bool_]:
+    refs = References(*(np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(References)))
+    _, point, packet = np.unique(refs.offset, return_index=True, return_inverse=True)
+    stored = _stored(source, refs, table, point)
+    start = np.full(len(point), -1, np.int64)
+    start[~stored.damaged] = stored.start
+    a, b = np.split(start[packet], 2)
+    same = (a >= 0) & (b >= 0)
+    bytes_each = 1 + int(stored.wide.any())
+    byte = np.arange((int(table.samples[first.descriptor[0]]) - after) * bytes_each)
+    one, two = ((at[same])[:, None] + byte for at in (a + after * bytes_each, b))
+    same[same] = (stored.data[one] == stored.data[two]).all(axis=1)
+    return same
+
+
 def _sane(table: _Lookup, refs: References) -> NDArray[np.bool_]:
     """The location lies within one segment's length of the segment, and the vector is as long as light demands."""
     length = np.sqrt((refs.step**2).sum(axis=1)) / METRES_PER_NS
@@ -277,13 +313,13 @@ def gather_packets(
     )
     shift = np.zeros(len(anchors))
     shift[with_packet] = layout.shift
-    ordered = index[layout.order]
-    ends = np.concatenate([[0], np.cumsum(table.samples[ordered])]).astype(np.int64)
+    ends = np.concatenate([[0], np.cumsum((table.samples[index] - layout.skip)[layout.order])]).astype(np.int64)
     first_of_row = np.searchsorted(layout.row[layout.order], np.arange(len(layout.head) + 1))
     head = anchor[layout.head]
     samples = np.empty(int(ends[-1]), np.dtype(source.sample_dtype))
-    if len(ordered):
-        gather(stored.data, stored.start[layout.order], stored.wide[layout.order], ends, samples)
+    if len(index):
+        begin = stored.start + layout.skip * (1 + stored.wide)
+        gather(stored.data, begin[layout.order], stored.wide[layout.order], ends, samples)
     return Packets(
         head,
         pulse[head],
@@ -295,7 +331,7 @@ def gather_packets(
         ends[first_of_row],
         has_packet,
         shift[packet],
-        _count(table, refs, fault, has_packet),
+        _count(table, refs, fault, has_packet) | _repeated(layout.skip),
     )
 
 
@@ -347,6 +383,11 @@ def _count(table: _Lookup, refs: References, fault: NDArray[np.uint8], has_packe
     faults = {name: int(n) for name, n in zip(FAULTS, counts, strict=True) if n and name}
     without_unit = int((has_packet & table.unitless[refs.descriptor]).sum())
     return faults | ({UNITLESS: without_unit} if without_unit else {})
+
+
+def _repeated(skip: NDArray[np.int64]) -> dict[str, int]:
+    count = int((skip > 0).sum())
+    return {REPEATED: count} if count else {}
 
 
 def _refuse_swollen(source: LasSource, wanted: int) -> None:

@@ -1,7 +1,8 @@
 """Segments: several waveform packets of one pulse.
 
 A digitiser that starts anew for every group of echoes leaves a pulse with several packets, each with returns of its
-own. Their GPS time and beam are one, and they follow each other along the beam.
+own. Their GPS time and beam are one, and they follow each other along the beam. Some writers give every return a packet
+of its own: the whole record once more, or a window around it. Such packets overlap, and hold the same samples there.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from fwclass.read.las import LasSource
 from fwclass.read.layout import SLACK
-from fwclass.read.packets import OWN, References, judge, packet_keys
+from fwclass.read.packets import OWN, References, judge, packet_keys, repeats
 from fwclass.read.points import coordinates, gps_times
 from fwclass.units import METRES_PER_NS
 
@@ -53,8 +54,8 @@ class Rows:
 
     def take(self, index: Any) -> Rows:
         """The rows of an index or a mask."""
-        refs = References(*(getattr(self.refs, f.name)[index] for f in fields(References)))
-        return Rows(self.key[index], self.time[index], self.number[index], self.of[index], self.place[index], refs)
+        kept = self.refs.take(index)
+        return Rows(self.key[index], self.time[index], self.number[index], self.of[index], self.place[index], kept)
 
     @classmethod
     def concat(cls, a: Rows, b: Rows) -> Rows:
@@ -77,8 +78,8 @@ def segment_links(source: LasSource, rows: Rows, before: Rows | None = None) -> 
 
     They are if both have a usable packet and these differ, their GPS times are equal (and not 0 or NaN), their
     numbers of returns are equal and the return number rises, the beam is the same and passes through both, and the
-    samples of the second follow those of the first along it. The answer for a pair depends on nothing else, so it is
-    the same however the file is cut.
+    samples of the second follow those of the first along it, or repeat them where both overlap. The answer for a pair
+    depends on nothing else, so it is the same however the file is cut.
 
     Parameters
     ----------
@@ -86,7 +87,21 @@ def segment_links(source: LasSource, rows: Rows, before: Rows | None = None) -> 
     """
     if before is not None:
         return segment_links(source, Rows.concat(before, rows))[1:]
+    second, follows, repeated = _judge_links(source, rows)
     link = np.zeros(len(rows.key), np.bool_)
+    link[second] = follows | repeated
+    return link
+
+
+def count_repeats(source: LasSource, rows: Rows, before: Rows | None) -> int:
+    """How many packets of `rows` repeat samples of that of the point before, see `segment_links`."""
+    _, _, repeated = _judge_links(source, rows if before is None else Rows.concat(before, rows))
+    return int(repeated.sum())
+
+
+def _judge_links(source: LasSource, rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Points that may be in another segment of the pulse of the point before, whether their packets follow that
+    point's, and whether they repeat its samples."""
     a, b = slice(None, -1), slice(1, None)
     with np.errstate(invalid="ignore"):
         may = (rows.time[a] == rows.time[b]) & (rows.time[a] != 0) & (rows.key[a] != rows.key[b])
@@ -98,12 +113,16 @@ def segment_links(source: LasSource, rows: Rows, before: Rows | None = None) -> 
         & (rows.number[b] <= rows.of[b])
     )
     second = np.flatnonzero(may) + 1
-    if len(second):
-        link[second] = _follows(source, rows.take(second - 1), rows.take(second))
-    return link
+    one, two = rows.take(second - 1), rows.take(second)
+    follows, after = _follows(source, one, two)
+    repeated = after >= 0
+    repeated[repeated] = repeats(source, one.refs.take(repeated), two.refs.take(repeated), after[repeated])
+    return second, follows, repeated
 
 
-def _follows(source: LasSource, a: Rows, b: Rows) -> NDArray[np.bool_]:
+def _follows(source: LasSource, a: Rows, b: Rows) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Which of `b` follow their `a` along one beam, and of the others of one descriptor, where both overlap, how many
+    samples after `a` they begin; -1 else."""
     usable = (judge(source, a.refs) == 0) & (judge(source, b.refs) == 0)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         length = np.sqrt((a.refs.step**2).sum(axis=1))
@@ -114,7 +133,11 @@ def _follows(source: LasSource, a: Rows, b: Rows) -> NDArray[np.bool_]:
         one_line = np.sqrt(((apart + along[:, None] * up) ** 2).sum(axis=1)) <= ACROSS
         spacing, n = _sampling(source, a.refs.descriptor)
         gap = along / length - (b.refs.location - a.refs.location) - n * spacing
-        return usable & one_beam & one_line & (gap >= -SLACK * spacing) & (gap <= APART)
+        one = usable & one_beam & one_line
+        follows = one & (gap >= -SLACK * spacing) & (gap <= APART)
+        after = np.rint(gap / spacing + n)
+        overlaps = one & (a.refs.descriptor == b.refs.descriptor) & (after >= 0) & (after < n) & ~follows
+    return follows, np.where(overlaps, after, -1.0).astype(np.int64)
 
 
 def _sampling(source: LasSource, descriptor: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -7,6 +7,8 @@ import pytest
 from lasmaker import METRES_PER_NS, Descriptor, to_laz, write_las
 from tolerances import FLOAT32_RTOL
 
+from fwclass.read.info import info
+from fwclass.read.packets import REPEATED
 from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
 from fwclass.read.stage import check_source, index_source, read_span
@@ -201,3 +203,44 @@ def test_real_segments(shared_data, params):
     gaps = second["segment_start"] - 60.0
     np.testing.assert_allclose(gaps, np.rint(gaps), atol=0.01)
     assert sorted(np.rint(gaps).astype(int).tolist()) == [4, 4, 8, 8, 12]
+
+
+def overlapping(path, starts, *, pulses=6, jitter=0.0, **options):
+    """Pulses whose returns have a window each of one record of 120 samples, from every one of `starts` on."""
+    records = [np.random.default_rng(p).integers(0, 255, 120) for p in range(pulses)]
+    rng = np.random.default_rng(9)
+
+    def cut(made):
+        made["waveforms"] = [record[s : s + N] for record in records for s in starts]
+        made["location"] = made["location"] + rng.uniform(-jitter, jitter, len(made["location"]))
+
+    return segmented(path, starts, pulses=pulses, change=cut, **options)[0], records
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+@pytest.mark.parametrize("starts", [[0, 0], [0, 20], [0, 13, 13, 50], [0, 0, 39, 79], [0, 0, 0, 20, 20]])
+@pytest.mark.parametrize("kind", ["u1", "u2"])
+def test_windows_of_one_record_are_one_waveform(tmp_path, params, starts, jitter, kind):
+    descriptors = {1: Descriptor(n_samples=N, bits=8 * int(kind[1]))}
+    path, records = overlapping(tmp_path / "a.las", starts, jitter=jitter, descriptors=descriptors)
+    waves = read(path, params)
+    last = max(starts) + N
+    assert waves.pulses["pulse"].tolist() == list(range(6))
+    np.testing.assert_array_equal(waves.samples, np.concatenate([r[:last] for r in records]))
+    np.testing.assert_allclose(waves.returns["location"], np.tile(np.array(starts) + 5, 6), atol=0.02 + jitter)
+    repeats = sum(b < a + N for a, b in zip(starts[:-1], starts[1:], strict=True))
+    assert waves.faults == {REPEATED: 6 * repeats}
+    assert f"{6 * repeats} of {6 * len(starts)} returns: {REPEATED}" in info(path)["faults"]
+
+
+def test_windows_of_one_record_and_apart(tmp_path, params):
+    path, records = overlapping(tmp_path / "a.las", [0, 20, 75])
+    waves = read(path, params)
+    assert waves.pulses["segment_start"].tolist() == pytest.approx([0, 75] * 6, abs=0.02)
+    np.testing.assert_array_equal(waves.samples, np.concatenate([np.r_[r[:60], r[75:115]] for r in records]))
+
+
+def test_sound_segments_repeat_nothing(tmp_path, params):
+    path, _ = segmented(tmp_path / "a.las", [0, N, 55 + N], pulses=6)
+    assert read(path, params).faults == {}
+    assert not [f for f in info(path)["faults"] if REPEATED in f]
