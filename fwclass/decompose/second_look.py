@@ -13,6 +13,11 @@ TRIGGER = 0.6
 """Share of the gain that a split must bring, at which the score test lets a split be tried."""
 
 
+LONG = 160.0
+"""Samples of a waveform up to which a further echo's threshold holds: more are more chances, and it becomes
+sqrt(z^2 + 2 ln(n / LONG)), which keeps the false echoes of a waveform as rare."""
+
+
 class Settings(NamedTuple):
     """Numbers of `DecomposeParams` that the kernels need; times and widths in samples, heights in DN."""
 
@@ -157,7 +162,10 @@ def second_look(  # type: ignore[no-untyped-def]
             break
         variance, freedom = posterior(chi, used - 3.0 * count - 1.0, known)
         variance = min(variance, quiet[0])
-        threshold = settings.further * surer(settings.detection, freedom) * math.sqrt(variance / look.energy)
+        further = settings.further * surer(settings.detection, freedom)
+        if n > LONG:
+            further = math.sqrt(further * further + 2.0 * math.log(n / LONG))
+        threshold = further * math.sqrt(variance / look.energy)
         _times(residual[pad:], weight[pad:], n, weighted[pad:])
         match_filter(weighted, pad, n, look.template, look.template_first, filtered)
         peak = _highest_peak(filtered, n, threshold)

@@ -325,6 +325,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=10)
-PLACES = Computation(name="places", version=3)
-DECOMPOSE = Computation(name="decompose", version=14, writes=ECHO_COLUMNS)
+PULSE = Computation(name="pulse", version=11)
+PLACES = Computation(name="places", version=4)
+DECOMPOSE = Computation(name="decompose", version=15, writes=ECHO_COLUMNS)

@@ -98,3 +98,16 @@ def test_it_is_stored_and_told(fit):
     assert line.startswith("further echoes of a waveform need 9") and "times the noise's variance" in line
     (line,) = further_words([{**told[0], "misfit": None, "further_detection": 1.0}])
     assert line == "further echoes of a waveform need 100% of the threshold; too few single ones are bright"
+
+
+@pytest.mark.statistics
+def test_long_waveforms_have_no_more_false_further_echoes(fit):
+    """More samples are more chances to look like an echo: a waveform ten times as long has no more false ones."""
+    rates = []
+    for samples in (160, 1600):
+        waves, truth = wm.fixed(8000, [100.0], samples=samples, seed=38, noise=1.0)
+        pulse = asked(waves, fit)
+        assert further_share(pulse.channels[0], fit) < 0.95
+        got = fit_waveforms(waves, fit, pulse)
+        rates.append((len(got.row) - len(truth.row)) / len(truth.count))
+    assert rates[1] < 2.5 * max(rates[0], 1e-3), rates
