@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,15 @@ a sample, and nearly all lie within half a sample and the fit's error."""
 
 SMOOTHER = 1.25
 """Ratio of two roughnesses of range from which the smoother one is the truth."""
+
+MOST_BENT = 4.0
+"""Second differences of so many times their median are no ground that tells anything of locations."""
+
+HALFWAY = 0.5
+"""Between a slope of places on locations' errors of 0 and of 1."""
+
+ALIKE = math.sqrt(35.0 / 18.0)
+"""Standard error of a slope between second differences, which have values in common, over that of independent ones."""
 
 TRIPLES = 30
 """Fewer second differences tell nothing."""
@@ -110,8 +120,45 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             constant = float(np.median(gap[near]))
         if len(near) >= params.offset_echoes:
             curve = _curve(gap[near], fits.amplitude[near], float(spacing), float(saturation))
+            if curve.phase and _placed_alike(sample, fits, near, gap):
+                curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False)
             curves += [curve] if curve.scatter < 0.5 * within else []
     return tuple(curves)
+
+
+def _placed_alike(sample: Waveforms, fits: Fits, near: NDArray[np.int64], gap: Floats) -> bool:
+    """Whether the places of returns are those of their locations, so that what these are off by is in both.
+
+    Second differences along the beam, over consecutive pulses of one echo, of places by the fitted times on those of
+    `gap`, fitted times less locations: a slope of 1 where places are right and locations alone are off, of 0 where
+    places go with them. What the ground does has nothing to do with either.
+    """
+    pulses = sample.pulses
+    number = pulses["pulse"].astype(np.int64)
+    row, echo = fits.row[near], near
+    one = (np.bincount(fits.row, minlength=pulses.rows) == 1)[row]
+    several = number[1:][np.diff(number) == 0]
+    one &= ~np.isin(number[row], several)
+    row, echo = row[one], echo[one]
+    follows = np.diff(number[row]) == 1
+    middle = np.flatnonzero(follows[:-1] & follows[1:]) + 1
+    if len(middle) < TRIPLES:
+        return False
+    beam, speed = (values[row] for values in beams(sample))
+    anchor = np.stack([pulses[f"anchor_{a}"][row] for a in "xyz"], axis=1)
+    late = gap[echo] * speed
+    place = anchor + late[:, None] * beam
+    bend = ((place[middle - 1] - 2.0 * place[middle] + place[middle + 1]) * beam[middle]).sum(axis=1)
+    odd = late[middle - 1] - 2.0 * late[middle] + late[middle + 1]
+    bend, odd = bend - np.median(bend), odd - np.median(odd)
+    level = np.abs(bend) <= MOST_BENT * max(float(np.median(np.abs(bend))), float(np.median(np.abs(odd))))
+    bend, odd = bend[level], odd[level]
+    total = float((odd**2).sum())
+    if len(odd) < TRIPLES or total == 0.0:
+        return False
+    slope = float((bend * odd).sum()) / total
+    error = ALIKE * math.sqrt(float(((bend - slope * odd) ** 2).sum()) / (len(odd) - 1) / total)
+    return slope + SURE * error < HALFWAY
 
 
 def _nearest(gap: Floats, row: NDArray[np.int64], selected: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -24,7 +24,7 @@ def walk(height):
     return 1.3 + 0.45 * np.log(height / 60.0)
 
 
-def strip(path, location, seed=1, pulses=PULSES, **options):
+def strip(path, location, seed=1, pulses=PULSES, change=None, **options):
     """Single returns on flat ground; `location` gives the vendor's [ns] from true times, heights and a generator."""
     rng = np.random.default_rng(seed)
     height, time = np.exp(rng.uniform(np.log(12.0), np.log(220.0), pulses)), 25.0 + rng.uniform(0.0, 8.0, pulses)
@@ -36,6 +36,8 @@ def strip(path, location, seed=1, pulses=PULSES, **options):
         for a, t in zip(height, time, strict=True)
     ]
     stored = location(time, height, rng)
+    if change:
+        change(xyz)
     return write_las(
         path,
         xyz,
@@ -91,6 +93,36 @@ def test_locations_without_the_clocks_phase_place_every_pulse_by_its_return(tmp_
     assert (np.abs(z) < 0.002).mean() > 0.98
     free, _, _, _ = echoes(path, "decompose.register_within=0")
     assert 0.03 < np.std(free) < 0.06
+
+
+@pytest.mark.parametrize("rule", [np.rint, np.floor])
+@pytest.mark.parametrize("rough", [0.0, 0.05])
+def test_returns_that_stand_on_samples_with_their_places_pull_nothing(tmp_path, rule, rough):
+    """The vendor's return is a sample, and so is its place: both are right together."""
+    ground = np.random.default_rng(7).normal(0.0, rough, PULSES)
+    off = []
+
+    def location(time, height, rng):
+        off.append(time - rule(time))
+        return rule(time)
+
+    def change(xyz):
+        xyz[:, 2] += ground + off[0] * METRES_PER_NS
+
+    z, _, words, places = echoes(strip(tmp_path / "a.las", location, change=change))
+    assert not places["vendor_offset"][0]["phase"] and "clock" not in words and "vendor's locations" not in words
+    assert np.std(z - ground) < 0.012 and abs(np.median(z - ground)) < 0.002
+
+
+@pytest.mark.parametrize("rough", [0.0, 0.05])
+def test_places_without_the_samples_of_their_returns_pull_rows(tmp_path, rough):
+    ground = np.random.default_rng(7).normal(0.0, rough, PULSES)
+
+    def change(xyz):
+        xyz[:, 2] += ground
+
+    z, _, _, places = echoes(strip(tmp_path / "a.las", lambda t, a, rng: np.rint(t), change=change))
+    assert places["vendor_offset"][0]["phase"] and np.std(z - ground) < 0.002
 
 
 def test_true_locations_change_nothing(tmp_path):
