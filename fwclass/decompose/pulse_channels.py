@@ -23,7 +23,14 @@ FEWEST = 4
 
 FLAT, NEARLY, SHARE, MOST_EMPTY = 3, 0.97, 0.2, 100.0
 """A channel is clipped below its saturation if so many samples on end, in so large a share of the waveforms that come
-near their highest value, stand at it; below a hundredth of the range nothing is clipped."""
+near their highest value, stand at it; below a hundredth of the range nothing is clipped that does not rise steeply."""
+
+STEEP, LEAST_CLIP = 5.0, 50.0
+"""What the samples before that value are below it (median) where the range says little, as of tables that name no
+limit, and the least such value [DN]: the top of a broad pulse, rounded, is as flat, but falls off by 3 DN at most."""
+
+PILE = 20, 4, 5.0
+"""Pairs of samples at a limit, and how often it is there, over the most frequent of so many values below it."""
 
 TRIM = 0.025
 TRIM_LOSS = 0.7588
@@ -62,9 +69,32 @@ def clip_levels(waves: Waveforms, kinds: Floats, group: NDArray[np.int64]) -> Fl
             flat[-ahead:] = False
         reached = len(np.unique(rows[mine & (samples >= NEARLY * top)]))
         stopped = len(np.unique(rows[flat]))
-        if stopped >= FEWEST and stopped >= SHARE * reached and top > levels[k] / MOST_EMPTY:
+        sure = top > levels[k] / MOST_EMPTY or (top > LEAST_CLIP and _rise(samples, rows, flat) >= STEEP)
+        still = stopped >= FEWEST and stopped >= SHARE * reached and sure
+        if still or (levels[k] > top > LEAST_CLIP and _piled(samples, rows, mine, int(top))):
             levels[k] = float(top)
     return levels
+
+
+def _piled(samples: NDArray[np.integer], rows: NDArray[np.int64], mine: NDArray[np.bool_], top: int) -> bool:
+    """Whether far more samples of `mine` have the value `top` than any of the next lower ones, as where a few echoes
+    barely reach a limit, in pairs and after a steep rise."""
+    there = mine & (samples == top)
+    pairs = there.copy()
+    pairs[:-1] &= there[1:] & (rows[1:] == rows[:-1])
+    pairs[-1:] = False
+    if pairs.sum() < PILE[0]:
+        return False
+    _, count = np.unique(samples[mine & (samples < top) & (samples >= top // 2)], return_counts=True)
+    below = count[-PILE[1] :].max(initial=0)
+    return bool(there.sum() >= PILE[2] * below and _rise(samples, rows, pairs) >= STEEP)
+
+
+def _rise(samples: NDArray[np.integer], rows: NDArray[np.int64], flat: NDArray[np.bool_]) -> float:
+    """Median step up to where samples stand still [DN], where one is before them; 0 without any."""
+    at = np.flatnonzero(flat[1:] & ~flat[:-1] & (rows[1:] == rows[:-1])) + 1
+    steps = samples[at].astype(np.float64) - samples[at - 1]
+    return float(np.median(steps)) if len(steps) else 0.0
 
 
 def rough_levels(waves: Waveforms, group: NDArray[np.int64]) -> tuple[Floats, Floats]:

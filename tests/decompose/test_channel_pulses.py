@@ -12,6 +12,7 @@ import wavemaker as wm
 from fwclass import conf
 from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of, signal_of
 from fwclass.decompose.params import DecomposeParams, PulseParams
+from fwclass.decompose.pulse_channels import channel_groups, clip_levels
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.pulse_sample import join_samples, outgoing_of, rows_of
 from fwclass.decompose.quiet import quiet_noise
@@ -173,3 +174,23 @@ def test_a_tone_is_told_of_the_channel_that_has_it(params: PulseParams, fit: Dec
     waves = both(other, hum) if swapped else both(hum, other)
     noise = quiet_noise(waves, estimate_pulse(waves, params), fit)
     assert noise.period == 11 and noise.periodic > 0.5
+
+
+@pytest.mark.parametrize("highest", [220.0, 1500.0])
+def test_a_limit_far_below_the_range_is_known(highest):
+    """Tables that name no limit have 16 bits of range: 8 bit samples that stop at 200 are clipped all the same."""
+    rng = np.random.default_rng(5)
+    height = np.exp(rng.uniform(np.log(20.0), np.log(highest), (3000, 1)))
+    record = {"baseline": 12.0, "noise": np.ones(3000), "saturation": 65535.0, "bits": 16}
+    waves, _ = wm.simulate(height, rng.uniform(25, 35, (3000, 1)), np.full((3000, 1), 1.7), seed=5, **record)
+    clipped = replace(waves, samples=np.minimum(waves.samples, 200))
+    kinds, group = channel_groups(waves)
+    assert clip_levels(clipped, kinds, group).tolist() == [200.0]
+    assert clip_levels(waves, kinds, group).tolist() == [65535.0]
+
+
+def test_tops_of_broad_pulses_of_one_height_are_no_limit():
+    """Without noise all of them have several samples of one value."""
+    waves, _ = wm.fixed(500, (200.0,), width=40.0, first=100.0, samples=200, noise=0.0, saturation=65535.0, bits=16)
+    kinds, group = channel_groups(waves)
+    assert clip_levels(waves, kinds, group).tolist() == [65535.0]
