@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fwclass.decompose.autoregression import WHITE, Autoregression
 from fwclass.decompose.least_squares import add_echoes
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.pulse_channels import in_steps
 from fwclass.decompose.pulse_fit import FEWEST, HIGHEST, Echoes, Kind, fit_all
 from fwclass.decompose.second_look import Settings
 from fwclass.decompose.shapes import Lookup, Profiles, Widths, fits_spacing, lookup, widths_of
@@ -86,6 +87,9 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     top = np.where(np.isnan(top), np.inf, top)
     channels, values, channel_of = channels_of(pulse, spacing, top)
     top = sample_limits(waves, pulse)
+    steps, channel_of = _steps_of(waves, top, channels, channel_of)
+    waves, top = in_steps(waves, steps), top / steps
+    values[:-1, :3] /= np.array([[c.step] for c in channels] or np.empty((0, 1)))
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts, samples = [], waves.wide
@@ -103,7 +107,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
                 top,
                 values,
                 channel_of,
-                kind_of(noise, channel.growth if channel else 0.0),
+                kind_of(noise, channel.growth / channel.step if channel else 0.0),
                 _settings(params, pulse, channel, step, look),
                 most,
                 int(lengths[some].max()),
@@ -113,7 +117,34 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
                 echoes,
             )
             parts.append(_in_ns(echoes, total, float(step), widths))
-    return _gather(count, row_values, parts)
+    fits = _gather(count, row_values, parts)
+    return _in_dn(fits, steps) if (steps > 1.0).any() else fits
+
+
+def _steps_of(
+    waves: Waveforms, top: NDArray[np.float64], channels: list[Channel], channel_of: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The step of every waveform's samples [DN], and its channel: an unknown one where some are no multiples of it."""
+    steps = np.array([c.step for c in channels] + [1.0])[channel_of]
+    if not (steps > 1.0).any():
+        return steps, channel_of
+    row = np.repeat(np.arange(len(steps)), np.diff(waves.offsets))
+    odd = (waves.samples % steps[row].astype(np.int64) != 0) & (waves.samples < top[row])
+    other = np.bincount(row[odd], minlength=len(steps)) > 0
+    return np.where(other, 1.0, steps), np.where(other, len(channels), channel_of)
+
+
+def _in_dn(fits: Fits, steps: NDArray[np.float64]) -> Fits:
+    """`fits` of samples that were counted in `steps`, (waveforms,) [DN]."""
+    own = steps[fits.row]
+    return replace(
+        fits,
+        baseline=fits.baseline * steps,
+        noise=fits.noise * steps,
+        amplitude=fits.amplitude * own,
+        energy=fits.energy * own,
+        amplitude_sigma=fits.amplitude_sigma * own,
+    )
 
 
 def alike(

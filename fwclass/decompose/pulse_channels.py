@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
@@ -28,6 +29,9 @@ near their highest value, stand at it; below a hundredth of the range nothing is
 STEEP, LEAST_CLIP = 5.0, 50.0
 """What the samples before that value are below it (median) where the range says little, as of tables that name no
 limit, and the least such value [DN]: the top of a broad pulse, rounded, is as flat, but falls off by 3 DN at most."""
+
+MANY = 8
+"""Values of samples from which on a divisor that all have is no accident."""
 
 PILE = 20, 4, 5.0
 """Pairs of samples at a limit, and how often it is there, over the most frequent of so many values below it."""
@@ -74,6 +78,29 @@ def clip_levels(waves: Waveforms, kinds: Floats, group: NDArray[np.int64]) -> Fl
         if still or (levels[k] > top > LEAST_CLIP and _piled(samples, rows, mine, int(top))):
             levels[k] = float(top)
     return levels
+
+
+def sample_steps(waves: Waveforms, group: NDArray[np.int64], channels: int) -> Floats:
+    """The greatest number of DN of which all samples of every channel are multiples, float64 (channels,), where these
+    have `MANY` values or more; 1 of fewer. Saturated samples do not count."""
+    row = np.repeat(np.arange(waves.pulses.rows), np.diff(waves.offsets))
+    below = waves.samples < waves.pulses["saturation"][row]
+    steps = np.ones(channels)
+    for k in range(channels):
+        values = np.unique(waves.samples[below & (group[row] == k)]).astype(np.int64)
+        if len(values) >= MANY:
+            steps[k] = max(int(np.gcd.reduce(values)), 1)
+    return steps
+
+
+def in_steps(waves: Waveforms, step: Floats) -> Waveforms:
+    """`waves` whose samples are counted in steps, (waveforms,) [DN], as are their limits; part of a step is one."""
+    if not (step > 1.0).any():
+        return waves
+    each = np.repeat(step, np.diff(waves.offsets)).astype(np.int64)
+    samples = (-(-waves.samples.astype(np.int64) // each)).astype(np.uint16)
+    limit = waves.pulses["saturation"] / step
+    return replace(waves, samples=samples, pulses=waves.pulses.with_columns({"saturation": limit}))
 
 
 def _piled(samples: NDArray[np.integer], rows: NDArray[np.int64], mine: NDArray[np.bool_], top: int) -> bool:

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from fwclass.decompose import pulse_scan
 from fwclass.decompose.params import FEWEST, PulseParams
 from fwclass.decompose.pulse_align import Echoes, cut_samples, fit_template, half_sample_mode, narrowest
-from fwclass.decompose.pulse_channels import channel_groups, clip_levels, estimate_channels, rough_levels
+from fwclass.decompose.pulse_channels import (
+    channel_groups,
+    clip_levels,
+    estimate_channels,
+    in_steps,
+    rough_levels,
+    sample_steps,
+)
 from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, make_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
@@ -71,6 +78,8 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
     if waves.pulses.rows == 0:
         return SystemPulse.gaussian(params.width or params.fallback_width)
     waves, kinds, group, clips = with_clips(waves)
+    steps = np.append(sample_steps(waves, group, len(kinds)), 1.0)
+    waves = in_steps(waves, steps[group])
     level, noise = rough_levels(waves, group)
     peak, height, width = bright_peaks(waves, level, noise, params)
     guess = half_sample_mode(width[peak >= 0]) if (peak >= 0).sum() >= FEWEST else math.nan
@@ -92,7 +101,9 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
             pulses[k] = known
     strip = pulses.pop(next(iter(pulses)))
     by_key = {tuple(kinds[k].tolist()): pulse for k, pulse in pulses.items()}
-    return replace(strip, channels=tuple(replace(c, pulse=by_key.get(c.key)) for c in channels))
+    step = dict(zip(map(tuple, kinds.tolist()), steps.tolist(), strict=False))
+    channels = tuple(c.times(step[c.key]) if step[c.key] > 1.0 else c for c in channels)
+    return replace(strip, channels=tuple(replace(c, pulse=by_key.get(c.key), step=step[c.key]) for c in channels))
 
 
 def _pulse_of(

@@ -285,7 +285,8 @@ def _of_white(channel: Channel, noise: Autoregression, waves: Waveforms, part: _
     mean, n = total[use] / count[use], count[use]
     variance = np.maximum(square[use] - n * mean**2, 0.0) / (n - 1)
     kind = np.array([channel.sample_spacing, channel.saturation])
-    recorded, gain = channel_from(kind, mean, variance, n), float(taps.sum())
+    step, gain = channel.step, float(taps.sum())
+    recorded = channel_from(kind, mean / step, variance / step**2, n).times(step)
     return replace(
         channel,
         baseline=channel.baseline + recorded.baseline / gain,

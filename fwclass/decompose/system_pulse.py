@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -40,6 +40,7 @@ class Channel:
         as good (the prior degrees of freedom of Smyth 2004); 0 says nothing.
     misfit : mean square of what bright single echoes leave under them over that of the noise beside them; 1 is a
         perfect model. None: not known.
+    step : its samples are multiples of so many DN.
     """
 
     sample_spacing: float
@@ -53,11 +54,18 @@ class Channel:
     growth: float = 0.0
     pulse: SystemPulse | None = None
     misfit: float | None = None
+    step: float = 1.0
 
     @property
     def special(self) -> bool:
         """Whether its waveforms are fitted otherwise than those of plain white noise and the strip's pulse."""
         return bool(self.phi) or self.growth > 0.0 or self.pulse is not None or self.misfit is not None
+
+    def times(self, factor: float) -> Channel:
+        """With its level and noise in a unit of which `factor` are one of theirs."""
+        return replace(
+            self, baseline=self.baseline * factor, baseline_sd=self.baseline_sd * factor, noise=self.noise * factor
+        )
 
     @property
     def key(self) -> tuple[float, float]:
@@ -226,6 +234,7 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             growth=_number(one, "growth", where, 0.0, 2.0**32),
             pulse=_own_pulse(one["pulse"], where),
             misfit=None if one["misfit"] is None else _number(one, "misfit", where, 0.0, 1e300),
+            step=_number(one, "step", where, 1.0, 2.0**16),
         )
         for one in stored
     )

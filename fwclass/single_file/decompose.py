@@ -171,7 +171,9 @@ def _pulse_words(pulse: SystemPulse) -> str:
         for c in pulse.channels
         if c.pulse
     )
-    return words + own + (f"; noise {noise} DN" if noise else "")
+    steps = ", ".join(f"{step:g}" for step in sorted({c.step for c in pulse.channels if c.step > 1.0}))
+    coarse = f"; samples are multiples of {steps} DN" if steps else ""
+    return words + own + (f"; noise {noise} DN" if noise else "") + coarse
 
 
 def add_radiometry(

@@ -194,3 +194,46 @@ def test_tops_of_broad_pulses_of_one_height_are_no_limit():
     waves, _ = wm.fixed(500, (200.0,), width=40.0, first=100.0, samples=200, noise=0.0, saturation=65535.0, bits=16)
     kinds, group = channel_groups(waves)
     assert clip_levels(waves, kinds, group).tolist() == [65535.0]
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize(("step", "bits"), [(3, 8), (4, 8), (16, 12)])
+def test_samples_in_coarse_steps_have_the_noise_of_their_rounding(step, bits):
+    """Sound samples, stored coarsely, make few false echoes, and stated errors hold about; heights stay in DN."""
+    top = 2.0**bits - 1.0
+    size = step / 3 if bits == 8 else step
+    height = np.exp(
+        np.random.default_rng(6).uniform(np.log(20 * size), np.log(180 * size if bits == 12 else 230), 4000)
+    )
+    noise = 0.35 * step * np.ones(4000)
+    time = np.random.default_rng(7).uniform(25, 35, (4000, 1))
+    record = {"baseline": 12.0 * size, "noise": noise, "saturation": 65535.0, "bits": 16, "seed": 6}
+    fine, truth = wm.simulate(height[:, None], time, np.full((4000, 1), 1.7), **record)
+    waves = replace(fine, samples=(np.rint(np.minimum(fine.samples, top) / step) * step).astype(np.uint16))
+    fit = conf.section("decompose", ())
+    pulse = estimate_pulse(waves, conf.section("pulse", ()))
+    (channel,) = pulse.channels
+    assert channel.step == step and 0.25 * step < channel.noise < 0.6 * step
+    assert SystemPulse.from_json(json.loads(json.dumps(pulse.to_json())), "x").channels == pulse.channels
+    got = fit_waveforms(waves, fit, pulse)
+    assert (len(got.row) - 4000) / 4000 < 0.008
+    a, b = wm.match(truth, got, 2.0)
+    assert len(a) == 4000
+    assert abs(np.median(got.amplitude[b] / truth.amplitude[a]) - 1.0) < 0.003
+    z = (got.amplitude[b] - truth.amplitude[a]) / got.amplitude_sigma[b]
+    assert 0.9 < np.sqrt(np.median(z**2)) / 0.6745 < 1.25
+    assert estimate_pulse(fine, conf.section("pulse", ())).channels[0].step == 1.0
+
+
+def test_odd_waveforms_among_coarse_ones_are_fitted_as_they_are():
+    waves, _ = wm.fixed(400, (100.0,), seed=9, noise=1.2)
+    coarse = replace(waves, samples=waves.samples // 4 * 4)
+    pulse = estimate_pulse(coarse, conf.section("pulse", ()))
+    fit = conf.section("decompose", ())
+    assert pulse.channels[0].step == 4.0
+    mixed = replace(waves, samples=np.concatenate([coarse.samples[: 72 * 200], waves.samples[72 * 200 :]]))
+    one, other = fit_waveforms(mixed, fit, pulse), fit_waveforms(coarse, fit, pulse)
+    first = one.row < 200
+    np.testing.assert_array_equal(one.amplitude[first], other.amplitude[other.row < 200])
+    assert (one.count == 1).mean() > 0.97
+    np.testing.assert_allclose(one.amplitude[~first], 100.0, atol=8.0)

@@ -280,7 +280,7 @@ def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[s
     share = holdings.codes[UNCLASSIFIED] / max(sum(holdings.codes.values()), 1)
     if len(classes) > 1 and str(UNCLASSIFIED) in left and share > MOSTLY_SORTED:
         lines += [
-            f"    # TO DO: {100 * share:.0f} % of the points have class {UNCLASSIFIED}, and each is given one of these:",
+            f"    # TO DO: {100 * share:.0f} % of the points have class {UNCLASSIFIED}, each is given one of these:",
             "    # where they are all that is left, plants and cars for example, learn them as another:",
             f"    # - {{name: other, code: {UNCLASSIFIED}, codes: [{UNCLASSIFIED}]}}",
         ]

@@ -15,6 +15,8 @@ def describe(report: dict[str, Any]) -> str:
     if report["noise"]["lag1"] is not None:
         lines.append(f"noise        {_noise_words(report['noise'])}")
     lines += [f"further      {text}" for text in further_words(report["noise"]["channels"])]
+    steps = sorted({c["step"] for c in report["noise"]["channels"] if c["step"] > 1.0})
+    lines += [f"samples      multiples of {step:g} DN, whose rounding counts as noise" for step in steps]
     lines += [f"places       {text}" for text in report["places"]["remarks"]]
     lines += [f"  ! {text}" for text in report["plausibility"]]
     if "waveforms" in report:
