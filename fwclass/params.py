@@ -15,10 +15,14 @@ class Params(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _check_bool(cls, value: Any, info: ValidationInfo) -> Any:
-        """True would be the number 1."""
-        if isinstance(value, bool) and not _takes_bool(cls.model_fields[str(info.field_name)].annotation):
+        """True would be the number 1, in lists, too."""
+        if _holds_bool(value) and not _takes_bool(cls.model_fields[str(info.field_name)].annotation):
             raise ValueError("neither true nor false can stand here")
         return value
+
+
+def _holds_bool(value: Any) -> bool:
+    return isinstance(value, bool) or (isinstance(value, (list, tuple)) and any(map(_holds_bool, value)))
 
 
 def _takes_bool(kind: Any) -> bool:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from fwclass.classes import MOST_LETTERS
 from fwclass.conf.sets import MOST_FEATURES
 from fwclass.errors import visible
 from fwclass.grid import Box
+from fwclass.params import Params
 
 MOST_CODES = 255
 """Codes of classes that there are: 1 to 255."""
@@ -19,10 +20,8 @@ Pattern = Annotated[str, Field(max_length=1000)]
 """Of names of files; it takes time in proportion to the square of its brackets that stay open."""
 
 
-class Section(BaseModel):
-    """Keys of a configuration: frozen, and closed to any other key."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class Section(Params):
+    """Keys of a configuration that are no room's parameters; some have defaults."""
 
 
 class ClassSection(Section):
@@ -67,7 +66,7 @@ class ReferenceSection(Section):
     kind: Literal["source", "cloud", "polygons", "echoes", "corrections", "none"]
     files: tuple[Pattern, ...] = ()
     field: str | None = None
-    values: dict[str | int, str | int | None] = {}
+    values: dict[str | int, str | int | None] = Field(default={})
     layer: str | None = None
     crs: str | None = None
     corrections: str | Literal[False] | None = None

@@ -53,3 +53,19 @@ from fwclass.errors import ConfigError
 def test_a_number_out_of_bounds_is_refused(setting: str) -> None:
     with pytest.raises(ConfigError, match=setting.split("=", maxsplit=1)[0].split(".")[0]):
         conf.load("demo", (setting,))
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "areas.gap=yes",
+        "survey.trajectory.undulation=true",
+        "areas.train=[[true, 0.0, 9.0, 9.0]]",
+        "street.radii=[true]",
+        "features.optimal_radii=[true, 2.0]",
+        "survey.classes=[{name: ground, code: yes}, {name: plants, code: 5}]",
+    ],
+)
+def test_yes_is_no_number_wherever_it_stands(setting: str) -> None:
+    with pytest.raises(ConfigError, match="neither true nor false"):
+        conf.load("demo", (setting,))
