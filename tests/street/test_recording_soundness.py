@@ -13,7 +13,8 @@ from commandline import fwclass
 from streetmaker import SHORT, config, directory, drive
 
 from fwclass.errors import InputError
-from fwclass.graph.street_recordings import TrajectoryFiles
+from fwclass.graph.street_recordings import TrajectoryFiles, Way
+from fwclass.schema import Table
 from fwclass.single_file.street.info import info
 
 BEAMS = 1081
@@ -203,3 +204,15 @@ def test_what_is_wrong_is_told_before_anybody_knows_the_speed(tmp_path: Path) ->
     assert told(write(tmp_path / "a.parquet", still)) == []
     (fault,) = told(write(tmp_path / "a.parquet", still), "street.mounting.height=2.6")
     assert "the road lies 1.80 m below the scanner" in fault
+
+
+@pytest.mark.parametrize(("rate", "noise"), [(100.0, 0.01), (10.0, 0.02), (1.0, 0.0)])
+def test_noise_of_a_trajectory_makes_no_way(rate: float, noise: float) -> None:
+    r = np.random.default_rng(2)
+    time = np.arange(0.0, 80.0, 1.0 / rate)
+    true = np.clip(time, 0.0, 20.0) + np.clip(time - 60.0, 0.0, 20.0)  # 40 m at 1 m/s, 40 s of standing between
+    angle = true / 30.0
+    xy = np.stack([30.0 * np.sin(angle), 30.0 * (1.0 - np.cos(angle))], axis=1) + r.normal(0.0, noise, (len(time), 2))
+    fixes = Table({"gps_time": time, "x": xy[:, 0], "y": xy[:, 1], "z": np.zeros(len(time))})
+    along = Way.of(fixes).place(time)
+    assert np.abs(along - true).max() < 0.15  # 39 m more, before
