@@ -63,7 +63,7 @@ def test_a_vehicle_that_stands_has_no_speed():
 
 @pytest.mark.parametrize(("pitch", "yaw"), [(0, 30), (0, -30), (20, 0), (-15, 10)])
 def test_returns_of_a_turned_scanner_are_prescribed_where_they_lie(pitch, yaw):
-    """They were given their frame's place: 2.5 m off in the median with 40 degrees of yaw."""
+    """They were given their frame's place: 3.4 m off in the median with 40 degrees of yaw."""
     params = config(f"street.mounting.pitch={pitch}", f"street.mounting.yaw={yaw}").street
     track, random = Track(params), np.random.default_rng(1)
     scan, made = Scan(90, -2.0, 0.045, 0.1, 9.0), []
