@@ -62,7 +62,7 @@ class Channel:
         return bool(self.phi) or self.growth > 0.0 or self.pulse is not None or self.misfit is not None
 
     def times(self, factor: float) -> Channel:
-        """With its level and noise in a unit of which `factor` are one of theirs."""
+        """With its level and noise [DN] in a unit of which `factor` are one of theirs."""
         return replace(
             self, baseline=self.baseline * factor, baseline_sd=self.baseline_sd * factor, noise=self.noise * factor
         )

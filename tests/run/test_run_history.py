@@ -15,6 +15,8 @@ from fwclass.operate.request import Request
 from fwclass.store import history
 from fwclass.store.lock import writer
 
+TESTED = [[3, 1], [0, 4]]
+
 
 def request(root, *settings):
     return Request("c.yaml", str(root), settings)
@@ -167,7 +169,7 @@ def test_a_damaged_line_hides_no_other(tmp_path, damage):
     assert [run["exit_code"] for run in runs if run["id"] != "x"] == [0, 0]
     assert table(runs).count("manual") == 2
     with record_run(tmp_path, request(tmp_path)) as entry:
-        assert entry.judged({"accuracy": {"overall_accuracy": 0.5, "kappa": 0.1}}) == ""
+        assert entry.judged({"accuracy": {"overall_accuracy": 0.5, "kappa": 0.1, "confusion": TESTED}}) == ""
 
 
 @pytest.mark.parametrize(("overall", "kappa"), [(None, None), (1.0, None), (0.5, 0.0)])
@@ -176,8 +178,8 @@ def test_a_run_may_have_no_accuracy(tmp_path, overall, kappa):
     for _ in range(2):
         with record_run(tmp_path, request(tmp_path)) as entry:
             entry.begin(None)
-            assert entry.judged({"accuracy": {"overall_accuracy": overall, "kappa": kappa}}) == ""
-    wanted = None if overall is None else {"overall_accuracy": overall, "kappa": kappa}
+            assert entry.judged({"accuracy": {"overall_accuracy": overall, "kappa": kappa, "confusion": TESTED}}) == ""
+    wanted = None if overall is None else {"overall_accuracy": overall, "kappa": kappa, "tested": 8}
     assert [run["accuracy"] for run in past_runs(tmp_path)] == [wanted] * 2
     assert table(past_runs(tmp_path)).count("manual") == 2
 

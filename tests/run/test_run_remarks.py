@@ -25,10 +25,10 @@ def test_what_strips_lack_and_what_extra_bytes_cannot_hold_is_told(monkeypatch: 
         return [SimpleNamespace(part=f"s{k}", meta=meta) for k, meta in enumerate(told.get(stage, []))]
 
     monkeypatch.setattr(remarks, "receipts_of_run", receipts)
-    assert remarks.remarks_of_parts(SimpleNamespace()) == [  # type: ignore[arg-type]
+    assert remarks.remarks_of_parts(SimpleNamespace(outcomes={})) == [  # type: ignore[arg-type]
         "delivered strips s0, s3: the packet record ends 10 bytes past the file",
         "values beyond what an extra byte of the LAZ tiles holds are its least or greatest one there (Amplitude 7, "
         "Reflectance 1); the Parquet files have them",
     ]
     told.clear()
-    assert remarks.remarks_of_parts(SimpleNamespace()) == []  # type: ignore[arg-type]
+    assert remarks.remarks_of_parts(SimpleNamespace(outcomes={})) == []  # type: ignore[arg-type]

@@ -175,7 +175,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
     most, cut = (f(receipts[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
     drifted = drift(model.card, [receipts[t.name].meta["outside"] for t in tasks])
     most_frames = 2 * work.params.most_frames + 1
-    made, again = segments(read_answers(target / ANSWERS), work.params, int(model.codes[0]), geometry)
+    prescribed, again = segments(read_answers(target / ANSWERS), work.params, int(model.codes[0]), geometry)
     summary = {
         **meta["counts"],
         "neighbourhood": {"most_frames": most, "held": most_frames, "cut": cut},
@@ -185,7 +185,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         "remarks": [*remarks, *(drifted or {}).get("remarks", ()), *seen_again(again), *meta["untested"]],
         "street": work.params.model_dump(mode="json"),
     }
-    return finish(target, made, summary)
+    return finish(target, prescribed, summary)
 
 
 def _judge(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:
