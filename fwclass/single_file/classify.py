@@ -121,6 +121,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     if isinstance(model, TwoLayer):
         check_computed(model.fine, conf.section("features", job.settings), job.model)
     tiles, walk, without = _classify(echoes.table, model, (job.model, checked.digest), job.settings, tell)
+    results = tiles.columns(walk[-1], walk[-1].columns(tiles.plan))  # tiles are walked here; their facts are there then
     first = model.coarse if isinstance(model, Layered) else model
     facts = {stage: tiles.facts(stage) for stage in walk}
     drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one])
@@ -128,7 +129,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     if any(is_feature(n) for n in first.features):
         crowd = Crowd.of_parts(one.get("dense") for one in tiles.facts(COMPUTE_FEATURES))
     tell("writing")
-    answered, own = _points_answered(job, checked, echoes, tiles.columns(walk[-1], walk[-1].columns(tiles.plan)))
+    answered, own = _points_answered(job, checked, echoes, results)
     classes = answered["classification"]
     extra = {name: answered[name] for name in answered if name != "classification"}
     wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
