@@ -204,9 +204,19 @@ def _of_the_classes(
     }
 
 
+SORTED = 4, 0.9, 0.05
+"""Tiles, and the share of them in which so many of the echoes are labelled, of a survey that was sorted as a whole: one
+that has labels here and there, and is unclassified elsewhere, is what `run` is for."""
+
+
 def _uncounted(config: Config, counted: Mapping[str, Any] | None) -> float:
-    """Share of the echoes that a reference of all echoes gives a code that no class counts, and that are classified."""
-    if counted is None or config.survey.reference.kind not in ("source", "cloud") or not counted["echoes"]:
+    """Share of the echoes of a survey that was sorted as a whole to which its reference gives a code that no class
+    counts, though they are classified."""
+    if counted is None or config.survey.reference.kind not in ("source", "cloud") or config.classify.only:
+        return 0.0
+    tiles = [one for one in counted["tiles"] if one["echoes"]]
+    labelled = sum(sum(one["labelled"]) >= SORTED[2] * one["echoes"] for one in tiles)
+    if len(tiles) < SORTED[0] or labelled < SORTED[1] * len(tiles):
         return 0.0
     stays = {int(code) for code in config.classify.keep}
     return sum(n for code, n in counted["other_codes"].items() if int(code) not in stays) / counted["echoes"]

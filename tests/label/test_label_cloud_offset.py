@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from fwclass.errors import QualityError
 from fwclass.grid import Box
 from fwclass.label.cloud_offset import HALO, MOVES, CloudOffset, compare_heights, offset_of_cloud
 from fwclass.report.labels import judge_labels, label_facts
+from fwclass.report.write import _uncounted
 from fwclass.store.receipts import Receipt
 
 WIDE = 120.0
@@ -118,3 +120,18 @@ def test_much_of_the_survey_is_of_no_class(base: dict[str, Any]) -> None:
                 judge_labels(facts, params, "run")
         else:
             judge_labels(facts, params, "run")
+
+
+@pytest.mark.parametrize(
+    ("labelled", "only", "share"),
+    [([60, 60, 60, 60], (), 0.4), ([60, 60, 60, 0], (), 0.0), ([60, 60, 60], (), 0.0), ([60] * 4, (0, 1), 0.0)],
+)
+def test_a_survey_with_labels_here_and_there_is_none_that_was_sorted(
+    labelled: list[int], only: tuple[int, ...], share: float
+) -> None:
+    kept = SimpleNamespace(only=only, keep=())
+    config = SimpleNamespace(survey=SimpleNamespace(reference=SimpleNamespace(kind="source")), classify=kept)
+    tiles = [{"echoes": 100, "labelled": [n, 0]} for n in labelled]
+    other = 100 * len(tiles) - sum(labelled)
+    counted = {"tiles": tiles, "echoes": 100 * len(tiles), "other_codes": {"1": other}}
+    assert _uncounted(config, counted) == share  # type: ignore[arg-type]
