@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 
@@ -26,8 +26,11 @@ def _holds_bool(value: Any) -> bool:
 
 
 def _takes_bool(kind: Any) -> bool:
-    return kind in (bool, Any) or any(
-        _takes_bool(of) for of in (*get_args(kind), getattr(kind, "__value__", None)) if of
+    named = get_origin(kind) is Literal and any(isinstance(v, bool) for v in get_args(kind))
+    return (
+        named
+        or kind in (bool, Any)
+        or any(_takes_bool(of) for of in (*get_args(kind), getattr(kind, "__value__", None)) if of)
     )
 
 
