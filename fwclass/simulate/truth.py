@@ -30,11 +30,14 @@ def parts_of_buildings(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.in
     y = (sides[..., 0] * ahead[..., 3] - ahead[..., 0] * sides[..., 3]) / across
     corners = np.stack([x, y], axis=-1)
     box = scene.box[solids]
-    near = np.ones((len(solids), len(solids)), bool)
+    reach = np.hypot(box[:, 3] - box[:, 0], box[:, 4] - box[:, 1]).max(initial=0.0)  # boxes that meet are no further
+    centres = scipy.spatial.cKDTree(0.5 * (box[:, :2] + box[:, 3:5]))
+    one, other = centres.query_pairs(reach, output_type="ndarray").T
     for low, high in ((0, 3), (1, 4)):
-        near &= (box[:, None, low] <= box[None, :, high]) & (box[None, :, low] <= box[:, None, high])
-    pairs = [(a, b) for a, b in np.argwhere(np.triu(near, 1)).tolist() if _overlap(corners[a], corners[b])]
-    one, other = np.array(pairs, np.int64).reshape(-1, 2).T
+        near = (box[one, low] <= box[other, high]) & (box[other, low] <= box[one, high])
+        one, other = one[near], other[near]
+    meet = [_overlap(corners[a], corners[b]) for a, b in zip(one.tolist(), other.tolist(), strict=True)]
+    one, other = one[np.array(meet, bool)], other[np.array(meet, bool)]
     links = scipy.sparse.coo_array((np.ones(len(one), bool), (one, other)), (len(solids), len(solids)))
     _, building = scipy.sparse.csgraph.connected_components(links, directed=False)
     return corners, building.astype(np.int64), box[:, 5]
@@ -60,7 +63,8 @@ def trees_of(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     crown = scene.crown[[min(rows) for rows in at]] if len(place) else scene.crown[:0]
     ground = [terrain(scene.height, scene.margin, scene.step, x, y) for x, y in place]
     trees = np.column_stack([place, crown[:, 4], crown[:, 4] - np.array(ground), 2.0 * crown[:, 5]])
-    return trees, np.array([_is_overtopped(one, crown) for one in crown], bool)
+    near = scipy.spatial.cKDTree(crown[:, 1:3]).query_ball_point(crown[:, 1:3], crown[:, 5].max(initial=0.0))
+    return trees, np.array([_is_overtopped(one, crown[rows]) for one, rows in zip(crown, near, strict=True)], bool)
 
 
 def _is_overtopped(crown: NDArray[np.float64], crowns: NDArray[np.float64]) -> bool:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fwclass.assess.remarks import chance_remarks
+from fwclass.classes import ClassDef, class_index
 from fwclass.conf import Config
-from fwclass.errors import InputError
-from fwclass.graph.street import Split, by_model, fit_model, judge_answers, recordings_of, rows_of, sample_of
+from fwclass.errors import InputError, first_few
+from fwclass.graph.street import Rows, Split, by_model, fit_model, judge_answers, recordings_of, rows_of, sample_of
 from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
@@ -29,12 +33,14 @@ def train(
     names, way = feature_names(params), TrajectoryFiles.of(config)
     say(f"features     {len(names)} of {len(paths)} recordings")
     odd: dict[str, list[str]] = {}
+    codes = np.zeros(256, np.int64)
 
     def tell(path: Path, faults: list[str]) -> None:
         odd.update({path.name: faults} if faults else {})
 
     with unchanged(*paths, *way.files):
-        sample = sample_of(rows_of(paths, params, way, tell), names, split, classes, config.train.samples_per_class)
+        rows = counted(rows_of(paths, params, way, tell), codes)
+        sample = sample_of(rows, names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
     model = fit_model(sample, params, config.train, config.compare, classes)
     with temporary_directory("street", target.parent) as beside:
@@ -42,6 +48,9 @@ def train(
         deliver(beside / "model", target, overwrite)
     summary: dict[str, Any] = {"model": str(target), "card": dict(model.card), "accuracy": None, "remarks": []}
     summary["implausible"] = [f"{name}: {fault}" for name, faults in odd.items() for fault in faults]
+    share, text = codes_of_no_class(codes, classes)
+    if share:
+        summary["implausible" if share > config.plausibility.max_uncounted else "remarks"].append(text)
     if assess:
         say("assessing    the returns that did not train")
         try:
@@ -60,6 +69,27 @@ def train(
         else:
             summary["remarks"].append("no labelled return is left to test on: give smaller areas.train, or more road")
     return summary
+
+
+def counted(blocks: Iterable[Rows], codes: NDArray[np.int64]) -> Iterator[Rows]:
+    """The same blocks; `codes`, int64 (256,), takes how many of their returns have each reference code."""
+    for rows in blocks:
+        codes += np.bincount(rows.codes, minlength=256)
+        yield rows
+
+
+def codes_of_no_class(codes: NDArray[np.int64], classes: Sequence[ClassDef]) -> tuple[float, str]:
+    """Share of the labelled returns, by `codes` as `counted` has them, that no class counts, and what is said of it."""
+    every = np.arange(1, 256, dtype=np.uint8)
+    alien = every[(class_index(every, classes) < 0) & (codes[1:] > 0)]
+    total, left = int(codes[1:].sum()), int(codes[alien].sum())
+    if not left:
+        return 0.0, ""
+    listed = first_few([f"{code} ({codes[code]:,})" for code in alien.tolist()], 5)
+    return left / total, (
+        f"{left:,} of {total:,} labelled returns train and test nothing: no class counts their reference code {listed} "
+        "(survey.classes)"
+    )
 
 
 def describe(summary: dict[str, Any]) -> str:
