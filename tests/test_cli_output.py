@@ -11,6 +11,7 @@ import pytest
 from lasmaker import write_las
 
 import fwclass
+from fwclass.cli.runner import cores_remark
 
 FULL = Path("/dev/full")
 PRINTS = [("--help",), ("info", "a.las"), ("info", "a.las", "--json")]
@@ -61,3 +62,12 @@ main()
 """
     answer = subprocess.run([sys.executable, "-c", child], capture_output=True, text=True, timeout=60)
     assert (answer.returncode, answer.stdout, answer.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize(
+    "workers, cores, words", [(4, 2, "not sooner done than with 2"), (2, 16, "2 of 16 cores"), (2, 3, ""), (2, 2, "")]
+)
+def test_workers_that_do_not_fit_the_cores_are_told(workers: int, cores: int, words: str) -> None:
+    """Of 32 cores two worked, and nothing said so; four on two cores took a tenth longer than two."""
+    remark = cores_remark(workers, cores)
+    assert words in remark and bool(words) == bool(remark)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shlex
 import sys
 from collections.abc import Iterator
@@ -86,6 +87,8 @@ def open_runner(
                 compiles=display.compiling,
             )
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
+            if remark := cores_remark(workers, available_cores()) if scheduler is None else "":
+                display.say(f"workers          {remark}")
             display.workers = cluster.workers
             return cluster
 
@@ -101,6 +104,20 @@ def open_runner(
             with running.reported(report, display.say) if report is not None else nullcontext():
                 yield runner
         runner.store.sweep()
+
+
+def available_cores() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def cores_remark(workers: int, cores: int) -> str:
+    """What is said of a number of workers that leaves cores idle, or that these cannot serve; empty for none."""
+    if workers > cores:
+        return f"{workers} on {several(cores, 'core')}: not sooner done than with {cores}, and each takes its memory"
+    if 2 * workers <= cores:
+        return f"{workers} of {cores} cores: --workers N, or run.workers, takes more, each with memory of its own"
+    return ""
 
 
 def tell_failures(failures: list[Any], request: Any = None) -> None:
