@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import shlex
 import sys
 from collections.abc import Iterator
@@ -72,7 +71,7 @@ def open_runner(
     ):
 
         def started() -> Any:
-            from fwclass.run.cluster import Cluster
+            from fwclass.run.cluster import CORES, Cluster
 
             cluster = Cluster(
                 scheduler,
@@ -87,7 +86,7 @@ def open_runner(
                 compiles=display.compiling,
             )
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
-            if remark := cores_remark(workers, available_cores()) if scheduler is None else "":
+            if remark := cores_remark(workers, CORES) if scheduler is None else "":
                 display.say(f"workers          {remark}")
             display.workers = cluster.workers
             return cluster
@@ -104,11 +103,6 @@ def open_runner(
             with running.reported(report, display.say) if report is not None else nullcontext():
                 yield runner
         runner.store.sweep()
-
-
-def available_cores() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def cores_remark(workers: int, cores: int) -> str:

@@ -26,6 +26,7 @@ from typing import Any
 
 import dask
 import distributed.batched
+from dask.system import CPU_COUNT
 from distributed import Client, Future, LocalCluster, Nanny, WorkerPlugin, as_completed, get_worker, performance_report
 from distributed.scheduler import KilledWorker
 from tornado.ioloop import IOLoop
@@ -67,6 +68,10 @@ TOLD_WORKERS = 10
 
 _ENDS: dict[str, int] = {}
 """How workers of this process ended, by address: the exit code, negative for a signal."""
+
+
+CORES = CPU_COUNT
+"""Cores that this process may use: of the machine, its affinity and its container's quota the least."""
 
 
 class OtherLibraries(Exception):
