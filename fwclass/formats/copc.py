@@ -41,6 +41,7 @@ def write_copc(
     block: bytes,
     records: list[bytes],
     rows: NDArray[np.uint8],
+    order: NDArray[np.int64],
     keys: NDArray[np.int64],
     counts: NDArray[np.int64],
     cube: Cube,
@@ -51,7 +52,8 @@ def write_copc(
     ----------
     file : empty, open for reading and writing.
     block : public header of LAS 1.4 (375 bytes), point format 6.
-    rows : shape (n, bytes of a point), node after node.
+    rows : shape (n, bytes of a point).
+    order : shape (n,), their numbers, node after node.
     keys, counts : of the nodes, at least one echo each; see `publish.octree.Octree`.
     """
     laz = lazrs.LazVlr.new_for_compression(block[AT_FORMAT], rows.shape[1] - 30, True)
@@ -60,7 +62,7 @@ def write_copc(
     head = bytearray(assemble(block, [*first, *records]))
     head[AT_FORMAT] |= _COMPRESSED
     file.write(head)
-    table_at = _write_chunks(file, laz, rows, counts)
+    table_at = _write_chunks(file, laz, rows, order, counts)
     entries = _entries(file, laz, len(head), table_at, keys, counts)
     file.seek(0, 2)
     at = file.tell()
@@ -73,14 +75,16 @@ def write_copc(
     return size
 
 
-def _write_chunks(file: BinaryIO, laz: lazrs.LazVlr, rows: NDArray[np.uint8], counts: NDArray[np.int64]) -> int:
+def _write_chunks(
+    file: BinaryIO, laz: lazrs.LazVlr, rows: NDArray[np.uint8], order: NDArray[np.int64], counts: NDArray[np.int64]
+) -> int:
     """Compress node after node; where the table of chunks begins."""
     start = file.tell()
     packer = lazrs.LasZipCompressor(file, laz)
     packer.reserve_offset_to_chunk_table()
     first = 0
     for k, count in enumerate(counts.tolist()):
-        packer.compress_many(rows[first : first + count].reshape(-1))
+        packer.compress_many(rows[order[first : first + count]].reshape(-1))
         first += count
         if k + 1 < len(counts):  # `done` ends the last one: another end makes an empty chunk, which LASzip refuses
             packer.finish_current_chunk()

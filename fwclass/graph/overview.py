@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,43 +35,32 @@ OF_FIELDS = ("intensity", "gps_time")
 
 def draw_overview(here: StageInputs, most: int) -> Result:
     """Of the echoes of one square the `most` whose hash is lowest, in canonical order."""
-    return _lowest(_tiles_within(here, here.tile.box, most), most, here.columns)
+    return _lowest(here, here.present, _tile_rows(here, here.tile.box), most)
 
 
-def _tiles_within(here: StageInputs, box: Box | None, most: int) -> Iterator[Table]:
-    """Tile by tile the echoes in `box` (None: all) that may still be among the `most` lowest."""
-    bound = np.iinfo(np.uint64).max
+Read = Callable[[str, Mapping[str, str]], Table]
+"""Some columns, by the stages that wrote them, of one of several tables."""
+
+
+def _tile_rows(here: StageInputs, box: Box | None) -> Read:
+    return lambda tile, columns: here.inputs.rows(tile, columns, box)
+
+
+def _lowest(here: StageInputs, keys: Sequence[str], read: Read, most: int) -> Table:
+    """The `most` echoes of all tables with the lowest hashes, in canonical order. Who the echoes are is read first, so
+    that no others are held but one table's."""
     who = dict.fromkeys(IDENTITY, "tile")
-    seen = np.zeros(0, np.uint64)
-    for tile in here.present:
-        hashes = echo_hashes(here.inputs.rows(tile, who, box))
-        rows = np.flatnonzero(hashes <= bound)
-        seen = np.concatenate([seen, hashes[rows]])
-        if len(seen) > most:
-            seen = np.partition(seen, most - 1)[:most]
-            bound = seen[-1]
-        rows = rows[hashes[rows] <= bound]
-        if len(rows):
-            yield here.inputs.rows(tile, here.columns, box).select(here.columns).take(rows)
-
-
-def _lowest(tables: Iterable[Table], most: int, columns: Iterable[str]) -> Table:
-    """The `most` echoes of all `tables` with the lowest hashes, in canonical order; twice as many are held at most,
-    and one of the tables."""
-    kept = Table.empty(columns)
-    waiting: list[Table] = []
-    for table in tables:
-        waiting.append(table)
-        if sum(t.rows for t in waiting) > most:
-            kept, waiting = _thinned(Table.concat([kept, *waiting]), most), []
-    kept = _thinned(Table.concat([kept, *waiting]), most)
-    return kept.take(np.argsort(canonical_key(kept), kind="stable"))
-
-
-def _thinned(table: Table, most: int) -> Table:
-    if table.rows <= most:
-        return table
-    return table.take(np.argpartition(echo_hashes(table), most - 1)[:most])
+    lowest = np.zeros(0, np.uint64)
+    for key in keys:
+        lowest = np.concatenate([lowest, echo_hashes(read(key, who))])
+        if len(lowest) > most:
+            lowest = np.partition(lowest, most - 1)[:most]
+    bound, tables = lowest.max(initial=0), [dict(Table.empty(here.columns))]
+    for key in keys:
+        table = read(key, here.columns).select(here.columns)
+        tables.append(dict(table.take(echo_hashes(table) <= bound)))
+    order = np.argsort(canonical_key(Table.concat(Table({n: t[n] for n in IDENTITY}) for t in tables)), kind="stable")
+    return Table({n: np.concatenate([t.pop(n) for t in tables])[order] for n in here.columns})
 
 
 def deliver_overview(
@@ -85,8 +74,10 @@ def deliver_overview(
 ) -> Result:
     """A fair sample of all echoes, or of those of one square, as COPC; drawn by the hash that the tiles' levels are
     drawn by. Drawn square by square, or of all tiles where no square is drawn by itself."""
-    drawn = (here.inputs.table(DRAW_OVERVIEW.name, key, here.columns) for key in here.parts(DRAW_OVERVIEW.name))
-    table = _lowest(_tiles_within(here, None, most) if here.present else drawn, most, here.columns)
+    if here.present:
+        table = _lowest(here, here.present, _tile_rows(here, None), most)
+    else:
+        table = _lowest(here, here.parts(DRAW_OVERVIEW.name), _square_rows(here), most)
     if not table.rows:
         return {"rows": 0}
     path = here.directory / (OVERVIEW if here.part == WHOLE else square_path(here.part))
@@ -98,6 +89,10 @@ def deliver_overview(
     except InputError:  # places further apart than the format's whole numbers reach have no common file
         return {"rows": 0}
     return {"rows": table.rows}
+
+
+def _square_rows(here: StageInputs) -> Read:
+    return lambda square, columns: here.inputs.table(DRAW_OVERVIEW.name, square, columns)
 
 
 def square_path(key: str) -> str:

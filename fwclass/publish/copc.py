@@ -92,7 +92,7 @@ def write_tile_copc(
     block = header_block(extras, points, offset, standard_time)
     with whole(path) as beside, beside.open("w+b") as file:
         cube = _cube(tree, offset, points["gps_time"])
-        size = write_copc(file, block, records, rows[tree.order], tree.keys, tree.counts, cube)
+        size = write_copc(file, block, records, rows, tree.order, tree.keys, tree.counts, cube)
     return {
         "path": str(path),
         "points": table.rows,

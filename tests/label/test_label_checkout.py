@@ -95,7 +95,7 @@ def edited(path, change, copc=True):
     order = np.concatenate([first[n.key] + np.arange(n.points) for n in nodes])
     keys, counts = np.array([n.key for n in nodes], np.int64), np.array([n.points for n in nodes], np.int64)
     with path.open("w+b") as file:
-        write_copc(file, bytes(block), records, rows[order], keys, counts, Cube((0, 0, 0), 100.0, 1.0, (0.0, 0.0)))
+        write_copc(file, bytes(block), records, rows, order, keys, counts, Cube((0, 0, 0), 100.0, 1.0, (0.0, 0.0)))
 
 
 def some(las):
