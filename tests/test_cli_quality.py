@@ -221,6 +221,8 @@ def test_an_area_elsewhere_is_refused(survey: Path, tmp_path: Path) -> None:
     write_area(survey / "area.geojson", (600_000.0, 5_400_100.0, 600_060.0, 5_400_120.0))
     ended = fwclass("run", survey / "s.yaml", "--out", tmp_path / "run", *WORDS, *AREA)
     assert ended.returncode == 1 and "no area that was to be flown lies in the survey" in ended.stderr, ended.stderr
+    ended = fwclass("run", survey / "s.yaml", "--out", tmp_path / "run", *WORDS, *AREA[:2])  # metres for degrees
+    assert "--set quality.area.crs=EPSG:" in ended.stderr and "reference" not in ended.stderr, ended.stderr
 
 
 def test_files_that_meet_at_a_step_are_told_and_end_with_4(tmp_path: Path) -> None:

@@ -42,10 +42,11 @@ def read_places(path: Path, delivery: Delivery) -> Polygons:
             got=opened.features,
             do="write one with `fwclass suggest`",
         )
-    own = source_crs(opened, None, delivery.crs, "give the file the system that its coordinates are in")
+    do = "give the file the system that its coordinates are in"
+    own = source_crs(opened, None, delivery.crs, do)
     _, shapes = read_polygons(opened, None)
     if own is not None and delivery.crs is not None:
-        shapes, _ = reproject(shapes, own, delivery.crs, path)
+        shapes, _ = reproject(shapes, own, delivery.crs, path, do)
     one = np.zeros(opened.features, np.int16)
     return Polygons.of(shapes, one, one, path)
 

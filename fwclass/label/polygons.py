@@ -80,7 +80,7 @@ class Polygons:
                 where=where,
                 expected=f"coordinates of at most {FURTHEST / 1000:,.0f} km",
                 got=f"{reach / 1000:.3g} km",
-                do="check the file and its coordinate system (survey.reference.crs)",
+                do="check the file and its coordinate system",
             )
         part_code = code[shapes.feature]
         polygons = cls(
@@ -100,7 +100,7 @@ class Polygons:
                 where=where,
                 expected=f"at most {WIDEST / 1e6:.0f} km across",
                 got=f"{(high_x - low_x)[wide[0]] / 1e6:.0f} x {(high_y - low_y)[wide[0]] / 1e6:.0f} km",
-                do="check the coordinate system of the polygons (survey.reference.crs)",
+                do="check the coordinate system of the polygons",
             )
         return polygons
 

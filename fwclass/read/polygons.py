@@ -143,26 +143,27 @@ def values_of(opened: PolygonLayer, fields: Sequence[str]) -> dict[str, list[Any
     return vector.columns(opened.path, opened.layer, fields)
 
 
-def reproject(shapes: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
+def reproject(shapes: Shapes, source: CRS, target: CRS, where: object, do: str = NAME_CRS) -> tuple[Shapes, str]:
     """`shapes` in `target`, and how it was done in words ("" where nothing had to be).
 
-    Only the corners move: an edge stays straight. `InputError` where a corner has no place in `target`.
+    Only the corners move: an edge stays straight. `InputError` where a corner has no place in `target`; `do` says what
+    to do where they are in another system than `source`.
     """
-    _check_degrees(shapes, source, where)
+    _check_degrees(shapes, source, where, do)
     if source.equals(target, ignore_axis_order=True) or _flat(source).equals(_flat(target), ignore_axis_order=True):
         return shapes, ""
     try:
         transformer = Transformer.from_crs(_flat(source), _flat(target), always_xy=True)
         x, y = transformer.transform(shapes.x, shapes.y)
     except ProjError as fault:
-        raise _no_place_fault(where, 0, str(fault)) from fault
+        raise _no_place_fault(where, 0, str(fault), do) from fault
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     lost = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
     if len(lost):
         ring = int(np.searchsorted(shapes.ring_start, lost[0], "right")) - 1
         part = int(np.searchsorted(shapes.part_start, ring, "right")) - 1
         at = f"{shapes.x[lost[0]]:.10g}, {shapes.y[lost[0]]:.10g}"
-        raise _no_place_fault(where, int(shapes.feature[part]) + 1, at)
+        raise _no_place_fault(where, int(shapes.feature[part]) + 1, at, do)
     accuracy = transformer.accuracy
     sure = f", to {accuracy:g} m" if accuracy is not None and accuracy > 0 and math.isfinite(accuracy) else ""
     return replace(shapes, x=x, y=y), f"from {source.name} to {target.name}{sure}"
@@ -173,7 +174,7 @@ def _flat(crs: CRS) -> CRS:
     return CRS(crs.sub_crs_list[0]) if crs.is_compound else crs.to_2d()
 
 
-def _check_degrees(shapes: Shapes, source: CRS, where: object) -> None:
+def _check_degrees(shapes: Shapes, source: CRS, where: object, do: str) -> None:
     if not source.is_geographic or not len(shapes.x):
         return
     most = max(float(np.abs(shapes.x).max()), float(np.abs(shapes.y).max()))
@@ -183,15 +184,15 @@ def _check_degrees(shapes: Shapes, source: CRS, where: object) -> None:
             where=where,
             expected=f"degrees of {source.name}",
             got=f"coordinates up to {most:.1f}",
-            do=f"name the system they are in: {NAME_CRS}, or crs of the section that names the file",
+            do=f"name the system that they are in: {do}",
         )
 
 
-def _no_place_fault(where: object, number: int, got: str) -> InputError:
+def _no_place_fault(where: object, number: int, got: str, do: str) -> InputError:
     return InputError(
         "a polygon cannot be brought into the survey's coordinate system",
         where=f"{where}: feature {number}" if number else where,
         expected="coordinates where both systems are defined",
         got=got,
-        do="check the coordinate system of the file (survey.reference.crs, or crs of the section that names it)",
+        do=f"check the file; where its coordinates are in another system: {do}",
     )

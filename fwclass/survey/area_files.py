@@ -80,10 +80,11 @@ def _of_polygons(config: Config, directory: Path | Url, name: str, by: AreaFiles
         raise InputError(f"{name} is one file", where=config.path, got=f"{1 + len(more)} files match", do="name one")
     path, survey = local(place), _system(config, directory)
     opened = open_polygons(path, by.layer, name.replace("polygons", "layer"))
-    own = source_crs(opened, given_crs(by.crs, name.replace("polygons", "crs")), survey, f"{name[:-8]}crs: EPSG:<code>")
+    setting = name.replace("polygons", "crs")
+    own = source_crs(opened, given_crs(by.crs, setting), survey, f"{setting}: EPSG:<code>")
     _, shapes = read_polygons(opened, None)
     if own is not None and survey is not None:
-        shapes, _ = reproject(shapes, own, survey, path)
+        shapes, _ = reproject(shapes, own, survey, path, f"{setting}: EPSG:<code>")
     if not shapes.parts:
         raise InputError(
             "the file has no polygon", where=path, got=f"{opened.features} features", do="check its export"

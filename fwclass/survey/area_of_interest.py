@@ -58,9 +58,10 @@ class Area:
         _, shapes = read_polygons(opened, None)
         self._some(opened, shapes)
         survey = CRS.from_wkt(crs) if crs is not None else None
-        own = source_crs(opened, None, survey, "export them with their system: GeoPackage and GeoParquet keep it")
+        do = "export them with their system: GeoPackage and GeoParquet keep it"
+        own = source_crs(opened, None, survey, do)
         if own is not None and survey is not None:
-            shapes, _ = reproject(shapes, own, survey, self.path)
+            shapes, _ = reproject(shapes, own, survey, self.path, do)
         a, b = edges(shapes.x, shapes.y, shapes.ring_start)
         chosen = frozenset(t.key for t in layout.tiles if shares_area(t.box, a, b))
         if not chosen:

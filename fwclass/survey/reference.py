@@ -110,10 +110,11 @@ def shape_file(
         )
     path = local(places[0])
     opened = open_polygons(path, section_params.layer, f"{section}.layer")
-    system = source_crs(opened, user_crs, survey, f"--set {section}.crs=EPSG:<code>")
+    name_crs = f"--set {section}.crs=EPSG:<code>"
+    system = source_crs(opened, user_crs, survey, name_crs)
     shapes = read_lines(opened)[0] if section == "breaklines" else read_polygons(opened, None)[1]
     if system is not None and survey is not None:
-        shapes, _ = reproject(shapes, system, survey, path)
+        shapes, _ = reproject(shapes, system, survey, path, name_crs)
     a, b = edges(shapes.x, shapes.y, shapes.ring_start)
     low, high = np.array(box.bounds[:2]), np.array(box.bounds[2:])
     near = ((np.maximum(a, b) >= low) & (np.minimum(a, b) <= high)).all(axis=1).any()

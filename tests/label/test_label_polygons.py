@@ -185,7 +185,7 @@ def test_a_polygon_as_wide_as_a_continent_is_refused():
     wide = WIDEST / 1000 + 10
     with pytest.raises(InputError, match="too large") as fault:
         polygons([shapely.box(0, 0, wide, 10)], [2])
-    assert "survey.reference.crs" in str(fault.value)
+    assert "coordinate system of the polygons" in str(fault.value)
 
 
 def test_implausible_echoes_have_no_label_whatever_polygon_is_above(tmp_path, monkeypatch):
