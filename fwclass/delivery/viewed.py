@@ -227,7 +227,7 @@ class ViewedRun:
 
     @cached_property
     def _waveforms(self) -> dict[str, Any]:
-        """Strips whose pulses have one, and what is said of the others."""
+        """Strips whose pulses have one, those whose have one no more, and what is said of the others."""
         recorded = {int(f["strip"]) for f in self.delivery.report["input"]["files"] if f.get("pulses")}
         store = Store(self.delivery.root, read_only=True)
         kept = recorded & {int(part.split("-")[0]) for stage, part in store.parts() if stage == "read"}
@@ -237,4 +237,4 @@ class ViewedRun:
             says = "This strip has no waveforms."
         else:
             says = "This run has no waveforms any more: `fwclass clean` removed them. Run again to have them."
-        return {"strips": sorted(kept), "says": says}
+        return {"strips": sorted(kept), "lost": sorted(recorded - kept), "says": says}

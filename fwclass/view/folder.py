@@ -78,10 +78,11 @@ def write_folder(scenes: Sequence[WholeScene], directory: Path, tell: Callable[[
         unsure = scene.unsure_echoes()
         tell(f"{sum(map(len, unsure)):,} unsure echoes")
         work, lacking = scene.work(), Counter[str]()
+        recorded = {*index["waveforms"]["strips"], *index["waveforms"]["lost"]}
         for place, echoes in zip(work["places"], unsure, strict=True):
             place["told"] = [{"node": t.node, "row": t.row, "echo": t.name, "place": t.place} for t in echoes]
             for one in echoes:
-                lacking.update(_write_echo(scene, one, here))
+                lacking.update(_write_echo(scene, one, one.strip in recorded, here))
         for why, echoes_without in lacking.items():
             tell(f"{echoes_without:,} of them are shown without what is lacking: {why}")
         _write_json(here / "work.json", work)
@@ -125,18 +126,18 @@ def _write_blocks(scene: WholeScene, together: Sequence[int], columns: Sequence[
     return own
 
 
-def _write_echo(scene: WholeScene, echo: UnsureEcho, here: Path) -> list[str]:
-    """Write what is known of an echo; what is not, in words."""
+def _write_echo(scene: WholeScene, echo: UnsureEcho, recorded: bool, here: Path) -> list[str]:
+    """Write what is known of an echo; what is not, in words. `recorded`: its strip has, or had, waveforms."""
     at = here / "echo" / "-".join(map(str, echo.node)) / f"{echo.row}.json"
     at.parent.mkdir(parents=True, exist_ok=True)
     _write_json(at, echo.about)
     pulse, why = here / "pulse" / f"{echo.strip}-{echo.pulse}.json", here / "why" / f"{echo.name}.json"
     for path in (pulse, why):
         path.parent.mkdir(exist_ok=True)
-    if not pulse.exists():  # of two echoes of one pulse
+    if recorded and not pulse.exists():  # of two echoes of one pulse
         _write_json(pulse, _answer(lambda: scene.pulse(echo.strip, echo.pulse)))
     _write_json(why, _answer(lambda: scene.why(echo.strip, echo.pulse, echo.echo_number)))
-    answers = (json.loads(path.read_bytes()) for path in (pulse, why))
+    answers = (json.loads(path.read_bytes()) for path in ((pulse, why) if recorded else (why,)))
     return [str(answer["error"]) for answer in answers if "error" in answer]
 
 

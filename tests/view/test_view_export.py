@@ -256,8 +256,9 @@ def test_a_survey_without_waveforms_says_so(tmp_path: Path) -> None:
         "view", tmp_path / "run", "--export", tmp_path / "site", "--set", "view.unsure=1", "--set", "view.export=1"
     )
     assert ended.returncode == 0, ended.stderr
-    pulses = list((tmp_path / "site/data/0/pulse").iterdir())
-    assert pulses and all("no waveform" in json.loads(p.read_text())["error"] for p in pulses)
+    assert "waveform of" not in ended.stderr and not list((tmp_path / "site/data/0/pulse").iterdir())
+    index = json.loads((tmp_path / "site/data/0/index.json").read_text())
+    assert index["waveforms"] == {"strips": [], "lost": [], "says": "This survey has no waveforms."}
     assert str(tmp_path) not in "".join(p.read_text() for p in (tmp_path / "site").rglob("*.json"))
 
 

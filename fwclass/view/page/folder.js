@@ -1,7 +1,8 @@
 // What a page that was exported to a folder knows of an echo.
 import { json } from './net.js';
 
-export const LITTLE = 'The folder has waveform, votes and columns of the echoes that are circled at the unsure places. Of every echo fwclass view has them.';
+// What is said of an echo that the folder knows little of.
+export const little = (scene) => `The folder has ${scene.waveforms.strips.length ? 'waveform, ' : ''}votes and columns of the echoes that are circled at the unsure places. Of every echo fwclass view has them.${scene.rows ? ' Classes are as corrected up to the export.' : ''}`;
 const STRIDE = 7; // bytes of an identity
 
 // As the server answers; of most echoes only who they are and what their block has.

@@ -5,7 +5,7 @@ import { joined, legend } from './legend.js';
 import { pick, touches } from './pick.js';
 import { $, apart, counted, element, values, wave, why } from './panel.js';
 import { json, traffic, useDelivery, useToken } from './net.js';
-import { kept, LITTLE } from './folder.js';
+import { kept, little } from './folder.js';
 import { Again } from './again.js';
 import { Relabel } from './relabel.js';
 import { ARROWS, Crosshair } from './crosshair.js';
@@ -174,7 +174,7 @@ async function show(number_, hit) {
     const beside = about.other === undefined ? '' : `; in ${twin.run} ${about.other ? named(twin, about.other) : 'there is no such echo'}`;
     $('picked').hidden = false; $('what').textContent = `${named(s, v)}${by}${corrected}${beside}`;
     says(`${scenes.length > 1 ? `${s.run}: ` : ''}${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number}${v.number_of_echoes ? ` of ${v.number_of_echoes}` : ''}`);
-    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? `${LITTLE}${s.rows ? ' Classes are as corrected up to the export.' : ''}` : ''; reveal();
+    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? little(s) : ''; reveal();
     if (about.little) return;
     if (!s.waveforms.strips.includes(v.strip)) $('wave-says').textContent = s.waveforms.says;
     else await alone('pulse', `${number_}/pulse/${v.strip}-${v.pulse}.json`, late).then((p) => { if (late()) return; stats.wave = p; stats.wave_ms = performance.now() - began; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
