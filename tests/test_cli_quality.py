@@ -43,6 +43,20 @@ def made(survey: Path) -> tuple[Path, dict[str, Any]]:
     return out, run(survey, out, "--set", "tile.size=100")
 
 
+def test_the_last_lines_have_the_figures(survey: Path, made: tuple[Path, dict[str, Any]]) -> None:
+    out, facts = made
+    ended = fwclass("run", survey / "s.yaml", "--out", out, *WORDS, *BLOCKS, "--set", "tile.size=100").stderr
+    strips, density = facts["strips"], facts["density"]
+    for words in (
+        f"density     {density['pulses']:.2f} pulses per m², {density['echoes']:.2f} echoes",
+        f"voids       1 from {facts['voids']['least']:.3g} m² on, 1.5 % of the area; the largest 800 m²",
+        f"strips      3 by files, {100 * strips['rms']:.1f} cm apart in height (root",
+        "noise       0 % of the echoes (0)",
+    ):
+        assert words in ended, (words, ended)
+    assert "threshold" not in ended
+
+
 def test_lifts_of_lines_come_out(made: tuple[Path, dict[str, Any]]) -> None:
     strips = made[1]["strips"]
     assert strips["by"] == "files" and [s["name"] for s in strips["strips"]] == ["l0", "l1", "l2"]
@@ -125,6 +139,8 @@ def test_what_cannot_be_told_is_said(tmp_path: Path) -> None:
     assert any("there is one strip" in text for text in facts["remarks"]) and facts["strips"]["rms"] is None
     report = json.loads((tmp_path / "run/report.json").read_text())
     assert report["quality"] == facts and not any("classes" in text for text in report["remarks"])
+    again = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "run", *WORDS, *BLOCKS).stderr
+    assert "strips      1 by files, nowhere compared" in again and "remark      there is one strip" in again, again
     told = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "run", *WORDS, *BLOCKS, "--tiles", "5000_54000")
     assert told.returncode == 2 and "delivers no tiles" in told.stderr and "Traceback" not in told.stderr
 
@@ -161,7 +177,9 @@ def test_the_page_says_what_the_figures_say(made: tuple[Path, dict[str, Any]]) -
 @pytest.mark.parametrize(
     "setting", ["min_density=6", "min_pulse_density=6", "max_dz=0.08", "max_void=700", "max_noise=0"]
 )
-def test_thresholds_end_with_exit_code_4(survey: Path, made: tuple[Path, dict[str, Any]], setting: str) -> None:
+def test_thresholds_are_told_and_end_with_exit_code_4(
+    survey: Path, made: tuple[Path, dict[str, Any]], setting: str
+) -> None:
     name = setting.split("=")[0]
     told = fwclass(
         "run",
@@ -176,6 +194,10 @@ def test_thresholds_end_with_exit_code_4(survey: Path, made: tuple[Path, dict[st
         f"quality.{setting}",
     )
     missed = name != "max_noise"
+    asked = json.loads((made[0] / "report.json").read_text())["thresholds"]
+    assert [(one["setting"], one["met"]) for one in asked] == [(name, not missed)]
+    assert f": {'missed' if missed else 'met'}\n" in told.stderr.partition("threshold   ")[2], told.stderr
+    assert "asked for: missed" in (made[0] / "report.html").read_text() or not missed
     assert told.returncode == (4 if missed else 0) and (f"quality.{name}" in told.stderr) == missed
     assert "computed" not in told.stderr and "Traceback" not in told.stderr  # they change no part
 

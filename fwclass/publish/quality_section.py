@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.publish.sections import number, percent
@@ -19,15 +19,18 @@ NOTE = (
 )
 
 
-def quality(summary: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Rows (what, figure), remarks, and the tables of strips and of their pairs; None where it was not measured."""
+def quality(summary: Mapping[str, Any] | None, thresholds: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any] | None:
+    """Rows (what, figure), remarks, and the tables of strips and of their pairs; None where it was not measured.
+
+    `thresholds`: what was asked of it (`fwclass.quality.judge.thresholds`).
+    """
     if not summary:
         return None
     density, strips = summary["density"], summary["strips"]
     worst = sorted(strips["between"], key=lambda b: -b["rms"])
     names = [s["name"] for s in strips["strips"]]
     return {
-        "rows": _rows(summary, density, strips),
+        "rows": [*_rows(summary, density, strips), *((one["what"], threshold_words(one)) for one in thresholds)],
         "remarks": list(summary["remarks"]),
         "strips": [_strip(s) for s in strips["strips"][:LISTED]],
         "more_strips": max(0, len(names) - LISTED),
@@ -42,6 +45,13 @@ def quality(summary: Mapping[str, Any] | None) -> dict[str, Any] | None:
         "compared": bool(strips["pairs"]),
         "note": NOTE,
     }
+
+
+def threshold_words(threshold: Mapping[str, Any]) -> str:
+    """The figure that something is asked of, and whether it is met."""
+    value = "nothing tells it" if threshold["value"] is None else f"{threshold['value']:.4g}"
+    bound = f"at {'least' if threshold['least'] else 'most'} {threshold['bound']:g}"
+    return f"{value}, {bound} asked for: {'met' if threshold['met'] else 'missed'}"
 
 
 def _in_plan(offset: Mapping[str, Any] | None) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 from fwclass.decompose.water_column import water_words
 from fwclass.errors import first_few, several
 from fwclass.quality.check_points import check_words
+from fwclass.report.quality import quality_lines, threshold_lines
 from fwclass.store.url import Url
 
 SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
@@ -85,9 +86,14 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         failed = any(f["stage"] in OF_ACCURACY for f in report["failed"])
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
-    if checked := (report.get("quality") or {}).get("check_points"):
+    quality, remarks = report.get("quality") or {}, list(report.get("remarks", ()))
+    if quality and not report["classes"]:  # a run that judges, or filters the ground
+        rows += quality_lines(quality)
+        remarks = list(dict.fromkeys([*remarks, *quality["remarks"]]))
+    rows += threshold_lines(report.get("thresholds", ()))
+    if checked := quality.get("check_points"):
         rows.append(f"checked     {check_words(checked)}")
-    rows += [f"remark      {text}" for text in report.get("remarks", ())]
+    rows += [f"remark      {text}" for text in remarks]
     if reliability := report.get("reliability"):
         rows.append(f"confidence  {describe_reliability(reliability)}")
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]

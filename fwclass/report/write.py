@@ -18,6 +18,7 @@ from fwclass.graph.tiling import source_codes
 from fwclass.graph.water import LEVELS
 from fwclass.quality.check_points import check_remarks
 from fwclass.quality.covered import CoveredArea
+from fwclass.quality.judge import thresholds
 from fwclass.quality.roughness import roughness_remarks
 from fwclass.quality.strips import offset_remarks, unsound_strips
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
@@ -142,6 +143,7 @@ def _of_the_survey(
     covered = CoveredArea.joined(config.publish.class_cell, metas_of_run(runner, "publish-rasters", "covered"))
     read = [r for stage in ("read", "decompose") for r in receipts_of_run(runner, stage)]
     decomposed = {r.part for r in read if r.stage == "decompose"}
+    quality = next(iter(metas_of_run(runner, "publish-quality", "quality")), None)
     unplaced = None if tiles else place_without_tiles(survey.crs, layout.box, heights_of_returns(read))
     return {
         "input": {**files, "place": unplaced},
@@ -160,7 +162,8 @@ def _of_the_survey(
         ),
         "ground": ground_facts(runner, config, withheld_returns(runner)),
         "water": [body for bodies in metas_of_run(runner, LEVELS, "bodies") for body in bodies],
-        "quality": next(iter(metas_of_run(runner, "publish-quality", "quality")), None),
+        "quality": quality,
+        "thresholds": thresholds(quality, config.quality) if quality else [],
     }
 
 
