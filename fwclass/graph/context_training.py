@@ -297,6 +297,7 @@ def _fitting_folds(plan: Plan) -> Mapping[str, Any]:
 
 _OF_LAYERS = 1000 * BASELINE_VERSION + TRAIN.version
 _OF_JUDGING = 1_000_000 + _OF_LAYERS
+_OF_NOTES = 1_000_000 + _OF_JUDGING
 _OF_ROWS = 1000 * CONTEXT.version + TRAIN_SAMPLE.version
 
 TRAIN_FOLDS = Stage(
@@ -369,7 +370,7 @@ TRY_CONTEXT = Stage(
 )
 TRAIN_CONTEXT = Stage(
     TRAIN.name,
-    _OF_JUDGING,
+    _OF_NOTES,
     "survey",
     "tree_row",
     train_context,

@@ -109,13 +109,10 @@ def verdict(trial: Trial, eligible: NDArray[np.int64], names: tuple[str, ...]) -
         ),
     ]
     reached = dict(zip(FIGURES, scores(both.sum(axis=0)[None])[0].tolist(), strict=True))
-    changed = " and ".join(
-        f"{words} by {_span(change, ends)} to {100 * reached[name]:.1f}"
-        for name, (words, change, ends) in zip(_FIGURES, figures, strict=True)
-    )
+    changed = " and ".join(f"{words} by {_span(change, ends)}" for words, change, ends in figures)
     sentence = (
         f"tried on {len(trial.square)} squares of the training areas that neither layer had learned from, the second "
-        f"one changes {changed} % (95 % intervals)"
+        f"one changes {changed} points (95 % intervals)"
     )
     known = {name: None if np.isnan(value) else value for name, value in reached.items()}  # no kappa of one class
     return Verdict(tuple(why), sentence, {**facts, "gain": gain, "classes": of_class, "reached": known})

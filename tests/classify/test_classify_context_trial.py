@@ -34,7 +34,9 @@ def test_it_pays_where_one_figure_gains_for_sure_and_none_falls(first, both, why
     judged = verdict(trial_of(first, both), EVEN, NAMES)
     assert judged.pays == (not why) and why in "; ".join(judged.why)
     assert "12 squares of the training areas" in judged.sentence and judged.facts["rows"] == 2400
-    assert f"to {100 * judged.facts['reached']['overall_accuracy']:.1f} and mean IoU" in judged.sentence
+    gain = judged.facts["gain"]["overall_accuracy"]["difference"]
+    assert f"overall accuracy by {100 * gain:+.2f} (" in judged.sentence
+    assert f"{100 * judged.facts['reached']['overall_accuracy']:.1f}" not in judged.sentence, "no survey's accuracy"
 
 
 def test_rows_of_one_class_have_no_kappa():
