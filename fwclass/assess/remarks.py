@@ -64,38 +64,39 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     if blocks < FEW:
         without = f", and no interval is told below {LEAST}" if blocks < LEAST else ""
         sentences.append(
-            f"Tested in {blocks} squares of {edge} (assess.block); echoes of a square are right or wrong together, so "
-            f"the figure is uncertain{without}: test on {FEW} squares or more."
+            f"The accuracy is uncertain: it was tested in {blocks} squares of {edge} (assess.block), and echoes of a "
+            f"square are right or wrong together{without}: test on {FEW} squares or more."
         )
     if pure is not None and pure >= params.pure:
         sentences.append(
-            f"{100 * pure:.0f} % of the tested echoes lie in squares of {edge} with one class: borders between "
-            "classes, where most errors are, were hardly tested, and the survey's accuracy is lower: label whole "
-            "places, not the inside of objects."
+            f"The survey's accuracy is lower than this: {100 * pure:.0f} % of the tested echoes lie in squares of "
+            f"{edge} with one class, and borders between classes, where most errors are, were hardly tested: label "
+            "whole places, not the inside of objects."
         )
     if tested.apart is not None and tested.apart < tested.reach:
         sentences.append(
-            f"Tested {tested.apart:.3g} m from the training areas, and what decides reaches {tested.reach:g} m: "
-            f"the classifier has seen part of what it is tested on: --set areas.gap={tested.reach:g} or more."
+            f"The accuracy may be too good: it was tested {tested.apart:.3g} m from the training areas, and what "
+            f"decides reaches {tested.reach:g} m, so that the classifier has seen part of what it is tested on: "
+            f"--set areas.gap={tested.reach:g} or more."
         )
     if params.block < tested.reach:
         sentences.append(
-            f"Squares of {edge} (assess.block) are smaller than the {tested.reach:g} m that what decides reaches: "
-            "their errors hang together, and intervals are too narrow: "
+            f"The intervals of the accuracy are too narrow: errors hang together over the {tested.reach:g} m that what "
+            f"decides reaches, and squares of {edge} (assess.block) are smaller: "
             f"--set assess.block={2 * tested.reach:g} or more."
         )
     share = tested.scored / tested.echoes if tested.echoes else 0.0
     if share < params.tested:
         sentences.append(
-            f"{percent_words(share)} of the echoes were tested, the others never: the figure holds where the survey is "
-            "like the tested places: label places of every kind."
+            "The accuracy holds where the survey is like the tested places: "
+            f"{percent_words(share)} of the echoes were tested, the others never: label places of every kind."
         )
     lost = sum(tested.others.values())
     if tested.echoes and lost > params.unscored * tested.echoes:
         codes = ", ".join(f"{code} ({n:,} echoes)" for code, n in tested.others.items())
         sentences.append(
-            f"{percent_words(lost / tested.echoes)} of the echoes have a reference that no class counts, codes "
-            f"{codes}: they are classified, and not scored: add the codes to survey.classes, or know that "
+            f"The accuracy leaves out {percent_words(lost / tested.echoes)} of the echoes, whose reference no class "
+            f"counts: they are classified, and not scored; codes {codes}: add them to survey.classes, or know that "
             "they are missing here."
         )
     return sentences

@@ -270,7 +270,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    8,
+    9,
     "survey",
     "cell",
     deliver_quality,

@@ -32,6 +32,7 @@ from fwclass.publish.overview_section import (
     waves,
 )
 from fwclass.publish.quality_section import quality
+from fwclass.publish.remark import parted
 from fwclass.publish.sampling_section import sampling
 from fwclass.publish.sections import (
     accuracy,
@@ -102,7 +103,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    env.filters.update(number=number, percent=percent, quantity=quantity, seconds=seconds)
+    env.filters.update(number=number, parted=parted, percent=percent, quantity=quantity, seconds=seconds)
     return env
 
 
@@ -228,9 +229,17 @@ def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[s
         ("pulses", quantity(counts.get("pulses") or None), ""),
         ("echoes", quantity(counts.get("echoes_in_tiles")), ""),
         ("tile" if counts.get("tiles") == 1 else "tiles", quantity(counts.get("tiles")), ""),
-        ("time", seconds(report.get("seconds")), ""),
+        *_times(report),
     )
     return [(label, value + unit) for label, value, unit in wanted if value]
+
+
+def _times(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """How long the run took; where it skipped parts that earlier ones made, also what all of them took."""
+    stages, run = report.get("stages") or (), seconds(report.get("seconds"))
+    if not any(stage.get("skipped") for stage in stages):
+        return [("time", run, "")]
+    return [("time of the last run", run, ""), ("time of all parts", seconds(sum(s["seconds"] for s in stages)), "")]
 
 
 def _plausibility(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:

@@ -48,7 +48,7 @@ def test_nothing_is_said_beside_a_large_mixed_and_distant_test(params):
         ({"blocks": 4}, SOUND, ("4 squares", "no interval is told below 5")),
         (CHANCE, SOUND, ("Kappa is -0.030 (-0.060 to 0.010)", "labels those of these echoes")),
         ({"pure_share": 0.95}, SOUND, ("95 % of the tested echoes", "label whole places")),
-        ({}, replace(SOUND, apart=2.0), ("Tested 2 m", "reaches 12 m", "--set areas.gap=12")),
+        ({}, replace(SOUND, apart=2.0), ("tested 2 m", "reaches 12 m", "--set areas.gap=12")),
         ({}, replace(SOUND, scored=360), ("3.6 % of the echoes were tested", "label places of every kind")),
         ({}, replace(SOUND, others={"17": 300, "9": 1}), ("3.0 %", "17 (300 echoes), 9 (1 echoes)", "survey.classes")),
     ],

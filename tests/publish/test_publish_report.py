@@ -189,6 +189,16 @@ def test_everything_is_there(tmp_path: Path) -> None:
     assert text.count("width:100.0%") == 1 and text.count("width:25.0%") == 1, "bars of 8 s and 2 s"
 
 
+def test_the_time_is_that_of_all_parts_too_where_earlier_runs_made_some(tmp_path: Path) -> None:
+    report = full()
+    made = {**report["stages"][0], "seconds": 90.0, "skipped": 0}
+    for skipped, words in ((0, ["6.0 s</b><span>time<"]), (3, ["6.0 s</b><span>time of the last run<", "3 min 00 s<"])):
+        stages = [made, {**made, "skipped": skipped}]
+        render_report({**report, "seconds": 6.0, "stages": stages}, {}, tmp_path / "report.html")
+        facts = (tmp_path / "report.html").read_text().partition('class="facts"')[2].partition("<nav")[0]
+        assert all(word in facts for word in words) and ("of all parts" in facts) == bool(skipped), facts
+
+
 def test_a_remark_is_told_once(tmp_path: Path) -> None:
     report = full()
     report["accuracy"]["remarks"] = ["few echoes were tested", "of the matrix alone"]

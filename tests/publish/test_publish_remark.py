@@ -1,0 +1,38 @@
+"""Remarks on a page: what they mean first, and what to set apart from that."""
+
+import pytest
+
+from fwclass.assess.remarks import Extent, remarks
+from fwclass.publish.remark import parted
+from fwclass.publish.report import render_report
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "advice"),
+    [
+        ("no terrain at all", "no terrain at all", ""),
+        ("rough (ground.cell), and wide (a.b=3, c.d): look", "rough, and wide: look", ""),
+        ("too narrow: 25 m (assess.block): --set assess.block=54.", "too narrow: 25 m", "--set assess.block=54."),
+        ("one strip: alone (quality.strips=times cuts it)", "one strip: alone", "quality.strips=times cuts it"),
+        ("codes (3, 4): lost; --keep 3,4 (classify.keep=[3,4]) stays", "codes (3, 4): lost", "--keep 3,4 stays"),
+        ("two (see `fwclass info`) files. Mend survey.sources", "two files", "Mend survey.sources; see `fwclass info`"),
+        ("a.las and b.gpkg differ; quality.html says how", "a.las and b.gpkg differ; quality.html says how", ""),
+        ("--keep 3 lost its class", "--keep 3 lost its class", ""),
+    ],
+)
+def test_a_remark_is_parted_from_what_to_set(text, said, advice):
+    assert parted(text) == (said, advice)
+
+
+def test_no_remark_on_an_accuracy_speaks_of_settings_first(base, tmp_path):
+    from fwclass import conf
+
+    figures = {"blocks": 4, "pure_share": 0.95, "confusion": [[9, 1], [1, 9]], "kappa": 0.8, "intervals": None}
+    told = remarks(figures, Extent(10_000, 300, {"17": 300}, 2.0, 60.0), conf.section("assess"))
+    assert len(told) == 6
+    for text in told:
+        said = parted(text)[0]
+        assert "--set" not in said and "assess." not in said and "survey." not in said and len(said) > 40, said
+    render_report({"remarks": told}, {}, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert page.count('class="advice">For the next run: ') == 3 and "or more.</span>" in page
