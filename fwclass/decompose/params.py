@@ -24,7 +24,7 @@ class PulseParams(Params):
     bright : least height of an echo that counts, in standard deviations of the noise.
     min_echoes, max_echoes : fewer echoes give no shape; of more the surest are taken.
     isolation : share of an echo's height by which its waveform may rise again elsewhere.
-    tail : longest time after the peak that the pulse is followed [ns].
+    tail : time after the peak that the pulse is followed [ns]; up to four times as long where it still is not over.
     worth : least mean gain of chi-square, per echo that the shape was not made of, that a measured shape must bring.
     """
 

@@ -23,7 +23,15 @@ from fwclass.decompose.pulse_channels import (
     sample_steps,
 )
 from fwclass.decompose.pulse_sample import rows_of
-from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, make_template, mean_shape
+from fwclass.decompose.pulse_template import (
+    NARROWEST,
+    WIDEST,
+    Template,
+    gaussian_template,
+    make_template,
+    mean_shape,
+    rise_time,
+)
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.waveforms import Waveforms
 
@@ -32,7 +40,7 @@ Floats = NDArray[np.floating]
 DIMMER = 3.0
 """Where too few echoes are bright, those of this part of the brightness still tell the width."""
 
-WIDTH_ROUNDS, SHAPE_ROUNDS = 6, 5
+WIDTH_ROUNDS, SHAPE_ROUNDS, STEEP_ROUNDS = 6, 5, 12
 STEADY = 2e-3
 """Share of the width, or of the height, by which two rounds may differ at the end."""
 
@@ -44,6 +52,9 @@ NEAR, CLOSE = 0.25, 0.02
 
 FEWEST_SAMPLES, MOST_SAMPLES = 0.7, 64.0
 """Samples per FWHM of what can be a pulse."""
+
+LONGER, STILL_HIGH = (2.0, 4.0), 3e-3
+"""Times `pulse.tail` that a pulse is followed while it is still higher than that share of its peak where it ends."""
 
 FARTHEST = 30.0
 """Longest tail in FWHM."""
@@ -125,11 +136,34 @@ def _pulse_of(
     fwhm, rows = _narrow_width(waves, rows, peak, level, noise, fwhm, params)
     if len(rows) < params.min_echoes or not _is_resolved(fwhm, spacing):
         return SystemPulse("gaussian", fwhm, echoes=len(rows)), None
+    pulse, echoes = _followed(waves, rows, facts, fwhm, params)
+    for longer in LONGER:
+        if not _is_cut_off(pulse, params.tail * longer / 2.0):
+            break
+        further = _followed(waves, rows, facts, fwhm, params.model_copy(update={"tail": longer * params.tail}))
+        if further[0].shape != "measured":
+            break
+        pulse, echoes = further
+    return pulse, echoes
+
+
+def _followed(
+    waves: Waveforms, rows: NDArray, facts: tuple[NDArray, Floats, Floats, Floats], fwhm: float, params: PulseParams
+) -> tuple[SystemPulse, Echoes]:
+    """`_pulse_of` the echoes in `rows`, followed as far as `params` says."""
+    peak, _, level, noise = facts
     after = min(max(params.tail, 2.0 * fwhm), FARTHEST * fwhm)
-    echoes = fit_template(
-        cut_samples(waves, rows, peak[rows], level[rows], noise[rows], fwhm, after), gaussian_template(fwhm)
-    )
+    cut = cut_samples(waves, rows, peak[rows], level[rows], noise[rows], fwhm, after)
+    echoes = fit_template(cut, gaussian_template(fwhm))
     return _measure_pulse(echoes, fwhm, params), echoes
+
+
+def _is_cut_off(pulse: SystemPulse, tail: float) -> bool:
+    """Whether the pulse is still high where it was followed no further, `tail` after its peak [ns]."""
+    end = pulse.first + pulse.step * len(pulse.values)
+    if pulse.shape != "measured" or not tail - 0.5 * pulse.fwhm < end < (FARTHEST - 0.5) * pulse.fwhm:
+        return False
+    return abs(float(pulse.at(np.array([end - pulse.fwhm]))[0])) > STILL_HIGH
 
 
 def _prefer_recorded(
@@ -290,14 +324,14 @@ def _template_of(pulse: SystemPulse) -> Template:
 
 def _measure_shape(echoes: Echoes, template: Template, params: PulseParams) -> tuple[Template | None, Echoes]:
     """The mean shape of `echoes`, and those of its width, as fitted with it."""
-    for _ in range(SHAPE_ROUNDS):
+    for k in range(STEEP_ROUNDS):
         close, least = _closest(echoes, template, params)
         mean_shape = _average(close, template, params, least)
         if mean_shape is None:
             return None, echoes
         change = np.abs(mean_shape.at(template.time, np.ones(1))[0] - template.value).max()
         template, echoes = mean_shape, fit_template(echoes, mean_shape)
-        if change < STEADY:
+        if change < STEADY or (k + 1 >= SHAPE_ROUNDS and not template.steep):
             break
     return template, _closest(echoes, template, params)[0]
 
@@ -323,13 +357,14 @@ def _average(echoes: Echoes, template: Template, params: PulseParams, size: floa
     v = echoes.y / echoes.amplitude[:, None]
     v += template.at(u, np.full(1, size))[0] - template.at(u, echoes.size[:, None])[0]
     sigma = np.sqrt((echoes.noise / echoes.amplitude) ** 2 + 1e-6)[:, None]
-    used = np.isfinite(v)
+    used, spacing = np.isfinite(v), float(echoes.u[0, 1] - echoes.u[0, 0])
     return mean_shape(
         u[used],
         v[used],
         np.broadcast_to(sigma, v.shape)[used],
         template.fwhm,
         min(params.tail, FARTHEST * template.fwhm),
+        max(template.edge, min(spacing, template.fwhm)),
     )
 
 
@@ -373,16 +408,13 @@ def describe(pulse: SystemPulse) -> dict[str, float | int | str]:
     else:
         smooth = gaussian_template(pulse.fwhm)
         time, value = smooth.time, smooth.value
-    top = int(value.argmax())
-    rising = np.maximum.accumulate(value[: top + 1])
-    rise = np.interp([0.1, 0.9], rising, time[: top + 1])
     weight = np.maximum(value, 0.0) / np.maximum(value, 0.0).sum()
     mean = float((weight * time).sum())
     variance = float((weight * (time - mean) ** 2).sum())
     return {
         "shape": pulse.shape,
         "fwhm": pulse.fwhm,
-        "rise_time": float(rise[1] - rise[0]),
+        "rise_time": rise_time(time, value),
         "skew": float((weight * (time - mean) ** 3).sum() / variance**1.5),
         "tail_share": float(value[time > 1.5 * pulse.fwhm].sum() / value.sum()),
         "shape_error": pulse.shape_error,

@@ -16,6 +16,12 @@ Floats = NDArray[np.floating]
 KNOTS_PER_FWHM = 8.0
 """A cubic spline on these knots is within 5e-5 of a Gaussian (5 / 384 h^4 |f''''|, Hall and Meyer 1976)."""
 
+STEEP, LEAST_EDGE = 0.75, 0.1
+"""A pulse rises steeply where a Gaussian that rises as fast has less than this share of its width; the least share."""
+
+GAUSSIAN_RISE = 0.7166
+"""Rise time of a Gaussian, 10 to 90 % of its height, over its FWHM."""
+
 STEPS_PER_FWHM = 64.0
 BEFORE, LEAST_AFTER = 2.5, 1.5
 """Reach of the template ahead of the peak, and its least reach behind it, in FWHM."""
@@ -47,6 +53,7 @@ class Template:
     ----------
     time, value : evenly spaced [ns], and the height there.
     fwhm : [ns].
+    edge : FWHM of a Gaussian that rises as fast [ns], `fwhm` of a pulse that does not rise steeply.
     first : time of the first column of `family` [ns]; columns are spaced as `time`.
     family : shapes of unit peak, shape (SIZES, m), of `NARROWEST` to `WIDEST` times the equivalent sigma,
         fwhm / 2.3548: wider ones convolved with a Gaussian, narrower ones compressed in time. 0 at both ends.
@@ -55,8 +62,14 @@ class Template:
     time: Floats
     value: Floats
     fwhm: float
+    edge: float
     first: float
     family: Floats
+
+    @property
+    def steep(self) -> bool:
+        """Whether the pulse rises more steeply than a Gaussian of its width."""
+        return self.edge < self.fwhm
 
     def at(self, u: Floats, size: Floats) -> tuple[Floats, Floats, Floats]:
         """Height, its derivative in time [1/ns] and in `size`, at times `u` [ns] after the peak, for echoes of
@@ -95,7 +108,20 @@ def make_template(time: Floats, value: Floats, fwhm: float) -> Template:
             family[k] = np.fft.irfft(spectrum * np.exp(-0.5 * (size**2 - 1.0) * squared), length)[: len(padded)]
         family[k] /= family[k].max()
     family[:, [0, -1]] = 0.0
-    return Template(time, value, fwhm, first, family)
+    return Template(time, value, fwhm, edge_of(time, value, fwhm), first, family)
+
+
+def rise_time(time: Floats, value: Floats) -> float:
+    """How long a shape given at even times (n,) [ns] takes from 10 to 90 % of its height [ns]."""
+    rising = np.maximum.accumulate(value[: int(value.argmax()) + 1])
+    low, high = np.interp([0.1, 0.9], rising, time[: len(rising)])
+    return float(high - low)
+
+
+def edge_of(time: Floats, value: Floats, fwhm: float) -> float:
+    """`Template.edge` of a shape of `fwhm` [ns] given at even times (n,) [ns]."""
+    edge = rise_time(time, value) / GAUSSIAN_RISE
+    return fwhm if edge > STEEP * fwhm else max(edge, LEAST_EDGE * fwhm)
 
 
 def gaussian_template(fwhm: float) -> Template:
@@ -105,7 +131,7 @@ def gaussian_template(fwhm: float) -> Template:
     return make_template(time, np.exp(-0.5 * (time / fwhm * FWHM_PER_SIGMA) ** 2), fwhm)
 
 
-def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) -> Template | None:
+def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float, edge: float = np.inf) -> Template | None:
     """The shape that aligned, scaled samples have in common.
 
     A penalised cubic spline by iterated biweight regression (Holland and Welsch 1977), which a second weak echo on a
@@ -116,6 +142,7 @@ def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) ->
     u, v, sigma : time after the echo's peak [ns], height as a share of the echo's, and its standard deviation.
     fwhm : about the pulse's [ns]; gives the knots.
     tail : longest reach behind the peak [ns].
+    edge : FWHM of a Gaussian that rises as fast [ns], where that is less; gives the knots around the peak.
 
     Returns
     -------
@@ -124,8 +151,9 @@ def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) ->
     first, last = -BEFORE * fwhm, max(tail, LEAST_AFTER * fwhm)
     inside = (u >= first) & (u < last)
     u, v, sigma = u[inside], v[inside], sigma[inside]
-    pieces = max(int(np.ceil((last - first) / fwhm * KNOTS_PER_FWHM)), 8)
-    knots = first + (last - first) / pieces * np.arange(-3, pieces + 4)
+    edge = min(edge, fwhm)
+    knots = _knots(first, last, fwhm, edge)
+    pieces = len(knots) - 7
     if len(u) < 2 * pieces:
         return None
     design = scipy.interpolate.BSpline.design_matrix(u, knots, 3)
@@ -134,7 +162,21 @@ def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) ->
     coefficients, error = _biweight(basis, start, v, 1.0 / sigma**2, pieces + 3)
     if coefficients is None or error is None:
         return None
-    return _normalise(scipy.interpolate.BSpline(knots, coefficients, 3), error, first, last, fwhm)
+    return _normalise(scipy.interpolate.BSpline(knots, coefficients, 3), error, (first, last), fwhm, edge)
+
+
+def _knots(first: float, last: float, fwhm: float, edge: float) -> Floats:
+    """Even knots from `first` to `last` [ns] and three beyond either, so many to a `fwhm`, around the peak to an
+    `edge`."""
+    if edge == fwhm:
+        pieces = max(int(np.ceil((last - first) / fwhm * KNOTS_PER_FWHM)), 8)
+        return np.asarray(first + (last - first) / pieces * np.arange(-3, pieces + 4))
+    middle = min(LEAST_AFTER * fwhm, last)
+    fine = int(np.ceil((middle - first) / edge * KNOTS_PER_FWHM))
+    coarse = max(int(np.ceil((last - middle) / fwhm * KNOTS_PER_FWHM)), 1)
+    inner = np.concatenate([np.linspace(first, middle, fine, endpoint=False), np.linspace(middle, last, coarse + 1)])
+    ahead, behind = inner[1] - inner[0], inner[-1] - inner[-2]
+    return np.concatenate([first + ahead * np.arange(-3, 0), inner, last + behind * np.arange(1, 4)])
 
 
 def _biweight(
@@ -199,10 +241,11 @@ def _departures(basis, start, v, scale, coefficients, out):  # type: ignore[no-u
 
 
 def _normalise(
-    spline: scipy.interpolate.BSpline, error: Floats, first: float, last: float, fwhm: float
+    spline: scipy.interpolate.BSpline, error: Floats, ends: tuple[float, float], fwhm: float, edge: float
 ) -> Template | None:
-    """`spline` with its peak of 1 at time 0, tapered to 0 where it is not significant."""
-    step = fwhm / STEPS_PER_FWHM
+    """`spline`, known between `ends` [ns], with its peak of 1 at time 0, tapered to 0 where it is not significant."""
+    first, last = ends
+    step = edge / STEPS_PER_FWHM
     grid = np.arange(first, last, step)
     value = spline(grid)
     near = np.flatnonzero(np.abs(grid) < 0.75 * fwhm)

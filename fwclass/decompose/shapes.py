@@ -18,13 +18,14 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.decompose.autoregression import WHITE, Autoregression
+from fwclass.decompose.pulse_template import edge_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
 
 WIDTH_STEP = 0.05
 """Cells of the table in s, as a share of s0. Quadratic interpolation inside leaves 1e-5 of the peak."""
 PHASE_STEP = 0.06
-"""Cells of the table in time, at most this share of the narrowest s."""
+"""Cells of the table in time, at most this share of the narrowest s, or of a steep rise's."""
 REACH = 4.5
 """A Gaussian is followed to this many standard deviations (4e-5 of its height)."""
 FOOT = 4e-5
@@ -100,11 +101,13 @@ class Profiles:
         self.pulse = pulse
         self.s0 = pulse.fwhm / FWHM_PER_SIGMA
         self.gaussian = pulse.shape == "gaussian"
+        self.edge = pulse.fwhm
         if not self.gaussian:
             high = np.flatnonzero(np.abs(pulse.values) > FOOT)
             self.start = pulse.first + pulse.step * float(high[0])
             self.stop = pulse.first + pulse.step * float(high[-1])
             times = pulse.first + pulse.step * np.arange(len(pulse.values))
+            self.edge = edge_of(times, pulse.values, pulse.fwhm)
             self.spline = scipy.interpolate.CubicSpline(times, pulse.values, bc_type="natural", extrapolate=False)
 
     def reach(self, s: float) -> tuple[float, float]:
@@ -177,7 +180,7 @@ def _lookup(
     low = 1.0 - WIDTH_STEP * math.ceil((1.0 - narrowest) / WIDTH_STEP - 1e-9)
     widths = max(math.ceil((widest - low) / WIDTH_STEP - 1e-9), 1)
     edges = (low + 0.5 * WIDTH_STEP * np.arange(2 * widths + 1)) * profiles.s0
-    phases = math.ceil(spacing / (PHASE_STEP * low * profiles.s0))
+    phases = math.ceil(spacing / (PHASE_STEP * low * profiles.edge / FWHM_PER_SIGMA))
     reach = np.array([profiles.reach(s) for s in edges[2::2]])
     first = np.floor(reach[:, 0] / spacing).astype(np.int64)
     length = np.ceil(reach[:, 1] / spacing).astype(np.int64) + 2 - first

@@ -325,6 +325,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=11)
+PULSE = Computation(name="pulse", version=12)
 PLACES = Computation(name="places", version=4)
-DECOMPOSE = Computation(name="decompose", version=15, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=16, writes=ECHO_COLUMNS)
