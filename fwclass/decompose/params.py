@@ -18,7 +18,7 @@ class PulseParams(Params):
     Attributes
     ----------
     shape : ``gaussian`` or ``measured``, or ``auto``: measured where that predicts recorded echoes better.
-    width : FWHM of the pulse [ns]; null: estimated.
+    width : FWHM of the pulse [ns], which then is a Gaussian; null: estimated.
     fallback_width : FWHM where nothing can be estimated [ns].
     sample, seed : waveforms of a strip that are looked at, about, and which.
     bright : least height of an echo that counts, in standard deviations of the noise.
@@ -39,6 +39,12 @@ class PulseParams(Params):
     isolation: float = Field(gt=0.0, lt=1.0)
     tail: float = Field(ge=0.0, le=1000.0)
     worth: float = Field(ge=0.0)
+
+    @model_validator(mode="after")
+    def _one_width(self) -> PulseParams:
+        if self.width is not None and self.shape == "measured":
+            raise ValueError("a measured shape has a width of its own: leave width out, or take shape: gaussian")
+        return self
 
 
 class DecomposeParams(Params):

@@ -286,7 +286,8 @@ def _measure_pulse(echoes: Echoes, fwhm: float, params: PulseParams) -> SystemPu
     """The pulse of `echoes`, which were fitted with a Gaussian of `fwhm`."""
     smooth = gaussian_template(fwhm)
     plain, _ = _closest(echoes, smooth, params)
-    measured, aligned = _measure_shape(echoes, smooth, params) if params.shape != "gaussian" else (None, plain)
+    given = params.shape == "gaussian" or params.width is not None
+    measured, aligned = (None, plain) if given else _measure_shape(echoes, smooth, params)
     if measured is not None:
         gain, error = _trial(aligned, measured, smooth, params)
         if params.shape == "measured" or gain > params.worth:

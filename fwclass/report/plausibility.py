@@ -215,8 +215,8 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
         _, worst = max(some, key=lambda one: abs(math.log(one[1]["fwhm"] / one[1]["recorded_fwhm"])))
         lines.append(
             f"the system pulse is {worst['fwhm']:.2f} ns wide by the echoes, {worst['recorded_fwhm']:.2f} ns by the "
-            f"recorded outgoing pulses{_channel_words(worst)}: look at info --waveforms, and fix it by pulse.width "
-            f"({_names(_once(s for s, _ in some))})"
+            f"recorded outgoing pulses{_channel_words(worst)}: look at info --waveforms, and fix it by pulse.width, "
+            f"a Gaussian's ({_names(_once(s for s, _ in some))})"
         )
     some = [(s, c) for s, c in known if c["outgoing"]]
     if some:

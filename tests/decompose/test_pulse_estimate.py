@@ -193,6 +193,10 @@ def test_shape_and_width_can_be_given():
     waves, _ = survey_mix(2000, seed=11, pulse=ringing())
     forced = estimate_pulse(waves, params_of(shape="gaussian", width=3.6))
     assert (forced.shape, forced.fwhm) == ("gaussian", 3.6)
+    given = estimate_pulse(waves, params_of(width=3.6))
+    assert (given.shape, given.fwhm) == ("gaussian", 3.6), "a width is a width, whatever the echoes look like"
+    with pytest.raises(ValueError, match="width of its own"):
+        params_of(shape="measured", width=3.6)
     plain, _ = survey_mix(2000, seed=12)
     measured = estimate_pulse(plain, params_of(shape="measured"))
     assert measured.shape == "measured" and departure(measured, Pulse()) < 0.02

@@ -8,7 +8,7 @@ import pytest
 from commandline import fwclass
 from lasmaker import Descriptor, digitise, gaussian, write_las
 from scipy.integrate import quad
-from watermaker import AIR, WATER, lake, scored
+from watermaker import AIR, FWHM, WATER, lake, scored
 
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.stage import decompose
@@ -166,3 +166,12 @@ def test_a_surface_at_the_digitisers_limit_still_has_its_bottom(tmp_path, base):
     echoes = of_file(path, base, True)
     assert echoes["water"].tolist() == [1, 2] and echoes["fit_flags"][0] & 1
     assert echoes["water_depth"][1] == pytest.approx(50.0 * 0.299792458 / 2 / 1.357, abs=0.05)
+
+
+def test_water_alone_has_its_bottoms_where_the_width_is_given(tmp_path):
+    truth = lake(tmp_path / "water.las", 300, shore=0.0, seed=6, depths=(1.5, 6.0))
+    words = ("--set", "bathymetry.enabled=true", "--set", f"pulse.width={FWHM}")
+    ended = fwclass("decompose", truth.path, tmp_path / "on.laz", *words)
+    assert ended.returncode == 0, ended.stderr
+    score = scored(truth, laspy.read(tmp_path / "on.laz"))
+    assert score.found[score.visible > 6].mean() > 0.98 and score.surfaces.mean() > 0.98 and not score.wrong.any()
