@@ -19,6 +19,9 @@ LEAST_MARGIN, MOST_MARGIN = 1.0, 10.0
 """Degrees around the area of a system, between these: its own width beside it, as whole countries keep one UTM zone
 far into the next ones (Bornholm lies half a zone away from Denmark's), and half of its height above and below."""
 
+ROUNDED = 0.05
+"""Degrees, 5 km, by which bounds of areas of use are rounded: no difference between two systems."""
+
 STRETCHED = 0.05
 """Logarithm of the ratio of lengths: below 0.002 in systems of surveys, up to 0.03 in those of a continent, 0.37 in Web
 Mercator at 46 degrees."""
@@ -63,9 +66,29 @@ def elsewhere(crs: Any, low: Sequence[float], high: Sequence[float], header: Rec
     )
 
 
-def place_facts(crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None) -> dict[str, Any]:
-    """``remarks`` (`place_faults`) and ``elsewhere``, as `report.facts.judge_place` takes them."""
-    return {"remarks": place_faults(crs, low, high, header), "elsewhere": elsewhere(crs, low, high, header)}
+def place_facts(
+    crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None, own: Any = None
+) -> dict[str, Any]:
+    """``remarks`` (`place_faults`, `overruled`) and ``elsewhere``, as `report.facts.judge_place` takes them; `own`: the
+    system that the file names, where a user names `crs`."""
+    faults, away = place_faults(crs, low, high, header), elsewhere(crs, low, high, header)
+    worse = "" if away else overruled(crs, own, low, high)
+    return {"remarks": [*([worse] if worse else []), *faults], "elsewhere": away or bool(worse)}
+
+
+def overruled(crs: Any, own: Any, low: Sequence[float], high: Sequence[float]) -> str:
+    """The sentence for a box that lies further outside of the area of `crs`, which a user names, than of that of its
+    file's `own` system; "" for none."""
+    if own is None or crs is own:
+        return ""
+    used, named = (place_in_area(one, low, high) for one in (crs, own))
+    if used is None or named is None or used[0] <= named[0] + ROUNDED:
+        return ""
+    inside = f"{named[0]:.1f}° outside of its area" if named[0] else "in its area"
+    return (
+        f"{used[1]}, {used[0]:.1f}° outside of the area that {crs.name} is used in; by {own.name}, which the file "
+        f"names, {named[1]}, {inside}"
+    )
 
 
 def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> str:
@@ -73,27 +96,50 @@ def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> st
 
     `low`, `high`: least and largest x and y in units of `crs`; further numbers are not looked at.
     """
-    if crs is None or not all(map(math.isfinite, (*low[:2], *high[:2]))):
+    known = _in_degrees(crs, low, high)
+    if known is None:
         return ""
+    name, bounds, lons, lats = known
+    if any(_near(bounds, lon, lat) for lon, lat in zip(lons, lats, strict=True)):
+        return ""
+    xs, ys = _five(low, high)
+    west, south, east, north = bounds
+    return (
+        f"x {xs[4]:.0f}, y {ys[4]:.0f} is {_place(lons[4], lats[4])} in {name}, which is used from "
+        f"{_degrees(south, 'NS')} {_degrees(west, 'EW')} to {_degrees(north, 'NS')} {_degrees(east, 'EW')}: are x and "
+        "y swapped, or is it another system?"
+    )
+
+
+def place_in_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> tuple[float, str] | None:
+    """How far a box lies outside of the area that its system is used in [degrees], by the nearest of its middle and
+    corners, 0 within; and where its middle is, in words. None where nothing tells.
+
+    `low`, `high`: least and largest x and y in units of `crs`; further numbers are not looked at.
+    """
+    known = _in_degrees(crs, low, high)
+    if known is None:
+        return None
+    _, bounds, lons, lats = known
+    away = min(_beyond(bounds, lon, lat) for lon, lat in zip(lons, lats, strict=True))
+    return away, _place(lons[4], lats[4])
+
+
+def _in_degrees(
+    crs: Any, low: Sequence[float], high: Sequence[float]
+) -> tuple[str, tuple[float, ...], list[float], list[float]] | None:
+    """Name and area of a system, and longitudes and latitudes of `_five`; None where one of them is not known."""
+    if crs is None or not all(map(math.isfinite, (*low[:2], *high[:2]))):
+        return None
     flat = _horizontal(crs)
     area = flat.area_of_use
     if area is None or not flat.is_projected:
-        return ""
-    xs, ys = _five(low, high)
+        return None
     try:
-        lons, lats = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(xs, ys)
+        lons, lats = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(*_five(low, high))
     except (CRSError, ProjError):
-        return ""
-    if any(_near(area.bounds, lon, lat) for lon, lat in zip(lons, lats, strict=True)):
-        return ""
-    lon, lat = lons[4], lats[4]
-    there = f"{_degrees(lat, 'NS')} {_degrees(lon, 'EW')}" if math.isfinite(lon + lat) else "nowhere on earth"
-    west, south, east, north = area.bounds
-    return (
-        f"x {xs[4]:.0f}, y {ys[4]:.0f} is {there} in {flat.name}, which is used from {_degrees(south, 'NS')} "
-        f"{_degrees(west, 'EW')} to {_degrees(north, 'NS')} {_degrees(east, 'EW')}: are x and y swapped, or is it "
-        "another system?"
-    )
+        return None
+    return flat.name, area.bounds, lons, lats
 
 
 def _five(low: Sequence[float], high: Sequence[float]) -> tuple[list[float], list[float]]:
@@ -160,6 +206,20 @@ def _near(bounds: Sequence[float], lon: float, lat: float) -> bool:
     wide = (east - west) % 360.0 or 360.0
     beside, above = (min(MOST_MARGIN, max(LEAST_MARGIN, size)) for size in (wide, (north - south) / 2.0))
     return south - above <= lat <= north + above and (lon - west + beside) % 360.0 <= wide + 2.0 * beside
+
+
+def _beyond(bounds: Sequence[float], lon: float, lat: float) -> float:
+    """Degrees, of latitude or longitude, that a place lies outside of an area; infinite where it is nowhere."""
+    west, south, east, north = bounds
+    if not math.isfinite(lon + lat):
+        return math.inf
+    wide, along = (east - west) % 360.0 or 360.0, (lon - west) % 360.0
+    beside = 0.0 if along <= wide else min(along - wide, 360.0 - along)
+    return max(beside, south - lat, lat - north)
+
+
+def _place(lon: float, lat: float) -> str:
+    return f"{_degrees(lat, 'NS')} {_degrees(lon, 'EW')}" if math.isfinite(lon + lat) else "nowhere on earth"
 
 
 def _degrees(angle: float, sides: str) -> str:

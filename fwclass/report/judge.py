@@ -17,6 +17,7 @@ from fwclass.report.earlier import judge_sources
 from fwclass.report.facts import judge_place
 from fwclass.report.ground import judge_ground, judge_sunken
 from fwclass.report.labels import judge_labels
+from fwclass.report.places import judge_file_places
 from fwclass.report.plausibility import judge_plausibility
 from fwclass.report.radiometry import judge_radiometry
 from fwclass.report.repeated import judge_repeated
@@ -45,6 +46,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     if replaces:
         judge_sources(report.get("earlier"), accepted, where)
     judge_place(report.get("place") or report.get("input", {}).get("place"), accepted, where)
+    judge_file_places(report.get("input", {}).get("places"), config.plausibility, where)
     if report.get("ground"):
         judge_ground(report["ground"], accepted, where)
     judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), accepted, where)

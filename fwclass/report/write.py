@@ -42,6 +42,7 @@ from fwclass.report.facts import (
 )
 from fwclass.report.figures import report_figures
 from fwclass.report.labels import label_facts
+from fwclass.report.places import bounds_of_files, file_places
 from fwclass.report.remarks import (
     lines_changed,
     remarks_of_parts,
@@ -146,7 +147,13 @@ def _of_the_survey(
     quality = next(iter(metas_of_run(runner, "publish-quality", "quality")), None)
     unplaced = None if tiles else place_without_tiles(survey.crs, layout.box, heights_of_returns(read))
     return {
-        "input": {**files, "place": unplaced},
+        "input": {
+            **files,
+            "place": unplaced,
+            "places": file_places(
+                survey, bounds_of_files(read, receipts_of_run(runner, TILE.name)), config.plausibility
+            ),
+        },
         "counts": echo_counts(runner),
         "bathymetry": bathymetry_facts(runner),
         "earlier": since_earlier(runner, REPORT, config.survey.name, files["files"]),
@@ -237,6 +244,7 @@ def _remarks(
     return [
         *of("accuracy", "earlier", "place"),
         *(report["input"]["place"] or {}).get("remarks", ()),
+        *report["input"]["places"]["remarks"],
         *(report["radiometry"] or {}).get("implausible", ()),
         *(_of_quality(report["quality"], config) if report["quality"] else ()),
         *of("labels", "repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),

@@ -34,7 +34,7 @@ from fwclass.survey.reference import (
     reference_polygons,
     shape_file,
 )
-from fwclass.survey.systems import common_crs, given_crs, system_of
+from fwclass.survey.systems import common_crs, given_crs, overruled_systems, system_of
 
 SIMULATED = "survey"
 """Where a simulated survey lies below its run directory."""
@@ -91,8 +91,9 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     digests.save()
     waves, both = config.survey.echoes != "returns", zip(places, opened, strict=True)
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}
-    more_files = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
-    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more_files)
+    more_files: dict[str, Any] = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
+    more = more_files | {"overruled": overruled_systems(config, full)}
+    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more)
 
 
 def open_survey(

@@ -58,7 +58,8 @@ class Survey:
     reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file; `echo_labels`:
     the reference's labels by echo; `corrections`: what corrects labels of any kind, `water`: what is
     flattened, `breaklines`: what the terrain passes through, `check_points`: what heights are held against, `area`:
-    what was to be flown, all None for nothing.
+    what was to be flown, all None for nothing; `overruled`: by name of the file the system (WKT) that it names where
+    the user names another.
     """
 
     strips: tuple[Strip, ...]
@@ -74,6 +75,7 @@ class Survey:
     breaklines: PolygonFile | None = None
     check_points: PolygonFile | None = None
     area: PolygonFile | None = None
+    overruled: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

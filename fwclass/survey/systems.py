@@ -72,6 +72,15 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
     return systems[0][0].to_wkt()
 
 
+def overruled_systems(config: Config, opened: Sequence[Source]) -> dict[str, str]:
+    """By name of the file the system (WKT) that it names where survey.crs names another."""
+    user_crs = given_crs(config.survey.crs, "survey.crs")
+    if user_crs is None:
+        return {}
+    named = {source.path.name: source.crs for source in opened if source.target is None and source.crs is not None}
+    return {name: crs.to_wkt() for name, crs in named.items() if not crs.equals(user_crs, ignore_axis_order=True)}
+
+
 def given_crs(text: str | None, where: str) -> CRS | None:
     """The CRS that a user names; None for no text or `none`."""
     if text is None or text == "none":

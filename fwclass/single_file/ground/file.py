@@ -247,7 +247,8 @@ def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
         remark = "the coordinates look like degrees, and were taken for metres: reproject the file first"
         return {"remarks": [remark], "elsewhere": True}
     low, high = ([float(f(a[cloud.usable])) for a in (cloud.x, cloud.y, cloud.z)] for f in (np.min, np.max))
-    return place_facts(cloud.crs, low, high, getattr(cloud.source, "header", None))
+    own = getattr(cloud.source, "crs", None)
+    return place_facts(cloud.crs, low, high, getattr(cloud.source, "header", None), own)
 
 
 def places_of_cloud(cloud: PointCloud, source: Path) -> dict[str, Any]:
