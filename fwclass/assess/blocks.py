@@ -39,13 +39,11 @@ class BlockCounts:
         n = len(classes)
         truth, answer = class_index(reference, classes), code_index(predicted, classes)
         known = np.flatnonzero(truth >= 0)
-        place, block = np.unique(
-            np.stack(TileGrid(size).indices(x[known], y[known]), axis=1), axis=0, return_inverse=True
-        )
+        place, block = _unique_places(*TileGrid(size).indices(x[known], y[known]))
         column = np.where(answer[known] >= 0, answer[known], n).astype(np.int64)
-        cell = (block.reshape(-1) * n + truth[known]) * (n + 1) + column
+        cell = (block * n + truth[known]) * (n + 1) + column
         counts = np.bincount(cell, minlength=len(place) * n * (n + 1)).reshape(len(place), n, n + 1)
-        return cls(place.reshape(-1, 2).astype(np.int64), counts.astype(np.int64))
+        return cls(place, counts.astype(np.int64))
 
     @classmethod
     def merged(cls, parts: Iterable[BlockCounts], classes: int) -> BlockCounts:
@@ -59,3 +57,12 @@ class BlockCounts:
         total = np.zeros((len(once), *counts.shape[1:]), np.int64)
         np.add.at(total, block.reshape(-1), counts)
         return cls(once.reshape(-1, 2), total)
+
+
+def _unique_places(column: NDArray[np.int64], row: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Places that occur, (places, 2), sorted, and the number of each echo's; a tenth of the time of `np.unique` of
+    pairs."""
+    left, low = int(column.min(initial=0)), int(row.min(initial=0))
+    rows = int(row.max(initial=0)) - low + 1
+    once, number = np.unique((column - left) * rows + (row - low), return_inverse=True)
+    return np.stack([once // rows + left, once % rows + low], axis=1), number
