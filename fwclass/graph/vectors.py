@@ -90,7 +90,7 @@ def find_trees(here: StageInputs, params: VectorParams) -> Result:
     window = core.grown(math.ceil(params.trees.halo(cell) / cell))
     table, codes = _read_window(here, window), params.trees.codes
     passage = count_passage(table, last_of(table), window, codes, params.trees.clear)
-    shapes = trees(count_cells(table, window, codes, 0.0), passage, window, core, params.trees)
+    shapes = trees(table, count_cells(table, window, codes, 0.0), passage, window, core, params.trees)
     _write(here, shapes)
     return {"trees": shapes.rows.rows}
 
@@ -278,7 +278,7 @@ FIND_BUILDINGS = Stage(
 FIND_TREES = replace(
     FIND_BUILDINGS,
     name="tree-tops",
-    version=4,
+    version=5,
     function=find_trees,
     reads=("classification", "confidence", "height_above_ground", "echo_number", "number_of_echoes"),
     when=lambda plan: "trees" in vector_layers(plan),

@@ -77,6 +77,36 @@ def count_cells(table: Table, window: Window, codes: Sequence[int], low: float) 
     )
 
 
+def highest_around(
+    table: Table, window: Window, codes: Sequence[int], places: NDArray[np.int64], reach: int
+) -> NDArray[np.float64]:
+    """Greatest height above ground [m] of echoes of `codes` no further in plan than `reach` cells from the middle of
+    each of the cells `places` int64 (n, 2), row and column; NaN where there is none.
+
+    `table` has x, y, height_above_ground and classification. Distances are whole numbers: no rounding decides.
+    """
+    out = np.full(len(places), -np.inf)
+    number = np.full((window.nrows + 2 * reach, window.ncols + 2 * reach), -1)
+    number[tuple(places.T + reach)] = np.arange(len(places))
+    square = np.ones((2 * reach + 1, 2 * reach + 1), bool)
+    near = scipy.ndimage.binary_dilation(number >= 0, square)[
+        reach : reach + window.nrows, reach : reach + window.ncols
+    ]
+    at, inside = _places(table, window)
+    rows = np.flatnonzero(inside)[near.ravel()[at]]
+    rows = rows[np.isin(table["classification"][rows], codes) & np.isfinite(table["height_above_ground"][rows])]
+    mm = whole_millimetres(window.cell, "cell")
+    x, y = (millimetres(table[n][rows]) - mm * first for n, first in (("x", window.col), ("y", window.row)))
+    col, row, height = x // mm, y // mm, table["height_above_ground"][rows]
+    for down in range(-reach, reach + 1):
+        for right in range(-reach, reach + 1):
+            of = number[row + reach + down, col + reach + right]
+            aside, along = 2 * x - (2 * (col + right) + 1) * mm, 2 * y - (2 * (row + down) + 1) * mm
+            some = (of >= 0) & (aside**2 + along**2 <= (2 * reach * mm) ** 2)
+            np.maximum.at(out, of[some], height[some])
+    return np.where(np.isfinite(out), out, np.nan)
+
+
 @dataclass(frozen=True)
 class Passage:
     """How far pulses come through vegetation, of the cells of a window: int64, row 0 in the south.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window
 from fwclass.schema import Table
-from fwclass.vectors.cells import EIGHT, Counts, Passage
+from fwclass.vectors.cells import EIGHT, Counts, Passage, highest_around
 from fwclass.vectors.outline import Ring, area, corners, fill_holes, mask_of, rings, simplify, sound
 from fwclass.vectors.params import TreeParams
 from fwclass.vectors.shapes import Shapes
@@ -33,7 +33,7 @@ _MOST = 3.0
 """Echoes of vegetation that a pulse is taken to have at most; more come of cells where few pulses end."""
 
 _ASIDE = 2
-"""Cells that the highest echo of a tree may lie beside the middle of its crown."""
+"""Cells that the highest echo of a tree lies from its top at most."""
 
 
 class Canopy(NamedTuple):
@@ -234,9 +234,12 @@ def _cropped(counts: Counts, passage: Passage, window: Window, params: TreeParam
     return counts.within((rows, cols)), passage.within((rows, cols)), inner
 
 
-def trees(counts: Counts, passage: Passage, window: Window, core: Window, params: TreeParams) -> Shapes:
+def trees(table: Table, counts: Counts, passage: Passage, window: Window, core: Window, params: TreeParams) -> Shapes:
     """The trees whose tops lie in `core`, part of `window`: `COLUMNS` of each, by row and column of the top, and the
-    outline of its crown [m]."""
+    outline of its crown [m].
+
+    The height is that of the highest echo of `table` within `_ASIDE` cells of the top, of the surface where none is.
+    """
     counts, passage, window = _cropped(counts, passage, window, params)
     surface = canopy(counts, window.cell, params)
     places = tops(surface, window.cell, params)
@@ -246,6 +249,8 @@ def trees(counts: Counts, passage: Passage, window: Window, core: Window, params
     places = places[((at >= 0) & (at < (seen.nrows, seen.ncols))).all(axis=1)]
     places = places[np.lexsort((places[:, 1], places[:, 0]))]
     tree = crowns(surface, places, window.cell, params)
+    highest = highest_around(table, window, params.codes, places, _ASIDE)
+    highest = np.where(np.isnan(highest), surface.surface[tuple(places.T)], highest)
     rows, polygons = [], []
     for k, piece in enumerate(scipy.ndimage.find_objects(tree, len(places)), 1):
         row, col = places[k - 1] + (window.row, window.col)
@@ -255,16 +260,14 @@ def trees(counts: Counts, passage: Passage, window: Window, core: Window, params
         at = places[k - 1] - (piece[0].start, piece[1].start)
         mine = labels == labels[at[0], at[1]]
         echoes = int(counts.echoes[piece][mine].sum())
-        if mine.sum() * window.cell**2 < params.least_area or echoes < params.least_echoes:
-            continue
         polygon = _outline(mine, window, piece)
-        rated, percent = int(counts.rated[piece][mine].sum()), int(counts.percent[piece][mine].sum())
-        low_r, low_c = np.maximum(places[k - 1] - _ASIDE, 0)
-        height = float(surface.top[low_r : low_r + 2 * _ASIDE + 1, low_c : low_c + 2 * _ASIDE + 1].max())
         size = sum(area(ring) for ring in polygon)
+        if size < params.least_area or echoes < params.least_echoes:
+            continue
+        rated, percent = int(counts.rated[piece][mine].sum()), int(counts.percent[piece][mine].sum())
         sure = 0.01 * percent / rated if rated else math.nan
         x, y = (col + 0.5) * window.cell, (row + 0.5) * window.cell
-        rows.append((x, y, height, size, sure, echoes))
+        rows.append((x, y, float(highest[k - 1]), size, sure, echoes))
         polygons.append(polygon)
     if not rows:
         return Shapes.of(Table.empty(COLUMNS), [])

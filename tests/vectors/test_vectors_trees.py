@@ -64,7 +64,7 @@ def found(table: Table, edge: int = 128, settings=None, last=None) -> Shapes:
             core = Window(CELL, col, row, edge, edge)
             wide = core.grown(halo)
             counts = count_cells(table, wide, settings.codes, 0.0)
-            parts.append(trees(counts, passage(table, wide, settings, last), wide, core, settings))
+            parts.append(trees(table, counts, passage(table, wide, settings, last), wide, core, settings))
     made = Shapes.together(parts)
     return made.ordered(np.lexsort((made.rows["x"], made.rows["y"])))
 
@@ -112,6 +112,27 @@ def test_what_is_no_tree_is_none():
     assert found(one.take(np.zeros(0, int))).rows.rows == 0
     nan = one.with_columns({"height_above_ground": np.full(one.rows, np.nan)})
     assert found(nan).rows.rows == 0
+
+
+def test_the_height_is_of_the_highest_echo_within_a_metre_of_the_top():
+    """It was of a square of cells: of an echo up to 1.77 m away, as a taller neighbour's."""
+    beside = np.array(
+        [[30.0, 30.0, 14.0, 4.5], [35.5, 32.0, 9.0, 3.0], [12.0, 40.0, 8.0, 2.5], [13.9, 43.5, 13.0, 2.5]]
+    )
+    table = leafy(echoes(beside), 0.5)
+    made, high = found(table), np.flatnonzero(table["classification"] == 5)
+    assert made.rows.rows >= 4
+    away = np.hypot(*(table[n][high] - made.rows[n][:, None] for n in "xy"))
+    for reach, same in ((1.0, True), (1.25 * np.sqrt(2), False)):
+        heights = np.where(away <= reach, table["height_above_ground"][high], 0.0).max(axis=1)
+        assert np.allclose(heights, made.rows["object_height"], atol=1e-4) == same
+
+
+def test_no_crown_is_smaller_than_is_said():
+    for least in (1.0, 3.0, 30.0):
+        made = found(leafy(echoes(), 0.8), settings=params(least_area=least))
+        assert (made.rows["object_area"] >= least).all() and (made.rows["object_echoes"] >= 2).all()
+        assert [shapely.Polygon(p[0]).area for p in made.polygons()] == pytest.approx(made.rows["object_area"].tolist())
 
 
 def test_the_order_of_the_echoes_changes_nothing():
