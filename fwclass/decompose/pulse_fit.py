@@ -116,6 +116,22 @@ def _mark_dropped(p, count, n, share, reach, drop):  # type: ignore[no-untyped-d
 
 
 @inlined
+def _overlaps(p, count, k):  # type: ignore[no-untyped-def]
+    """Whether another echo is nearer to echo k than their two widths allow to separate well."""
+    for m in range(count):
+        if m != k and abs(p[3 * m + 2] - p[3 * k + 2]) < 0.75 * FWHM_PER_SIGMA * (p[3 * k + 3] + p[3 * m + 3]):
+            return True
+    return False
+
+
+@inlined
+def _at_edge(p, k, n):  # type: ignore[no-untyped-def]
+    """Whether echo k reaches beyond the first or the last of `n` samples."""
+    t, reach = p[3 * k + 2], FWHM_PER_SIGMA * p[3 * k + 3]
+    return t - reach < 0.0 or t + reach > n - 1.0
+
+
+@inlined
 def _flags(p, count, k, y, pad, n, top, misfit, poor, drop):  # type: ignore[no-untyped-def]
     t, s = p[3 * k + 2], p[3 * k + 3]
     flags = 0
@@ -127,7 +143,7 @@ def _flags(p, count, k, y, pad, n, top, misfit, poor, drop):  # type: ignore[no-
             flags |= OVERLAPPING
     if misfit > poor:
         flags |= POOR
-    if t - FWHM_PER_SIGMA * s < 0.0 or t + FWHM_PER_SIGMA * s > n - 1.0:
+    if _at_edge(p, k, n):
         flags |= EDGE
     return flags
 
@@ -251,7 +267,7 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         if channel[3] > 0.0:
             information = _information(final, channel[1] * kind.level)
         _standard_errors(p, count, weight, math.sqrt(final), information, sums, work, errors)
-        k = _least_known(p, count, errors) if count > 1 else -1
+        k = _least_known(p, count, n, errors) if count > 1 else -1
         if k < 0:
             break
         for a in range(3 * k + 1, 3 * count - 2):
@@ -269,12 +285,13 @@ def _information(variance, sd):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _least_known(p, count, errors):  # type: ignore[no-untyped-def]
-    """The echo whose height is least sure, if it is less sure than `IDENTIFIED`; -1 otherwise."""
+def _least_known(p, count, n, errors):  # type: ignore[no-untyped-def]
+    """The echo whose height is least sure, if it is less sure than `IDENTIFIED` and another one or the record's edge is
+    near; -1 otherwise. One that stands alone between two samples is there, whatever its height."""
     least, at = IDENTIFIED, -1
     for k in range(count):
         sure = p[3 * k + 1] / errors[3 * k + 1]
-        if not sure >= least:
+        if not sure >= least and (_overlaps(p, count, k) or _at_edge(p, k, n)):
             least, at = sure if sure == sure else -1.0, k
     return at
 
