@@ -96,7 +96,7 @@ def train_fold(
     division, _ = squares_of(sample, block, gap, folds, alone)
     rest = _rest(here, sample, division)
     if rest is not None:
-        save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap))
+        save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap, on_trial=True))
     return {"rows": 0 if rest is None else rest.rows, "model": rest is not None}
 
 
@@ -201,7 +201,7 @@ def try_context(
         return {"rows": 0}
     asked = sample.take(division.judged(int(here.part)))
     first = asked.X[:, len(names) : len(names) + len(classes)].astype(np.float64)
-    both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap))[1]
+    both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap, on_trial=True))[1]
     square = asked.place // whole_millimetres(edge, "select.block")
     trial = Trial.of(square, asked.y, first.argmax(axis=1), both.argmax(axis=1), len(classes))
     write_arrays(here.directory / SQUARES, vars(trial))
@@ -302,7 +302,7 @@ _OF_ROWS = 1000 * CONTEXT.version + TRAIN_SAMPLE.version
 
 TRAIN_FOLDS = Stage(
     FOLDS,
-    _OF_LAYERS,
+    1_000_000 + _OF_LAYERS,  # forests of folds tell nothing of themselves
     "survey",
     "tree_row",
     train_fold,

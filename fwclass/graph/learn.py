@@ -23,7 +23,7 @@ from fwclass.graph.training_rows import (
     survey_sample,
     trains,
 )
-from fwclass.model import ClassDef, Model, Tree
+from fwclass.model import ClassDef, Model, Tree, assemble
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import save_model
@@ -34,7 +34,7 @@ from fwclass.train.baselines.stage import machine_weights, train_other
 from fwclass.train.importance import drops
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, review
-from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_TREES, grow_trees, train
+from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_TREES, grow_trees, plain_card, train
 
 TREES, DROPS = "trees", "drops"
 TRAIN_COARSE = "train-coarse"
@@ -130,13 +130,21 @@ def try_machine(
 
 
 def fit_layer(
-    sample: Sample, params: TrainParams, compare: CompareParams, classes: tuple[ClassDef, ...], block: float, gap: float
+    sample: Sample,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: tuple[ClassDef, ...],
+    block: float,
+    gap: float,
+    on_trial: bool = False,
 ) -> Any:
-    """A classifier of any kind, by ``train.method``."""
+    """A classifier of any kind, by ``train.method``; a forest `on_trial`, which is asked here alone, has a card without
+    its own accuracy and the ranges of its features."""
     if params.method != "forest":
         return train_other(sample, params, compare, classes, params.method, folds_of_squares(block, gap))
     review(sample, classes)
-    return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
+    trees = grow_trees(sample, classes, 0, params.trees, params)
+    return assemble(trees, plain_card(sample, classes, params)) if on_trial else train(sample, trees, params, classes)
 
 
 def with_feature_parameters(model: Any, computed: Mapping[str, Any]) -> Any:

@@ -183,6 +183,7 @@ def try_scales(
     learns, held_out = some.take(folding.learns[fold]), some.take(np.asarray(folding.fold == fold))
     matrix = np.zeros((2, 2), np.int64)
     if (learns.counts > 0).all() and held_out.rows:
-        answers, _ = answer(held_out.X, fit_layer(learns, train, compare, classes, select.block, select.gap))
+        model = fit_layer(learns, train, compare, classes, select.block, select.gap, on_trial=True)
+        answers, _ = answer(held_out.X, model)
         np.add.at(matrix, (held_out.y, answers), 1)
     return {"matrix": matrix.tolist()}

@@ -109,8 +109,8 @@ def grow_trees(sample: Sample, classes: Sequence[ClassDef], first: int, count: i
     return [grower.tree(t) for t in range(first, first + count)]
 
 
-def card(sample: Sample, classes: Sequence[ClassDef], params: TrainParams) -> dict[str, Any]:
-    """What a model says about itself: plain data for JSON."""
+def plain_card(sample: Sample, classes: Sequence[ClassDef], params: TrainParams) -> dict[str, Any]:
+    """What reading a model asks for, and what it learned from: plain data for JSON."""
     return {
         "format": FORMAT,
         "features": list(sample.features),
@@ -120,9 +120,14 @@ def card(sample: Sample, classes: Sequence[ClassDef], params: TrainParams) -> di
         "eligible": [int(n) for n in sample.eligible],
         "training": sample.digest,
         "fwclass": __version__,
-        "notes": list(review(sample, classes)),
-        RANGES: ranges_of(sample.X, sample.features),
+        "notes": [],
     }
+
+
+def card(sample: Sample, classes: Sequence[ClassDef], params: TrainParams) -> dict[str, Any]:
+    """What a model says about itself, with remarks on its rows and the ranges of its features: plain data for JSON."""
+    notes, ranges = list(review(sample, classes)), ranges_of(sample.X, sample.features)
+    return {**plain_card(sample, classes, params), "notes": notes, RANGES: ranges}
 
 
 def out_of_bag(sample: Sample, trees: Sequence[Tree], n_classes: int, params: TrainParams) -> dict[str, Any]:
