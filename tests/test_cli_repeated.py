@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -12,7 +13,7 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 from fwclass.schema import Table
-from fwclass.tile.stage import repeats
+from fwclass.tile.stage import repeats, twice_measured
 
 CUT, RIM = 500_040.0, 2.0
 
@@ -77,3 +78,108 @@ def test_repetitions_in_any_order_and_number() -> None:
     counted = repeats(table(rows))
     assert counted == repeats(table([rows[k] for k in rng.permutation(2000)]))
     assert sum(n for _, _, n in counted) == 2000 - len({r[:4] for r in rows})
+
+
+DAYS = 3 * 86_400 + 5_000.0
+"""s of the week."""
+
+
+def flown_twice(place: Path, change: Any = lambda part: None, rows: slice = slice(None)) -> Path:
+    """The small survey as a file with times, and the `rows` of it (by x) that were `change`d in another format."""
+    path = small_survey(place)
+    whole = laspy.read(place / "a.las")
+    whole.gps_time = 3e8 // 604_800 * 604_800 + DAYS + 1e-5 * np.arange(len(whole.x))
+    whole.write(place / "a.las")
+    other = laspy.convert(whole, point_format_id=7)
+    other.points = other.points[np.argsort(np.asarray(whole.x))[rows]]
+    change(other)
+    other.write(place / "again.las")
+    path.write_text(path.read_text().replace("[a.las]", "[a.las, again.las]"))
+    return path
+
+
+def lift(part: Any) -> None:
+    part.z = np.asarray(part.z) + 0.02
+
+
+def of_the_week(part: Any) -> None:
+    part.gps_time = (np.asarray(part.gps_time) + 1e9) % 604_800
+
+
+def standard(part: Any) -> None:
+    part.x = np.asarray(part.x) + 0.03
+    part.gps_time = np.asarray(part.gps_time) + 1e9
+
+
+def measure(path: Path, *words: object) -> tuple[Any, Any]:
+    """How the quality workflow ends, and what its report says of echoes that are there twice."""
+    root = path.parent / "r"
+    ended = fwclass("run", path, "--out", root, "--workflow", "quality", "--workers", 0, *words)
+    return ended, json.loads((root / "report.json").read_text())
+
+
+@pytest.mark.parametrize(("change", "higher"), [(lift, 0.02), (of_the_week, 0.0), (standard, 0.0)])
+def test_a_file_that_is_there_once_more_moved_or_by_another_clock_ends_with_4(
+    tmp_path: Path, change: Any, higher: float
+) -> None:
+    path = flown_twice(tmp_path, change)
+    facts = []
+    for size in (25, 60):
+        ended, report = measure(path, "--set", f"tile.size={size}")
+        assert ended.returncode == 4 and "the sources have a file twice" in ended.stderr, ended.stderr
+        (told,) = (line for line in report["remarks"] if "GPS time and number" in line)
+        assert "a.las and again.las" in told and f"{higher:+.3f} m on average" in told
+        facts.append(report["repeated"])
+    assert facts[0] == facts[1]
+    (pair,) = facts[0]["pairs"]
+    assert pair["of_smaller"] > 0.8 and pair["moved"] == pair["echoes"] and abs(pair["higher"] - higher) < 1e-6
+    assert measure(path, "--accept-implausible")[0].returncode == 0
+
+
+def test_files_with_a_rim_that_was_lifted_say_how_much_they_share(tmp_path: Path) -> None:
+    ended, report = measure(flown_twice(tmp_path, lift, slice(0, 1500)))  # all of it lies in the other: a small file
+    assert ended.returncode == 4 and "have a file twice" in ended.stderr
+    path = flown_twice(tmp_path, lift)
+    for name, west in (("a.las", False), ("again.las", True)):
+        part = laspy.read(tmp_path / name)
+        x = np.asarray(part.x)
+        part.points = part.points[x < CUT + RIM if west else x > CUT - RIM]
+        part.write(tmp_path / name)
+    ended, report = measure(path)
+    assert ended.returncode == 4 and "too many echoes twice" in ended.stderr, ended.stderr
+    (pair,) = report["repeated"]["pairs"]
+    assert 0.07 < pair["of_smaller"] < 0.1 and f"{100 * pair['of_smaller']:.1f} % of the smaller one" in ended.stderr
+    assert measure(path, "--set", "plausibility.max_repeated=0.1")[0].returncode == 0
+
+
+def test_lines_over_one_place_are_not_one_flight(tmp_path: Path) -> None:
+    def another_line(part: Any) -> None:
+        part.gps_time = np.asarray(part.gps_time)[::-1] + 180.0
+
+    ended, report = measure(flown_twice(tmp_path, another_line), "--set", "plausibility.max_repeated=0")
+    assert ended.returncode == 0 and report["repeated"] is None, ended.stderr
+
+
+@pytest.mark.parametrize("step", [1.0, 0.5, 1e9])
+def test_coarse_times_tell_nothing(tmp_path: Path, step: float) -> None:
+    path = flown_twice(tmp_path)
+    for name, shift in (("a.las", 0.0), ("again.las", 0.04)):
+        part = laspy.read(tmp_path / name)
+        part.x = np.asarray(part.x)[:: 1 if shift == 0 else -1] + shift
+        part.gps_time = np.floor(np.asarray(part.gps_time) / step) * step + 1.0
+        part.write(tmp_path / name)
+    ended, report = measure(path)
+    assert ended.returncode == 0 and (report["repeated"] or {"share": 0.0})["share"] < 0.01, report["repeated"]
+
+
+def test_moved_echoes_by_hand() -> None:
+    rows = [(1.0, 2, 3, 7.25, 5), (1.02, 2, 3.5, 7.25, 2), (1.0, 2, 3, 8.25, 2), (1.0, 2, 3, np.nan, 2)]
+    rows += [(9.0, 2, 3, 7.25, 9), (1.0, 2, 4, 7.25, 6), (1.0, 2, 4, 0.0, 6), (1.0, 2, 5, 0.0, 7)]
+    numbered = table(rows).with_columns({"echo_number": np.ones(len(rows), np.uint8)})
+    assert twice_measured(numbered) == [[2, 5, 1, -500], [2, 6, 1, 500]]
+    assert twice_measured(numbered.take(np.arange(len(rows))[::-1])) == [[2, 5, 1, -500], [2, 6, 1, 500]]
+    assert twice_measured(numbered.take(np.array([0, 2, 3]))) == [] == twice_measured(numbered.take(np.array([0])))
+    same = table([(1.0, 2, 3, 7.0, 1), (1.0, 2, 3, 7.0, 2)]).with_columns({"echo_number": np.ones(2, np.uint8)})
+    assert twice_measured(same) == []  # `repeats` counts them
+    second = same.with_columns({"echo_number": np.array([1, 2], np.uint8), "z": np.array([3.0, 4.0])})
+    assert twice_measured(second) == []

@@ -26,7 +26,7 @@ from fwclass.survey.bounds import CLOUD_ROWS
 from fwclass.survey.layout import FileDigests
 from fwclass.survey.numbering import assign_numbers
 from fwclass.tile.params import TileParams
-from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, repeats, split
+from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, repeats, split, twice_measured
 from fwclass.waveforms import IMPLAUSIBLE
 
 CLOUD_COLUMNS = ("x", "y", "z", "gps_time", "source_class")
@@ -141,6 +141,7 @@ def tile_echoes(here: StageInputs, blocks: tuple[float, ...], kept_noise: tuple[
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _passes(table),
         "repeated": repeats(table),
+        "moved": twice_measured(table),
     }
 
 

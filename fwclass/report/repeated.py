@@ -6,8 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from fwclass.assess.remarks import percent_words
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_unsound
+from fwclass.graph.sources import strip_of
+from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Strip
 
 SAID_FROM = 0.001
@@ -21,41 +24,106 @@ CAUSE = (
 )
 
 
-def repeated_facts(tiles: Iterable[Mapping[str, Any]], strips: Iterable[Strip]) -> dict[str, Any] | None:
-    """Echoes with place and time of another, by what `tile.stage.repeats` counted in `tiles`; None for none.
+def repeated_facts(
+    tiles: Iterable[Mapping[str, Any]], strips: Iterable[Strip], decomposed: Iterable[Receipt]
+) -> dict[str, Any] | None:
+    """Echoes with place and time of another, by what `tile.stage.repeats` counted in `tiles`, and those that were
+    measured once and stand at two places (`tile.stage.twice_measured`); None for none.
 
-    ``echoes``, their ``share``, ``files`` with [name, name, echoes], most first, and ``remarks`` from `SAID_FROM` on.
+    ``echoes``, their ``share``, ``files`` with [name, name, echoes], most first, ``pairs`` of two files each with
+    ``first``, ``second``, ``echoes``, their share of those of the file that has fewer (``of_smaller``), how many of
+    them were ``moved`` and by how much these are higher in the second (``higher`` [m], None without one), and
+    ``remarks`` where `SAID_FROM` of the survey's echoes, or of a file's, are there twice.
+
+    `decomposed`: the parts that made the strips' echoes.
     """
-    names, counts, rows = {s.number: s.path.name for s in strips}, Counter[tuple[int, int]](), 0
+    exact, moved, lifted, rows = Counter[tuple[int, int]](), Counter[tuple[int, int]](), Counter[tuple[int, int]](), 0
     for meta in tiles:
         rows += meta["rows"]
-        counts.update({(a, b): n for a, b, n in meta["repeated"]})
+        exact.update({(a, b): n for a, b, n in meta["repeated"]})
+        moved.update({(a, b): n for a, b, n, _ in meta.get("moved", ())})
+        lifted.update({(a, b): up for a, b, _, up in meta.get("moved", ())})
+    counts = exact + moved
     if not counts:
         return None
-    total = sum(counts.values())
-    files = [[names[a], names[b], n] for (a, b), n in sorted(counts.items(), key=lambda item: (-item[1], item[0]))]
+    of_strip: Counter[int] = Counter()
+    for receipt in decomposed:
+        of_strip[strip_of(receipt.part)] += receipt.meta["echoes"]
+    names = {s.number: s.path.name for s in strips}
+    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    pairs: list[dict[str, Any]] = [
+        {
+            "first": names[a],
+            "second": names[b],
+            "echoes": n,
+            "of_smaller": n / smaller if (smaller := min(of_strip[a], of_strip[b])) else None,
+            "moved": moved[a, b],
+            "higher": 0.001 * lifted[a, b] / moved[a, b] if moved[a, b] else None,
+        }
+        for (a, b), n in ordered
+        if a != b
+    ]
+    total = counts.total()
+    files = [[names[a], names[b], n] for (a, b), n in ordered]
     share, remarks = total / rows, []
-    if share > SAID_FROM:
+    if exact.total() > SAID_FROM * rows:
+        alike = [[*pair[:2], n] for pair, (key, _) in zip(files, ordered, strict=True) if (n := exact[key])]
         remarks.append(
-            f"{total:,} echoes, {100 * share:.1f} %, have place and time of another ({_pairs(files)}): {CAUSE}"
+            f"{exact.total():,} echoes, {100 * exact.total() / rows:.1f} %, have place and time of another "
+            f"({_pairs(alike, pairs)}): {CAUSE}"
         )
-    return {"echoes": total, "share": share, "files": files, "remarks": remarks}
+    told = [p for p in pairs if p["moved"] > SAID_FROM * p["echoes"] / (p["of_smaller"] or 1.0)]
+    if told:
+        remarks.append(
+            f"{sum(p['moved'] for p in told):,} echoes have GPS time and number of another file's within half a metre "
+            f"({first_few([_moved_words(p) for p in told], NAMED, '; ')}): one flight "
+            "delivered twice, or files with a common rim that were adjusted or converted apart"
+        )
+    return {"echoes": total, "share": share, "files": files, "pairs": pairs, "remarks": remarks}
 
 
 def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) -> None:
-    """`QualityError` where too many echoes are there twice; nothing where the user accepts it."""
-    if facts is None or facts["share"] <= params.max_repeated:
+    """`QualityError` where too many echoes, or too many of one file, are there twice; nothing where the user accepts
+    it."""
+    if facts is None:
+        return
+    do = (
+        "take every file once, and cut rims that files have in common off; --accept-implausible "
+        "(plausibility.accept=true) takes them as they are"
+    )
+    within = [p for p in facts.get("pairs", ()) if (p["of_smaller"] or 0.0) > params.max_shared]
+    if within and within[0]["echoes"] >= params.least:
+        refuse_unsound(
+            [first_few([f"{p['echoes']:,}, {percent_words(p['of_smaller'])}" for p in within], NAMED, "; ")],
+            params.accept,
+            "the sources have a file twice",
+            where=first_few([f"{p['first']} and {p['second']}" for p in within], NAMED, "; "),
+            expected=f"at most {100 * params.max_shared:g} % of a file's echoes in another (plausibility.max_shared)",
+            do=do,
+        )
+    if facts["share"] <= params.max_repeated:
         return
     refuse_unsound(
         [f"{facts['echoes']:,}, {100 * facts['share']:.1f} %"],
         params.accept,
         "the sources have too many echoes twice",
-        where=_pairs(facts["files"]),
+        where=_pairs(facts["files"], facts.get("pairs", ())),
         expected=f"at most {100 * params.max_repeated:g} % with place and time of another (plausibility.max_repeated)",
-        do="take every file once, and cut rims that files have in common off; --accept-implausible "
-        "(plausibility.accept=true) takes them as they are",
+        do=do,
     )
 
 
-def _pairs(files: Iterable[list[Any]]) -> str:
-    return first_few([f"{a} and {b}: {n:,}" if a != b else f"{a} itself: {n:,}" for a, b, n in files], NAMED)
+def _pairs(files: Iterable[list[Any]], pairs: Iterable[Mapping[str, Any]]) -> str:
+    """Files with their counts; of two files also the share of the smaller one's echoes that are there twice."""
+    shares = {(p["first"], p["second"]): p["of_smaller"] for p in pairs}
+    words = []
+    for a, b, n in files:
+        share = shares.get((a, b))
+        of = f", {percent_words(share)} of the smaller one" if share else ""
+        words.append(f"{a} and {b}: {n:,}{of}" if a != b else f"{a} itself: {n:,}")
+    return first_few(words, NAMED, "; " if any(", " in w for w in words) else ", ")
+
+
+def _moved_words(pair: Mapping[str, Any]) -> str:
+    share = f", {percent_words(pair['of_smaller'])} of the smaller one" if pair["of_smaller"] else ""
+    return f"{pair['first']} and {pair['second']}: {pair['moved']:,}{share}, {pair['higher']:+.3f} m on average"

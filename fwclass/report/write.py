@@ -163,7 +163,9 @@ def _of_the_survey(
         "waveforms": waveform_facts(runner, survey),
         "plausibility": plausibility_of_run(runner, survey, config),
         "radiometry": radiometry_of_run(runner, survey, config),
-        "repeated": repeated_facts((r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips),
+        "repeated": repeated_facts(
+            (r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips, receipts_of_run(runner, "decompose")
+        ),
         "returns": returns_facts(
             read, survey.strips, names if "classify" in runner.tallies else (), config.plausibility
         ),

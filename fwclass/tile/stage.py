@@ -16,6 +16,20 @@ from fwclass.stage import Computation
 MORTON_CELL = 2_000
 """Edge of the cells of the spatial sort [mm]; only the order of rows in a tile depends on it."""
 
+SAME_CELL = 500
+"""Edge of the cells within which an echo is looked for that was measured once and stands in two files [mm]: more than
+adjustments of strips move it, few of which lose it at a cell's edge."""
+
+TICK = 1e-6
+"""s, in which times are compared: standard GPS time is stored to 2.4e-7 s, pulses follow at 5e-7 s at least."""
+
+OWN_TIMES = 0.25
+"""Times over first echoes of a strip in a tile, below which its times are coarse: 1 of sound ones, a half where two
+channels fire at once."""
+
+WEEK, ADJUSTMENT = 604_800.0, 1e9
+"""s"""
+
 
 @dataclass(frozen=True)
 class Split:
@@ -120,6 +134,66 @@ def repeats(table: Table) -> list[list[int]]:
     return [[int(a), int(b), int(n)] for (a, b), n in zip(kinds, counts, strict=True)]
 
 
+def twice_measured(table: Table) -> list[list[int]]:
+    """How many echoes are another strip's, moved: of one GPS time (to `TICK`, of the week, in whatever format), echo
+    number and cell of `SAME_CELL`, by pairs of strips; those that `repeats` counts are left out.
+
+    Parameters
+    ----------
+    table : x, y, z [m], gps_time [s] (NaN and 0: not known), echo_number and strip. Echoes that share all of this with
+        one of their own strip tell nothing, nor do strips whose times are coarse (`OWN_TIMES`).
+
+    Returns
+    -------
+    [strip, other strip, echoes, sum of the other's heights less the first's [mm]] in rising order.
+    """
+    if table.rows == 0 or (table["strip"] == table["strip"][0]).all():
+        return []
+    time, strips = table["gps_time"], table["strip"].astype(np.int64)
+    rows = _finely_timed(time, strips, table["echo_number"])
+    x, y, z = (millimetres(table[n][rows]).astype(np.int64) for n in "xyz")
+    number, ticks = table["echo_number"][rows].astype(np.int64), _week_ticks(time[rows])
+    key = np.zeros(len(rows), np.uint64)
+    for values in (ticks, number, x // SAME_CELL, y // SAME_CELL):
+        key = mix(key ^ values.view(np.uint64))
+    again = np.sort(key)
+    some = np.flatnonzero(np.isin(key, again[1:][again[1:] == again[:-1]]))
+    some = some[np.lexsort((strips[rows[some]], key[some]))]
+    if not len(some):
+        return []
+    of = strips[rows[some]]
+    same = key[some[1:]] == key[some[:-1]]
+    unclear = np.isin(key[some], key[some[1:]][same & (of[1:] == of[:-1])])
+    first = np.maximum.accumulate(np.where(np.append(False, same), 0, np.arange(len(some))))[1:]
+    i, j = some[first], some[1:]
+    moved = (x[i] != x[j]) | (y[i] != y[j]) | (z[i] != z[j]) | (time[rows[i]] != time[rows[j]])
+    pair = same & ~unclear[1:] & moved
+    both = np.stack([of[first], of[1:]], axis=1)[pair]
+    kinds, at = np.unique(both, axis=0, return_inverse=True)
+    lifted, counts = np.zeros(len(kinds), np.int64), np.bincount(at.reshape(-1), minlength=len(kinds))
+    np.add.at(lifted, at.reshape(-1), (z[j] - z[i])[pair])
+    return [[*map(int, ab), int(n), int(up)] for ab, n, up in zip(kinds.tolist(), counts, lifted, strict=True)]
+
+
+def _finely_timed(time: NDArray[np.float64], strips: NDArray[np.int64], number: NDArray) -> NDArray[np.int64]:
+    """Rows with a time of strips whose pulses have times of their own."""
+    known = np.isfinite(time) & (time != 0)
+    for strip in np.unique(strips).tolist():
+        own = known & (strips == strip)
+        first = time[own & (number == number[own].min(initial=255))]
+        if len(np.unique(first)) < OWN_TIMES * len(first):
+            known &= ~own
+    return np.flatnonzero(known)
+
+
+def _week_ticks(time: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Multiples of `TICK` since the week began, of times of the week, of standard and of adjusted standard time; those
+    of whole and half microseconds lie amid a multiple's reach, so that rounding of the formats moves none."""
+    adjusted = (time < 0) | ((time > WEEK) & (time < ADJUSTMENT))
+    of_week = time % WEEK + np.where(adjusted, ADJUSTMENT % WEEK, 0.0)
+    return np.floor(of_week % WEEK / TICK + 0.25).astype(np.int64)
+
+
 SPLIT = Computation("split", 1)
-TILE = Computation("tile", 3)
+TILE = Computation("tile", 4)
 REFERENCE = Computation("reference", 1)
