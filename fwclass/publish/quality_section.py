@@ -139,11 +139,11 @@ def _share(share: float) -> str:
 
 def _strip(strip: Mapping[str, Any]) -> dict[str, Any]:
     figures = [
-        f"{_cm(strip[name])} ± {100 * strip[f'{name}_error']:.2f}" if strip[name] is not None else "–"
+        f"{_cm(strip[name])}\u00a0±\u00a0{100 * strip[f'{name}_error']:.2f}" if strip[name] is not None else "–"
         for name in ("height", "roll", "pitch")
     ]
     flight = f"{round(strip['azimuth']) % 360}°" + ("" if strip["timed"] else " or back")
-    size = f"{strip['width']:,.0f} × {strip['length']:,.0f}".replace(",", "\u202f")
+    size = f"{strip['width']:,.0f}\u00a0×\u00a0{strip['length']:,.0f}".replace(",", "\u202f")
     return {"name": strip["name"], "cells": [number(strip["echoes"]), flight, size, number(strip["pairs"]), *figures]}
 
 

@@ -30,4 +30,4 @@ def parted(text: str) -> tuple[str, str]:
             return text, ""
         advice.insert(0, said[ends[-1] :])
         said = said[: ends[-1] - 2]
-    return said, "; ".join(advice)
+    return said if said.endswith(".") or not advice else f"{said}.", "; ".join(advice)

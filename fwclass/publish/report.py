@@ -61,6 +61,9 @@ LISTED = 8
 COUNTED = ("unexplained", "outside", "below", "weak", "implausible", "returns_without_echo")
 """Counts of echoes and returns of a strip that its table shows."""
 
+OF_WAVEFORMS = ("pulses", "returns_without_packet", "returns_without_echo", "echoes_decomposed")
+"""Counts of a survey with waveforms, which one of returns alone has as zeros, or as its returns."""
+
 PULSE, SAMPLING = "pulse", "sampling"
 """Figures that stand in sections of their own, not among the maps."""
 
@@ -160,7 +163,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "accuracy": accuracy(report.get("accuracy"), classes, remarks),
         "distribution": distribution(report.get("distribution"), classes),
         "training": training(report.get("training")),
-        "counts": counts,
+        "counts": {n: v for n, v in counts.items() if counts.get("pulses") or n not in OF_WAVEFORMS},
         "balance": _balance(counts),
         "files": list(source.get("files") or ()),
         "faults": dict(source.get("faults") or {}),

@@ -230,7 +230,7 @@ def classifier(facts: Mapping[str, Any]) -> str:
     """What learned, in words; "" where the report does not say."""
     name = f"random forest of {number(facts['trees'])} trees" if facts.get("trees") else ""
     name = name or CLASSIFIERS.get(str(facts.get("method")), "")
-    return f"{name}, and a second layer by the answers around every echo" if facts.get("in_context") else name
+    return f"{name} with a second layer by the answers around every echo" if facts.get("in_context") else name
 
 
 def training(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:

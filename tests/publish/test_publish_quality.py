@@ -84,7 +84,7 @@ def test_the_worst_pairs_come_first() -> None:
     assert [row["names"] for row in told["between"]] == ["a – c", "a – b"]
     assert told["between"][0]["cells"] == ["1", "-20.0", "30.0", "-3.0", "+4.0", "0.5"]
     assert ("apart in plan", "5.0 ± 0.5 cm at most, a – c") in told["rows"]
-    assert told["strips"][0]["cells"][4] == "+1.2 ± 0.10"
+    assert told["strips"][0]["cells"][4] == "+1.2\u00a0±\u00a00.10"
 
 
 def test_maps_of_nothing_are_none_and_of_one_value_are_drawn(params: PublishParams) -> None:

@@ -12,10 +12,14 @@ from fwclass.publish.report import render_report
     [
         ("no terrain at all", "no terrain at all", ""),
         ("rough (ground.cell), and wide (a.b=3, c.d): look", "rough, and wide: look", ""),
-        ("too narrow: 25 m (assess.block): --set assess.block=54.", "too narrow: 25 m", "--set assess.block=54."),
-        ("one strip: alone (quality.strips=times cuts it)", "one strip: alone", "quality.strips=times cuts it"),
-        ("codes (3, 4): lost; --keep 3,4 (classify.keep=[3,4]) stays", "codes (3, 4): lost", "--keep 3,4 stays"),
-        ("two (see `fwclass info`) files. Mend survey.sources", "two files", "Mend survey.sources; see `fwclass info`"),
+        ("too narrow: 25 m (assess.block): --set assess.block=54.", "too narrow: 25 m.", "--set assess.block=54."),
+        ("one strip: alone (quality.strips=times cuts it)", "one strip: alone.", "quality.strips=times cuts it"),
+        ("codes (3, 4): lost; --keep 3,4 (classify.keep=[3,4]) stays", "codes (3, 4): lost.", "--keep 3,4 stays"),
+        (
+            "two (see `fwclass info`) files. Mend survey.sources",
+            "two files.",
+            "Mend survey.sources; see `fwclass info`",
+        ),
         ("a.las and b.gpkg differ; quality.html says how", "a.las and b.gpkg differ; quality.html says how", ""),
         ("--keep 3 lost its class", "--keep 3 lost its class", ""),
     ],

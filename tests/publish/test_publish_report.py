@@ -166,7 +166,7 @@ def test_everything_is_there(tmp_path: Path) -> None:
         "0.779",
         "type II error",
         "packet past the end",
-        "All 1 234 decomposed echoes are in tiles",
+        "All 1 234 echoes are in tiles",
         "strips/a.las",
         "≈ 0 m",
         "3–10 m",
@@ -305,6 +305,15 @@ def test_a_lost_echo_is_shown(tmp_path: Path) -> None:
     report["counts"]["echoes_in_tiles"] = 1230
     _, page = rendered(report, tmp_path)
     assert "not all in tiles" in page.text and "4 differ" in page.text
+
+
+def test_a_survey_of_returns_alone_has_no_counts_of_waveforms(tmp_path: Path) -> None:
+    report, whole = full(), rendered(full(), tmp_path)[1].text
+    report["counts"] = {**report["counts"], "pulses": 0, "returns_without_packet": 0, "returns": 1234}
+    said = rendered(report, tmp_path)[1].text
+    for words in ("pulses with waveforms", "returns without packet", "echoes decomposed"):
+        assert words in whole and words not in said, words
+    assert "All 1\u202f234 echoes are in tiles" in said and "1 source file gave 1\u202f234 echoes" in said
 
 
 def test_failed_parts_are_shown_only_where_there_are_any(tmp_path: Path) -> None:
