@@ -105,49 +105,51 @@ def deliver_strip(
     `codes` maps class codes to those that the strip's point format can hold.
     """
     chunks = here.parts("decompose")
-    keys, classes = _classes_of_strip(strip_of(chunks[0]), here.parts("tile"), here.inputs)
-    links = Table.concat([link_table(here.inputs, c) for c in chunks])
-    wanted = _keys(links)
-    place = np.searchsorted(keys, wanted)
-    if links.rows and (len(keys) == 0 or (keys[np.minimum(place, len(keys) - 1)] != wanted).any()):
-        raise StoreError(
-            "a return's echo is in no tile",
-            where=here.source,
-            do="run again without --tiles: a strip is delivered when all its tiles are classified",
-        )
+    answers = _answers_of_strip(strip_of(chunks[0]), here.parts("tile"), here.inputs)
+    classes = np.concatenate([_classes_of_links(answers, here, chunk) for chunk in chunks])
     legal = np.arange(256, dtype=np.uint8)
     for code, other in codes.items():
         legal[int(code)] = other
     output = here.directory / "laz" / "strips" / f"{here.part}.laz"
     output.parent.mkdir(parents=True)
-    answered = legal[classes[place]]
+    answered = legal[classes]
     read = here.parts("read")  # of returns with waveforms several may be one echo's
     if kept and read:
         own = np.concatenate([here.inputs.table("read", c, ("source_class",), RETURNS)["source_class"] for c in read])
         answered = np.where(kept.rows(own), own, answered)
     facts = write_strip_laz(here.file(), output, answered, None, params)
-    return {"points": links.rows, "lacking": facts["lacking"]}
+    return {"points": len(classes), "lacking": facts["lacking"]}
 
 
 def _keys(table: Table) -> NDArray[np.uint64]:
     return (table["pulse"].astype(np.uint64) << np.uint64(_ECHO_BITS)) | table["echo_number"].astype(np.uint64)
 
 
-def _classes_of_strip(
-    strip: int, tiles: tuple[str, ...], inputs: PartInputs
-) -> tuple[NDArray[np.uint64], NDArray[np.uint8]]:
-    """(key, class) of every echo of a strip, by key."""
+def _answers_of_strip(strip: int, tiles: tuple[str, ...], inputs: PartInputs) -> NDArray[np.uint64]:
+    """Key and class code (the lowest 8 bits) of every echo of a strip, by key: a strip may have 100 million."""
     columns = {**dict.fromkeys(("strip", "pulse", "echo_number"), "tile"), "classification": "classify"}
-    tables = []
+    answers = [np.empty(0, np.uint64)]
     for tile in tiles:
         table = inputs.rows(tile, columns)
-        tables.append(table.take(table["strip"] == strip))
-    if not tables:
-        return np.empty(0, np.uint64), np.empty(0, np.uint8)
-    table = Table.concat(tables)
-    keys = _keys(table)
-    order = np.argsort(keys)
-    return keys[order], table["classification"][order]
+        table = table.take(table["strip"] == strip)
+        answers.append((_keys(table) << np.uint64(8)) | table["classification"].astype(np.uint64))
+    every = np.concatenate(answers)
+    every.sort()
+    return every
+
+
+def _classes_of_links(answers: NDArray[np.uint64], here: StageInputs, chunk: str) -> NDArray[np.uint8]:
+    """uint8 (points,): class codes of the points of a chunk, by what `_answers_of_strip` gives."""
+    wanted = _keys(link_table(here.inputs, chunk))
+    place = np.searchsorted(answers, wanted << np.uint64(8))
+    answered = answers[np.minimum(place, len(answers) - 1)] if len(answers) else np.zeros(len(wanted), np.uint64)
+    if len(wanted) and (len(answers) == 0 or (answered >> np.uint64(8) != wanted).any()):
+        raise StoreError(
+            "a return's echo is in no tile",
+            where=here.source,
+            do="run again without --tiles: a strip is delivered when all its tiles are classified",
+        )
+    return (answered & np.uint64(255)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
