@@ -147,6 +147,7 @@ class PlausibilityParams(Params):
     max_misplaced : share of neighbouring returns of one pulse that do not lie apart as their locations in time do.
     max_repeated : share of the survey's echoes that have place and time of another.
     max_shared : share of a file's echoes that another file has too: as they are, or moved by less than half a metre.
+    max_height_step : median step in height between files, or lines, that see one surface or lie beside each other [m].
     max_apart : distance from the nearest other file, beyond which few files of many are of another survey [m].
     coarse_places : step that all places of a file are multiples of [m].
     max_intensity_ratio : between the files' medians of single returns, where features of amplitude decide.
@@ -168,6 +169,7 @@ class PlausibilityParams(Params):
     max_misplaced: float = Field(ge=0.0, le=1.0)
     max_repeated: float = Field(ge=0.0, le=1.0)
     max_shared: float = Field(ge=0.0, le=1.0)
+    max_height_step: float = Field(gt=0.0, le=1000.0)
     max_apart: float = Field(gt=0.0, le=40_000_000.0)
     coarse_places: float = Field(gt=0.0, le=1000.0)
     max_intensity_ratio: float = Field(gt=1.0, le=100_000.0)

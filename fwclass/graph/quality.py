@@ -35,6 +35,7 @@ from fwclass.quality.offsets import slopes_from
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.roughness import EDGES, roughness_facts, roughness_remarks
+from fwclass.quality.steps import Steps, step_remarks, told_steps
 from fwclass.quality.strips import (
     By,
     Comparison,
@@ -160,6 +161,7 @@ def deliver_quality(
             *(["all echoes are noise"] if not echoes else []),
             *density_remarks(density_facts),
             *strip_remarks(strips),
+            *step_remarks(strips),
             *roughness_remarks(strips["roughness"]),
             *(check_remarks(checked, params.check_points.reach) if checked else ()),
         ],
@@ -185,18 +187,32 @@ def _strips(
     strips = strips_of(pieces, [(b.box.xmin, b.box.ymin) for b in blocks], numbers, params.line_gap)
     compared, borders, lows = Comparison(params.planes, sum(int(m["pairs"]) for m in metas)), [], []
     rough = np.zeros(len(EDGES), np.int64)
-    for b, number in zip(blocks, numbers, strict=True):
+    by_files, by_lines, beside = (Steps(params.planes.max_step) for _ in range(3))
+    lines = numbers_of(pieces, "times")
+    for b, piece, number, line in zip(blocks, pieces, numbers, lines, strict=True):
         window = Window.covering(b.box, params.planes.cell)
         arrays = inputs.arrays(stage, b.key, COMPARED)[0]
-        compared.add(pairs_from(arrays), slopes_from(arrays), number, (window.col, window.row))
+        pairs = pairs_from(arrays)
+        by_files.add_pairs(pairs, piece.file)
+        by_lines.add_pairs(pairs, line)
+        compared.add(pairs, slopes_from(arrays), number, (window.col, window.row))
         borders.append([arrays[name] for name in BORDERS])
         lows.append((arrays[LOWS[0]], arrays[LOWS[1]], arrays[LOWS[2]]))
         rough += arrays["roughness"]
     first, second, step = (np.concatenate(some) for some in zip(*borders, strict=True))
     stepped = stepped_borders(first, second, step, files, params.planes.max_step)
+    beside.add(first, second, step)
+    named = {k: f"line {k + 1}" for k in range(1 + max((int(n.max()) for n in lines if len(n)), default=0))}
+    steps = told_steps(
+        {
+            ("files", "overlap"): (by_files, files),
+            ("files", "border"): (beside, files),
+            ("times", "overlap"): (by_lines, named),
+        }
+    )
     ways: tuple[By, ...] = ("files", "times")
     lifted = [{"by": way, **one} for way in ways for one in lifted_strips(lows, numbers_of(pieces, way))]
-    facts = compared.facts(strips, files, by) | {"borders": stepped, "lifted": lifted}
+    facts = compared.facts(strips, files, by) | {"borders": stepped, "lifted": lifted, "steps": steps}
     facts["roughness"] = roughness_facts(rough)
     return facts, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
 

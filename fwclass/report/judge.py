@@ -11,6 +11,7 @@ from fwclass.classify.unsure import judge_unsure
 from fwclass.conf import Config
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.quality.judge import judge_check_points, judge_quality
+from fwclass.quality.steps import judge_steps
 from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
@@ -57,6 +58,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     judge_unsure(report.get("unsure"), config.classify, model)
     if report.get("quality"):
         judge_strips(report["quality"]["strips"], accepted, where)
+        judge_steps(report["quality"]["strips"], config.plausibility.max_height_step, accepted, where)
         judge_check_points(report["quality"]["check_points"], accepted, where)
         judge_quality(report["quality"], config.quality)
     if report["accuracy"]:

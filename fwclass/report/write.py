@@ -20,6 +20,7 @@ from fwclass.quality.check_points import check_remarks
 from fwclass.quality.covered import CoveredArea
 from fwclass.quality.judge import thresholds
 from fwclass.quality.roughness import roughness_remarks
+from fwclass.quality.steps import step_remarks
 from fwclass.quality.strips import offset_remarks, unsound_strips
 from fwclass.report.accuracy import class_accuracy, drift_of_run, feature_distribution, ground_facts, training_facts
 from fwclass.report.counts import (
@@ -264,6 +265,7 @@ def _of_quality(quality: Mapping[str, Any], config: Config) -> list[str]:
     strips, checked = quality["strips"], quality["check_points"]
     return [
         *(unsound_strips(strips) or offset_remarks(strips)),
+        *step_remarks(strips),
         *roughness_remarks(strips["roughness"]),
         *(check_remarks(checked, config.quality.check_points.reach) if checked else ()),
     ]
