@@ -256,6 +256,20 @@ def test_train_refuses_before_it_works(tmp_path):
     assert not (tmp_path / "run").exists() and (tmp_path / "full" / "letter.txt").exists()
 
 
+@pytest.mark.parametrize("words", [("--model", "m"), ("--compare", "forest,boosting")])
+def test_train_says_before_it_works_that_nothing_is_left_to_test_on(tmp_path: Path, words: tuple[str, ...]) -> None:
+    path = small_survey(tmp_path)
+    line = ("train", path, words[0], tmp_path / "m" if words[1] == "m" else words[1], "--out", tmp_path / "r")
+    ended = fwclass(*line, "--workers", 0, "--set", "areas.train=all")
+    assert ended.returncode == 2 and "all of the survey trains" in ended.stderr and "--no-assess" in ended.stderr
+    assert not list((tmp_path / "r").glob("store/index/*")), "files were read"
+    ended = fwclass(*line, "--workers", 0, "--set", "areas.train=[[0, 0, 1000000, 10000000]]")
+    assert ended.returncode != 0 and "no tile lies in a test area" in ended.stderr, ended.stderr
+    assert not (tmp_path / "r" / "store" / "features").exists() and not (tmp_path / "r" / "store" / "train").exists()
+    if words[1] == "m":
+        assert fwclass(*line, "--workers", 0, "--set", "areas.train=all", "--no-assess").returncode == 0
+
+
 def test_select_wants_something_to_choose(tmp_path):
     for asked, told in (
         ("zc", "nothing to choose"),

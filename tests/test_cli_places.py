@@ -92,6 +92,7 @@ def test_several_sites_are_told_and_taken() -> None:
     assert not both["alone"] and "2 places" in both["remarks"][0] and "76 km" in both["remarks"][0]
     for foreign in (1, 2):
         assert (foreign == 1) == bool(places([*town, *second[:foreign]])["alone"])
+    assert not places([*town[:6], second[0], (0.0, HERE[1]), (HERE[0], 0.0)])["alone"]  # four sites: a collection
     with pytest.raises(QualityError, match="far from all others"):
         judge_file_places(places([*town, second[0]]), BOUNDS, "s")
     judge_file_places(places([*town, second[0]]), BOUNDS.model_copy(update={"accept": True}), "s")

@@ -24,8 +24,8 @@ NAMED = 3
 """Files that are named."""
 
 FEW, MANY = 0.1, 5
-"""Share of the files up to which a place holds few of them, and the number from which they are many: one file of two or
-three may be a site of its own."""
+"""Share of the files up to which those outside of the largest place are few, and the number from which they are many:
+one file of two or three may be a site of its own."""
 
 
 def bounds_of_files(read: Iterable[Receipt], tiled: Iterable[Receipt]) -> dict[int, Bounds]:
@@ -110,8 +110,8 @@ def _of_files(said: Mapping[str, str], every: int) -> str:
 
 
 def _apart(bounds: Mapping[str, Bounds], params: PlausibilityParams) -> tuple[str, bool]:
-    """That files lie in several places further than `params.max_apart` from each other, and whether one of these holds
-    few files of many."""
+    """That files lie in several places further than `params.max_apart` from each other, and whether all
+    but few of many lie in one of these."""
     names = list(bounds)
     boxes = np.array([[*low[:2], *high[:2]] for low, high in bounds.values()]).reshape(-1, 4)
     places = _joined(boxes, params.max_apart)
@@ -120,7 +120,7 @@ def _apart(bounds: Mapping[str, Bounds], params: PlausibilityParams) -> tuple[st
     largest, smallest = (np.array(f(places, key=len)) for f in (max, min))
     rest = np.setdiff1d(np.arange(len(names)), smallest)
     gap = min(float(_gaps(boxes[k], boxes[rest]).min()) for k in smallest)
-    few = len(names) >= MANY and len(smallest) <= max(1, FEW * len(names)) and len(largest) > len(names) / 2
+    few = len(names) >= MANY and len(names) - len(largest) <= max(1, FEW * len(names))
     listed = first_few([names[k] for k in smallest], NAMED)
     return (
         f"the files lie in {len(places)} places further than {params.max_apart / 1000:g} km from each other: "

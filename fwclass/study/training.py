@@ -52,15 +52,17 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     takes them over.
     """
     _check_labelled(config)
+    if assess:
+        _check_tested(config)
     plan, before = _begin(config, runner)
     config = plan.config
+    layout = tested_layout(plan.layout) if assess else plan.layout  # known before anything is trained
     tasks = before + tasks_of(plan, LEARNING)
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
     plain: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
     plain |= {"ambiguous": 0, "remarks": [], "cross_validation": None, "unsure": None}
     if assess:
-        layout = tested_layout(plan.layout)
         tasks += tasks_of(plan, CLASSIFYING) + tasks_of(replace(plan, tiled=layout), JUDGING)
         require_all(runner, ancestors(tasks, [("assess", "all")]))
         judged = runner.store.receipt("assess", "all")
@@ -109,6 +111,7 @@ def kept_rows(config: Config, store: Store, most: int) -> ModelRows:
 def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict[str, Any]:
     """Several kinds of classifier on one sample and the same test echoes; see `compare_methods`. Nothing is thinned."""
     _check_labelled(config)
+    _check_tested(config)
     require_own_labels(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
     plan, tasks = _begin(config, runner)
@@ -144,6 +147,17 @@ def _check_labelled(config: Config) -> None:
         )
 
 
+def _check_tested(config: Config) -> None:
+    if config.areas.trains_everywhere:
+        raise ConfigError(
+            "nothing is left to test on: all of the survey trains",
+            where=f"{config.path}: areas.train",
+            expected="training areas beside which something is left, to judge the model there",
+            got="all",
+            do="--no-assess; --leave-out, which judges it on each of survey.sources; or boxes in areas.train",
+        )
+
+
 def tested_layout(layout: Layout) -> Layout:
     """`layout` with only the tiles where something may be tested; `InputError` where there are none."""
     areas = layout.config.areas
@@ -158,9 +172,9 @@ def tested_layout(layout: Layout) -> Layout:
             tiles.append(tile)
     if not tiles:
         raise InputError(
-            "no tile lies in a test area",
-            where="areas.test",
-            expected="boxes on the survey",
-            do="give some, or --no-assess",
+            "no tile lies in a test area, or further than areas.gap from every training area",
+            where="areas.test, areas.train",
+            expected="areas beside which something is left to judge the model on",
+            do="give others, or --no-assess",
         )
     return replace(layout, tiles=tuple(tiles))
