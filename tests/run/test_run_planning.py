@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import lasmaker
 import laspy
 import numpy as np
 import pyogrio
@@ -16,7 +17,7 @@ from runmaker import SETTINGS
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
-from fwclass.grid import Box
+from fwclass.grid import Box, TileGrid
 from fwclass.operate.estimate.amounts import amounts
 from fwclass.operate.estimate.estimate import choices, estimate_run, propose_size
 from fwclass.operate.estimate.headers import facts_of, sample_points, survey_facts
@@ -120,6 +121,17 @@ def test_a_sample_sees_that_a_strip_does_not_fill_its_bounds(tmp_path: Path) -> 
 def test_points_in_no_order_tell_nothing_of_density(tmp_path: Path) -> None:
     xyz = np.random.default_rng(0).uniform(0, 100, (50_000, 3))
     assert sample_points(las_of(open_source(cloud(tmp_path / "a.las", xyz))), 5_000).crowding == 1.0
+
+
+def test_points_on_the_last_tiles_edge_are_planned_as_the_run_has_them(tmp_path: Path) -> None:
+    """Coordinates in steps of 0.01 m, cut with both edges: those on the north and east edge are the next tiles'."""
+    xyz = np.random.default_rng(0).uniform(0, 100, (200_000, 3))
+    lasmaker.write_las(tmp_path / "a.las", np.round(xyz, 2), point_format=6, scale=0.01)
+    source = las_of(open_source(tmp_path / "a.las"))
+    spread = Spread.of([(facts_of(source).bounds, float(source.n_points))], 50.0)
+    x, y, _ = np.round(xyz, 2).T
+    tiles = TileGrid(50.0).keys(x, y)
+    assert len(tiles) > 4 and {f"{t.ix}_{t.iy}" for t in spread.squares()} - {"2_2"} == set(tiles) - {"2_2"}
 
 
 def test_a_header_without_bounds_is_told(tmp_path: Path) -> None:

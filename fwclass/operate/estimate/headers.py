@@ -166,7 +166,8 @@ def facts_of(source: Source) -> SourceFacts:
         )
     pulses = source.n_records if isinstance(source, PulseSource | BeamSource) else 0
     waves = source.has_waves and source.waves.kind != "none"
-    box = Box(xmin, ymin, xmax + 0.001, ymax + 0.001)
+    rim = [max(0.001, scale / 2) for scale in source.scales[:2]]  # points of [x - scale / 2, x + scale / 2) lie at x
+    box = Box(xmin, ymin, xmax + rim[0], ymax + rim[1])
     size = source.waves.available if waves else 0
     return SourceFacts(source.path, source.n_points, pulses, waves, size, box, point_format=source.point_format)
 
