@@ -55,10 +55,12 @@ def test_a_draft_is_a_survey_that_plans(tmp_path):
 
 def test_standard_output_is_the_file_alone(tmp_path):
     town(tmp_path)
+    alone = yaml.safe_load(fwclass("init", ".", cwd=tmp_path).stdout)
     town(tmp_path, "b", east=200.0)
     ended = fwclass("init", ".", cwd=tmp_path)
     assert ended.returncode == 0 and ended.stderr == ""
     made = yaml.safe_load(ended.stdout)
+    assert all(alone["survey"][n] == made["survey"][n] for n in ("name", "sources", "directory")), "of one file too"
     assert made["survey"]["sources"] == ["*.las"] and made["survey"]["directory"] == "."
     ended = fwclass("init", "b.las", "--name", "x", cwd=tmp_path)
     assert yaml.safe_load(ended.stdout)["survey"]["sources"] == ["b.las"]
@@ -107,7 +109,7 @@ def test_names_break_no_yaml(tmp_path):
     place.mkdir()
     town(place)
     (place / "a.las").rename(place / 'a" #: x.las')
-    ended = fwclass("init", ".", cwd=place)
+    ended = fwclass("init", place / 'a" #: x.las', cwd=place)
     made = yaml.safe_load(ended.stdout)
     assert made["survey"]["sources"] == ['a" #: x.las'] and conf.find(_written(place, ended.stdout))
 

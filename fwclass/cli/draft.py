@@ -27,7 +27,8 @@ def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: 
     if to is not None and to.exists() and not overwrite:
         raise ConfigError("the survey file exists", where=to, do="another --to, or --overwrite")
     named = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
-    draft_of_files = draft(named, to.parent if to is not None else Path(), name)
+    directory = files[0] if len(files) == 1 and files[0].is_dir() else None
+    draft_of_files = draft(named, to.parent if to is not None else Path(), name, directory)
     if to is None:
         click.echo(draft_of_files.text, nl=False)
     else:

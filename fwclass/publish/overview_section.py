@@ -17,6 +17,8 @@ LAYERS = {
     "errors": ("Errors", "share of wrong echoes among the test echoes of every block"),
     "relief": ("Terrain", "shaded relief of the terrain model, tinted by height"),
 }
+WITHOUT_CLASSIFIER = {1, 2, 7, 18}
+"""Codes that a ground filter gives: unclassified, ground, low and high noise."""
 FRAMED = ("map", "confidence", "errors")
 """Layers that the training and test areas are drawn on."""
 WORTH_A_LOOK = 0.95
@@ -25,6 +27,16 @@ WIDTH, HEIGHT = 420.0, 190.0
 FOUR_LN2 = 2.772588722239781
 STEPS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Confidences whose share and accuracy stand in the table."""
+
+
+def subject(report: Mapping[str, Any]) -> str:
+    """What a run is about: ``classification``, or without a classifier ``terrain``, ``quality`` where that is not
+    delivered either."""
+    model = report.get("model") or {}
+    codes = {int(c["code"]) for c in model.get("classes") or ()}
+    if not codes or model.get("features") or not codes <= WITHOUT_CLASSIFIER:
+        return "classification"
+    return "terrain" if (report.get("outputs") or {}).get("laz") else "quality"
 
 
 def class_key(classes: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
@@ -105,8 +117,9 @@ def next_steps(report: Mapping[str, Any]) -> list[dict[str, str]]:
     if failed:
         steps.append((f"{several(len(failed), 'part')} failed: mend the cause and run again", "", "fwclass status RUN"))
     if outputs.get("laz"):
-        text = "Look at the cloud in the browser, at an echo's waveform, and why it has its class"
-        steps.append((text, "", "fwclass view RUN"))
+        waves = ", at an echo's waveform" if (report.get("counts") or {}).get("pulses") else ""
+        why = ", and why an echo has its class" if subject(report) == "classification" else ""
+        steps.append((f"Look at the cloud in the browser{waves}{why}", "", "fwclass view RUN"))
     if outputs.get("gis"):
         more = "; its work list has the least sure tiles" if tiles else ""
         steps.append((f"Open the project in QGIS{more}", "survey.qgz", ""))

@@ -26,6 +26,7 @@ from fwclass.publish.overview_section import (
     next_steps,
     reliability_rows,
     selection_curve,
+    subject,
     sure_rows,
     survey_rows,
     verdict,
@@ -122,10 +123,12 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
     classes = list(report.get("classes") or ())
     counts = dict(report.get("counts") or {})
     source = report.get("input") or {}
-    config = report.get("config")
+    config, about = report.get("config"), subject(report)
+    pictures = layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes)
     remarks = list(dict.fromkeys([*_lacking(report), *(str(text) for text in report.get("remarks") or ())]))
     return {
         "survey": report.get("survey") or "survey",
+        "subject": about,
         "version": report.get("fwclass") or "",
         "accepted": dict((report.get("libraries") or {}).get("accepted") or {}),
         "total": report.get("seconds"),
@@ -133,7 +136,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "facts": _facts(report, counts),
         "verdict": verdict(report),
         "surveyed": survey_rows(report),
-        "layers": layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes),
+        "layers": sorted(pictures, key=lambda one: about == "terrain" and one["key"] != "relief"),
         "framed": {
             f"{how} frames: {kind}ing areas" if kind == "train" else f"{how} frames: {kind} areas": FRAMED
             for kind, how in (("train", "dashed"), ("test", "solid"))
@@ -187,7 +190,10 @@ def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], co
     elif counts.get("echoes_in_tiles"):
         text.append(f"hold {number(counts['echoes_in_tiles'])} echoes")
     first = " ".join(text)
-    if classes:
+    if classes and subject(report) == "terrain":
+        ground_echoes = (report.get("ground") or {}).get("ground", 0)
+        first += f", {number(ground_echoes)} of them ground"
+    elif classes:
         names = [str(c["name"]) for c in classes]
         listed = " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
         first += f", classified as {listed}"

@@ -18,6 +18,9 @@ SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
 OF_ACCURACY = ("label", "confusion", "assess")
 """Stages without which there is no accuracy."""
 
+KINDS = ("laz", "parquet", "rasters", "model", "quality", "gis", "contours", "vectors", "backscatter", "other")
+"""What a run delivers, in the order in which it is told."""
+
 SHOWN = 4
 """Names that are told of a longer list."""
 
@@ -87,7 +90,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     quality, remarks = report.get("quality") or {}, list(report.get("remarks", ()))
-    if quality and not report["classes"]:  # a run that judges, or filters the ground
+    if quality and not trained and not model.get("path"):  # a run that judges, or filters the ground
         rows += quality_lines(quality)
         remarks = list(dict.fromkeys([*remarks, *quality["remarks"]]))
     rows += threshold_lines(report.get("thresholds", ()))
@@ -102,7 +105,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(
             f"water       {flat} of {len(report['water'])} polygons flattened, each with its level in report.json"
         )
-    for kind, names in report["outputs"].items():
+    for kind, names in sorted(report["outputs"].items(), key=lambda one: KINDS.index(one[0])):
         if kind == "contours":
             rows += [f"{kind:<11} {root / name}" for name in names if name.endswith(".gpkg")]
         elif kind in ("backscatter", "other"):

@@ -241,6 +241,23 @@ def test_codes_that_strips_have_in_place_of_others_are_told(tmp_path: Path) -> N
     assert "hold codes up to" not in rendered(full(), tmp_path)[1].text
 
 
+def test_a_run_without_a_classifier_is_about_terrain_or_quality(tmp_path: Path) -> None:
+    codes = [{"name": n, "code": c, "codes": [c]} for n, c in (("unclassified", 1), ("ground", 2), ("high noise", 18))]
+    report = {**full(), "classes": codes, "model": {"path": None, "features": [], "classes": codes}, "accuracy": None}
+    facts = {"method": "smrf", "echoes": 1234, "ground": 700, "noise": 0, "without_terrain": 0, "block": 256.0}
+    report |= {"training": None, "ground": facts}
+    text, page = rendered(report, tmp_path, {"map": PNG, "relief": PNG})
+    assert "Lidar terrain report" in page.text and "700 of them ground" in page.text
+    assert "classification report" not in page.text and "why an echo has its class" not in page.text
+    assert text.index('for="layer-relief"') < text.index('for="layer-map"')
+    assert re.search(r'id="ground">\s*<details class="part" open>', text)
+    text, page = rendered({**report, "outputs": {"quality": ["quality.html"]}, "classes": []}, tmp_path)
+    assert "Lidar quality report" in page.text
+    text, page = rendered(full(), tmp_path, {"map": PNG, "relief": PNG})
+    assert "Lidar classification report" in page.text
+    assert text.index('for="layer-map"') < text.index('for="layer-relief"')
+
+
 def test_what_to_do_next_has_commands(tmp_path: Path) -> None:
     report = full() | {"failed": [{"stage": "read", "part": "a", "message": ""}]}
     text, page = rendered(report, tmp_path)

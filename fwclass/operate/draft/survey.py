@@ -145,8 +145,8 @@ class Draft:
     notes: tuple[str, ...]
 
 
-def draft(files: Sequence[Path], beside: Path, name: str | None = None) -> Draft:
-    """A survey file for `files`, to lie in the directory `beside`.
+def draft(files: Sequence[Path], beside: Path, name: str | None = None, directory: Path | None = None) -> Draft:
+    """A survey file for `files`, to lie in the directory `beside`. `directory`: they are what it holds.
 
     Raises
     ------
@@ -158,12 +158,12 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None) -> Draft
     require_distinct(paths)
     features = "default-waveform" if holdings.waveforms else "default"
     classes, left, split = propose_classes(holdings, features)
-    directory, patterns = sources_of(paths, beside)
+    home, patterns = sources_of(paths, beside, directory is not None)
     lines = [
         *_head(holdings),
         "survey:",
-        f"  name: {json.dumps(name or _name_of(paths))}",
-        f"  directory: {json.dumps(directory)}    # of the sources, relative to this file",
+        f"  name: {json.dumps(name or _name_of(paths, directory))}",
+        f"  directory: {json.dumps(home)}    # of the sources, relative to this file",
         f"  sources: {json.dumps(patterns)}",
         *_system_lines(holdings),
         *_label_lines(holdings, classes, left),
@@ -215,10 +215,11 @@ def gap_of(features: str, classes: Iterable[Meaning]) -> float:
     return float(math.ceil(max(2 * reach, reach + halo_of(ways.context.auto_cells), lines)))
 
 
-def sources_of(paths: Sequence[Path], beside: Path) -> tuple[str, list[str]]:
+def sources_of(paths: Sequence[Path], beside: Path, whole: bool) -> tuple[str, list[str]]:
     """`survey.directory` and `survey.sources` for files, seen from the directory `beside`.
 
-    One pattern where the files are all of their directory with that ending, else their names.
+    One pattern where the files are all of their directory with that ending, else their names. `whole`: it was the
+    directory that was named, so that one file is all of it too.
     """
     own = [p.resolve() for p in paths]
     home = Path(os.path.commonpath([p.parent for p in own]))
@@ -227,15 +228,18 @@ def sources_of(paths: Sequence[Path], beside: Path) -> tuple[str, list[str]]:
     directory = "." if below else str(home)
     ending = own[0].suffix
     alike = all(p.parent == home and p.suffix == ending for p in own)
-    if alike and len(own) > 1 and set(own) == {p.resolve() for p in home.iterdir() if p.suffix == ending}:
+    if alike and (whole or len(own) > 1) and set(own) == {p.resolve() for p in home.iterdir() if p.suffix == ending}:
         return directory, [(home.relative_to(base) / f"*{ending}").as_posix()]
     return directory, sorted(p.relative_to(base).as_posix() for p in own)
 
 
-def _name_of(paths: Sequence[Path]) -> str:
-    """The one file's name, or that of the directory that holds all."""
+def _name_of(paths: Sequence[Path], directory: Path | None) -> str:
+    """The name of the directory that was named, else the one file's, or that of the directory that holds all."""
     own = [p.resolve() for p in paths]
-    home = own[0].stem if len(own) == 1 else Path(os.path.commonpath([p.parent for p in own])).name
+    if directory is not None:
+        home = directory.resolve().name
+    else:
+        home = own[0].stem if len(own) == 1 else Path(os.path.commonpath([p.parent for p in own])).name
     return re.sub(r"[^\w .-]", "-", home).lstrip("- .")[:100] or "survey"
 
 
