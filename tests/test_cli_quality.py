@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from pathlib import Path
 from typing import Any
@@ -197,7 +198,9 @@ def test_thresholds_are_told_and_end_with_exit_code_4(
     asked = json.loads((made[0] / "report.json").read_text())["thresholds"]
     assert [(one["setting"], one["met"]) for one in asked] == [(name, not missed)]
     assert f": {'missed' if missed else 'met'}\n" in told.stderr.partition("threshold   ")[2], told.stderr
-    assert "asked for: missed" in (made[0] / "report.html").read_text() or not missed
+    page = html.unescape((made[0] / "report.html").read_text())
+    assert ("The survey's quality misses 1 of 1 threshold: " if missed else "quality meets 1 threshold of 1.") in page
+    assert f"asked for: {'missed' if missed else 'met'}</td>" in page
     assert told.returncode == (4 if missed else 0) and (f"quality.{name}" in told.stderr) == missed
     assert "computed" not in told.stderr and "Traceback" not in told.stderr  # they change no part
 

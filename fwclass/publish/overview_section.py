@@ -9,6 +9,7 @@ from fwclass.classes import STANDARD
 from fwclass.errors import first_few, several
 from fwclass.publish.figures import SURE, WRONG
 from fwclass.publish.palette import colours, css
+from fwclass.publish.quality_section import threshold_words
 from fwclass.publish.sections import number, percent
 
 LAYERS = {
@@ -99,7 +100,17 @@ def verdict(report: Mapping[str, Any]) -> list[str]:
         learned = "" if (report.get("model") or {}).get("path") else ", those that it learned from among them"
         share = percent(least["confidence"])
         sentences.append(f"The model is least sure of {least['name']}: {share} % on average of its echoes{learned}.")
-    return sentences
+    return [*sentences, *_thresholds(report.get("thresholds") or ())]
+
+
+def _thresholds(asked: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Whether the survey's quality is as was asked."""
+    missed = [f"{one['what']}: {threshold_words(one)}" for one in asked if not one["met"]]
+    if missed:
+        return [
+            f"The survey's quality misses {len(missed)} of {several(len(asked), 'threshold')}: {'; '.join(missed)}."
+        ]
+    return [f"The survey's quality meets {several(len(asked), 'threshold')} of {len(asked)}."] if asked else []
 
 
 def _name(item: Any) -> str:

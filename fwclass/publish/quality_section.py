@@ -30,7 +30,10 @@ def quality(summary: Mapping[str, Any] | None, thresholds: Sequence[Mapping[str,
     worst = sorted(strips["between"], key=lambda b: -b["rms"])
     names = [s["name"] for s in strips["strips"]]
     return {
-        "rows": [*_rows(summary, density, strips), *((one["what"], threshold_words(one)) for one in thresholds)],
+        "rows": [
+            *_rows(summary, density, strips),
+            *((f"threshold: {one['what']}", threshold_words(one)) for one in thresholds),
+        ],
         "remarks": list(summary["remarks"]),
         "strips": [_strip(s) for s in strips["strips"][:LISTED]],
         "more_strips": max(0, len(names) - LISTED),
