@@ -58,6 +58,9 @@ listeners: list[Callable[[bool], None]] = []
 asked: list[tuple[str, Any]] = []
 """Kernels that this process called, each with the types of its arguments; what they call themselves goes with them."""
 
+not_kept: list[str] = []
+"""Why this process could not keep what it compiled, once for each kernel."""
+
 _under_way = Counter[str]()
 _stacks: list[ExitStack] = []
 """What is held for the kernels that are asked for, one on behalf of another; numba lets in one thread at a time."""
@@ -212,7 +215,8 @@ class KernelFiles:
         from numba.core.compiler import CompileResult
 
         try:
-            data = self._path(signature, context.codegen()).read_bytes()
+            path = self._path(signature, context.codegen())
+            data = path.read_bytes() if path.is_file() else b""  # a pipe would be waited for, for ever
             if _digest(data[32:]) == data[:32]:
                 return CompileResult._rebuild(context, *_Reader(io.BytesIO(data[32:])).load())  # see `kernel_cache`
         except Exception:  # noqa: S110 - of whatever kind: it is compiled anew, and written over
@@ -238,7 +242,8 @@ class KernelFiles:
             finally:
                 beside.unlink(missing_ok=True)
         except OSError as fault:
-            _not_kept(str(path.parent), fault.strerror or type(fault).__name__)
+            not_kept.append(fault.strerror or type(fault).__name__)
+            _tell_not_kept(str(path.parent), not_kept[-1])
 
     def enable(self) -> None:
         """Numba asks for it; the files are always used."""
@@ -311,7 +316,7 @@ def _tidy(other: Path, stamp: str) -> None:
 
 
 @cache
-def _not_kept(place: str, why: str) -> None:
+def _tell_not_kept(place: str, why: str) -> None:
     sys.stderr.write(f"fwclass: compiled code cannot be kept in {place}: {why}; it is compiled anew for this command\n")
 
 

@@ -30,6 +30,9 @@ CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF"}
 _fresh = ExitStack()
 """The directory of compiled code that ends with this process, where there is one."""
 
+faults_of_cache: list[tuple[Path, str]] = []
+"""Which directory of compiled code was not taken, and why, where what is compiled ends with this process."""
+
 _before: dict[str, str | None] = {}
 """What the variables that were set here held before."""
 
@@ -113,6 +116,7 @@ def kernel_cache() -> Path:
     except RuntimeError as error:
         place, fault = Path("~/.cache"), str(error)
     if fault:
+        faults_of_cache.append((place, fault))
         message = f"compiled code cannot be kept in {place}: {fault}; it is compiled anew for this command"
         from fwclass.temporary import temporary_directory  # loads much that most commands do not need
 
@@ -145,6 +149,7 @@ def _not_private(place: Path) -> str:
 def _remove(maker: int) -> None:
     if os.getpid() == maker:
         _fresh.close()
+        faults_of_cache.clear()
 
 
 @contextmanager

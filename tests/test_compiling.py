@@ -175,6 +175,39 @@ pathlib.Path.write_bytes = write_bytes
     assert [p.name for p in cache.iterdir()] == [compiling.LOCKS]
 
 
+@pytest.mark.parametrize("private", [True, False])
+def test_compiling_ahead_fails_at_once_where_nothing_can_be_kept(tmp_path: Path, private: bool) -> None:
+    """A package's or image's build must not pass with an empty directory."""
+    cache = tmp_path / "fwclass" / "kernels"
+    cache.mkdir(parents=True)
+    cache.chmod(0o755 if private else 0o777)
+    barred = "import os; os.urandom = lambda n: bytes(200); " if private else ""  # a file's name that is too long
+    code = f"{barred}from fwclass.cli import main; main()"
+    words = {"NUMBA_CACHE_DIR": str(cache) if private else "", "XDG_CACHE_HOME": str(tmp_path)}
+    ended = subprocess.run(
+        [sys.executable, "-P", "-c", code, "compile", "--json"],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | words,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (ended.returncode, ended.stdout) == (1, ""), ended.stderr
+    reason = "File name too long" if private else "other users may write there"
+    assert f"where: {cache}\n" in ended.stderr and f"got: {reason}\n" in ended.stderr
+    assert [p.name for p in cache.iterdir()] == [compiling.LOCKS] * private
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes with names")
+def test_a_pipe_in_the_place_of_a_kernel_is_not_waited_for(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    run(program, cache)
+    for path in cache.glob(f"*{compiling.SUFFIX}"):
+        path.unlink()
+        os.mkfifo(path)
+    assert run(program, cache) == (9.0, KERNELS, "")
+    assert run(program, cache) == (9.0, 0, "")
+
+
 def test_what_was_compiled_is_read_where_nothing_can_be_written_or_locked(program: Path, tmp_path: Path) -> None:
     """As in an image: a directory that another user made."""
     cache = tmp_path / "cache"

@@ -23,8 +23,8 @@ def compile_kernels(as_json: bool) -> None:
     compiling.listeners.clear()
     result = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
     click.echo(
-        f"{result['compiled']} kernels compiled in {result['seconds']:g} s; all {result['listed']} that are called "
-        f"lie in {result['directory']}",
+        f"{result['compiled']} kernels compiled in {result['seconds']:g} s; "
+        f"{result['listed'] - len(result['left_out'])} that are called lie in {result['directory']}",
         err=True,
     )
     for text in result["left_out"]:

@@ -11,13 +11,15 @@ import importlib
 import json
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fwclass import compiling
 from fwclass.conf.files import conf_directory
-from fwclass.isolation import kernel_cache
+from fwclass.errors import StoreError
+from fwclass.isolation import faults_of_cache, kernel_cache
 from fwclass.kernel import Kernel
 
 LIST = "kernels.json"
@@ -28,14 +30,24 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
     plain data.
 
     `tell` is called now and then with how far it is.
+
+    Raises
+    ------
+    StoreError
+        What is compiled cannot be kept; nothing more is compiled then.
     """
     began, wanted = time.perf_counter(), listed_kernels()
     before, spoke, left = compiling.count(), began, list[str]()
+    place, faults = kernel_cache(), len(compiling.not_kept)
+    if faults_of_cache:
+        raise _not_kept(*faults_of_cache[-1])
     for number, (kernel, types) in enumerate(wanted):
         try:
             kernel.compiled().compile(tuple(map(_type, types)))  # type: ignore[attr-defined]
         except TypeError as fault:
             left.append(f"{kernel.__name__}: {fault}")  # type: ignore[attr-defined]
+        if len(compiling.not_kept) > faults:
+            raise _not_kept(place, compiling.not_kept[-1])
         if time.perf_counter() - spoke > 10.0:
             spoke = time.perf_counter()
             tell(f"{number + 1} of {len(wanted)}")
@@ -44,8 +56,18 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
         "compiled": compiling.count() - before,
         "left_out": left,
         "seconds": round(time.perf_counter() - began, 1),
-        "directory": str(kernel_cache()),
+        "directory": str(place),
     }
+
+
+def _not_kept(place: Path, why: str) -> StoreError:
+    return StoreError(
+        "compiled code cannot be kept, so that nothing is won by compiling ahead",
+        where=place,
+        expected="a directory that this user can write to, with some 20 MB free",
+        got=why,
+        do="mend that, or name another directory in NUMBA_CACHE_DIR",
+    )
 
 
 def listed_kernels() -> list[tuple[Kernel, list[Any]]]:
