@@ -37,6 +37,8 @@ class PlanSection(Params):
     returns_per_pulse : where nothing could be read.
     density, neighbour : of the survey that the costs were measured on [1/m²], and processor time that an echo's
         neighbourhood takes for every echo in it beyond those at this density [ns].
+    feature, feature_bytes, delivered_bytes : processor time of a feature of an echo [µs], and what it takes in the
+        store and in a delivered table [bytes].
     water : processor time that looking for water (`bathymetry`) takes a waveform more [µs].
     echoes_per_return : that a decomposition finds.
     wave_bytes : waveforms of a pulse that is not simulated yet [bytes].
@@ -54,6 +56,9 @@ class PlanSection(Params):
     returns_per_pulse: float = Field(ge=1, le=1000)
     density: float = Field(gt=0, le=1e6)
     neighbour: float = Field(ge=0, le=1e6)
+    feature: float = Field(ge=0, le=1e6)
+    feature_bytes: float = Field(ge=0, le=1e6)
+    delivered_bytes: float = Field(ge=0, le=1e6)
     water: float = Field(ge=0, le=1e6)
     echoes_per_return: float = Field(gt=0, le=1000)
     wave_bytes: float = Field(ge=0)

@@ -201,9 +201,14 @@ def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
 def columns_of_tiles(plan: Plan) -> Names:
     """The columns that a delivered tile has."""
     measured = [name for name in MEASURE_RADIOMETRY.columns(plan) if name in plan.providers]
+    besides = (*water_columns(plan), *classes_written(plan), *measured)
+    return tuple(dict.fromkeys((*TILE_COLUMNS, *besides, *delivered_features(plan))))
+
+
+def delivered_features(plan: Plan) -> Names:
+    """The features that `publish.parquet_features` asks for."""
     wanted = plan.config.publish.parquet_features
-    features = {"all": (*plan.names, *plan.config.features.also), "used": plan.names, "none": ()}[wanted]
-    return tuple(dict.fromkeys((*TILE_COLUMNS, *water_columns(plan), *classes_written(plan), *measured, *features)))
+    return {"all": (*plan.names, *plan.config.features.also), "used": plan.names, "none": ()}[wanted]
 
 
 def repeated_columns(plan: Plan) -> Names:

@@ -19,6 +19,7 @@ from fwclass import conf
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box, TileGrid
 from fwclass.operate.estimate.amounts import amounts
+from fwclass.operate.estimate.costs import costs_of_survey
 from fwclass.operate.estimate.estimate import choices, estimate_run, propose_size
 from fwclass.operate.estimate.headers import facts_of, sample_points, survey_facts
 from fwclass.operate.estimate.limits import Room, limits, refuse, room_at
@@ -207,8 +208,9 @@ def test_measured_costs_give_the_measured_time_and_disk_back(walked) -> None:
     for name in ("tile", "radiometry", "publish-tile"):
         assert costs[name].each == pytest.approx(20.0, abs=0.01), name
         assert made[name].seconds == pytest.approx(sum(r.seconds for r in timed.receipts(name)), rel=0.1), name
-    written = sum(o["bytes"] for r in store.receipts("publish-tile") for o in r.outputs.values())
-    assert made["publish-tile"].bytes == pytest.approx(written, rel=0.2)
+    for name in ("features", "publish-tile"):
+        written = sum(o["bytes"] for r in store.receipts(name) for o in r.outputs.values())
+        assert made[name].bytes == pytest.approx(written, rel=0.2), name
 
 
 def test_a_stage_that_took_twice_as_long_costs_twice_as_much(walked) -> None:
@@ -226,6 +228,16 @@ def test_a_stage_that_took_twice_as_long_costs_twice_as_much(walked) -> None:
     assert twice.seconds == pytest.approx(2 * once.seconds)
     for name in once.stages:
         assert twice.costs[name].each == pytest.approx(2 * once.costs[name].each, abs=0.002)
+
+
+def test_what_a_tile_reads_around_it_is_not_written_again(walked) -> None:
+    plan, _, _ = walked
+    costs = costs_of_survey(plan.begun, plan.facts)
+    made = [
+        next(s for s in estimate_run(plan.begun, plan.facts, size, 2, costs).stages if s.name == "features")
+        for size in (20.0, 100.0)
+    ]
+    assert made[0].bytes == pytest.approx(made[1].bytes) and made[0].amount.units > 1.5 * made[1].amount.units
 
 
 def test_larger_tiles_take_more_memory_and_have_fewer_parts(walked) -> None:

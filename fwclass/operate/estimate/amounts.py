@@ -41,12 +41,19 @@ class Amount:
     units : of all parts, in the unit of the stage's cost.
     longest : units of the largest part.
     held : units that the part with most in memory reads, its halo's too.
+    own : units without the halos, for which it writes; None where none has a halo.
     """
 
     parts: int
     units: float
     longest: float
     held: float
+    own: float | None = None
+
+    @property
+    def written(self) -> float:
+        """Units that its parts write for."""
+        return self.units if self.own is None else self.own
 
     def joined(self, other: Amount | None) -> Amount:
         """Of both together, whose stages have one name."""
@@ -57,6 +64,7 @@ class Amount:
             self.units + other.units,
             max(self.longest, other.longest),
             max(self.held, other.held),
+            self.written + other.written,
         )
 
 
@@ -181,7 +189,8 @@ class _Quantities:
         if stage.parts is training_tiles:
             chosen = chosen & tiles.touching(self.config.areas.boxes("train"))
         fullest = float(echoes.max()) * crowd
-        return Amount(int(chosen.sum()), float(echoes[chosen].sum()), fullest, fullest)
+        own = float(tiles.counts[chosen].sum())
+        return Amount(int(chosen.sum()), float(echoes[chosen].sum()), fullest, fullest, own)
 
     def _of_blocks(self, stage: Stage, plan: Plan) -> Amount | None:
         if stage.edge is None:

@@ -1,11 +1,14 @@
-"""What raises the costs of a survey's stages: its density, as every echo meets all that lie around it, and water."""
+"""What raises the costs of a survey's stages: its features, its density, as every echo meets all that lie around it,
+and water."""
 
 from __future__ import annotations
 
 import math
 
 from fwclass.conf import Config
-from fwclass.graph.features import neighbourhood_features
+from fwclass.conf.planning import StageCost
+from fwclass.graph.features import COMPUTE_FEATURES, neighbourhood_features
+from fwclass.graph.outputs import DELIVER_TILE, delivered_features
 from fwclass.graph.stage import Plan
 from fwclass.operate.estimate.estimate import Costs
 from fwclass.operate.estimate.headers import SurveyFacts
@@ -23,12 +26,21 @@ def too_dense(config: Config, facts: SurveyFacts) -> bool:
 
 
 def costs_of_survey(begun: Plan, facts: SurveyFacts) -> Costs:
-    """`plan.stages` with the time of features at the survey's density, and that of a search for water."""
+    """`plan.stages` with what as many features take at the survey's density, and the time of a search for water."""
     plan, costs = begun.config.plan, dict(begun.config.plan.stages)
-    more = {"features": _neighbours_met(begun, facts) * plan.neighbour * 1e-3}
+    columns = len(COMPUTE_FEATURES.columns(begun))
+    time = columns * plan.feature + _neighbours_met(begun, facts) * plan.neighbour * 1e-3
+    more = {
+        COMPUTE_FEATURES.name: (time, columns * plan.feature_bytes),
+        DELIVER_TILE.name: (0.0, len(delivered_features(begun)) * plan.delivered_bytes),
+    }
     if begun.config.bathymetry.enabled and any(s.waves for s in facts.sources):
-        more["decompose"] = plan.water
-    return costs | {n: costs[n].model_copy(update={"each": costs[n].each + us}) for n, us in more.items() if n in costs}
+        more["decompose"] = (plan.water, 0.0)
+    return costs | {n: _with_more(costs[n], *amounts) for n, amounts in more.items() if n in costs}
+
+
+def _with_more(cost: StageCost, each: float, stored: float) -> StageCost:
+    return cost.model_copy(update={"each": cost.each + each, "stored": cost.stored + stored})
 
 
 def _neighbours_met(begun: Plan, facts: SurveyFacts) -> float:

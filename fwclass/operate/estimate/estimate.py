@@ -100,7 +100,7 @@ def _stage(name: str, unit: str, amount: Amount, cost: StageCost, waves: float, 
         amount,
         seconds=amount.parts * cost.part * 1e-3 + amount.units * cost.each * 1e-6,
         longest=cost.part * 1e-3 + amount.longest * cost.each * 1e-6,
-        bytes=amount.units * cost.stored + waves * cost.waves,
+        bytes=amount.written * cost.stored + waves * cost.waves,
         memory_mib=base_mib + amount.held * cost.held / MIB,
     )
 

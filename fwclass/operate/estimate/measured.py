@@ -56,7 +56,9 @@ def measure_costs(store: Store, costs: Costs, work: Mapping[str, Amount]) -> Mea
         units = counted.get(directory.name, {})
         observed = [(r.seconds, units[r.part], _bytes(r)) for r in receipts if units.get(r.part, 0) > 0]
         if observed and directory.name in by_stage:
-            by_stage[directory.name] = _cost(by_stage[directory.name], observed)
+            amount = work.get(directory.name)
+            around = amount.units / amount.written if amount else 1.0
+            by_stage[directory.name] = _cost(by_stage[directory.name], observed, around)
     return MeasuredCosts(by_stage, tuple(sorted(n for n in by_stage if by_stage[n] != costs[n])), parts, seconds, peak)
 
 
@@ -71,10 +73,11 @@ def measured_base(measured_costs: MeasuredCosts, estimate: Estimate, base_mib: f
     return max(0.0, measured_costs.peak_mib - max(needs, default=0.0))
 
 
-def _cost(known: StageCost, observed: list[tuple[float, float, float]]) -> StageCost:
+def _cost(known: StageCost, observed: list[tuple[float, float, float]], around: float) -> StageCost:
+    """`around`: units of a part, its halo's too, over those that it writes for."""
     seconds, units, written = (np.array(v, float) for v in zip(*observed, strict=True))
     each = float(np.median(np.maximum(0.0, seconds - known.part * 1e-3) / units)) * 1e6
-    stored = known.stored if known.waves else float(written.sum() / units.sum())
+    stored = known.stored if known.waves else float(written.sum() / units.sum()) * around
     return known.model_copy(update={"each": round(each, 3), "stored": round(stored, 2)})
 
 
