@@ -52,6 +52,20 @@ def test_one_file_of_three_in_another_unit_ends_with_4(tmp_path: Path, scale: fl
     assert measured(path, "--accept-implausible")[0].returncode == 0
 
 
+def test_a_part_of_one_file_in_feet_ends_with_4_and_strays_do_not(tmp_path: Path) -> None:
+    inside = np.random.default_rng(0).uniform(0, 12, (2000, 2))
+    xyz = np.c_[inside + HERE, 200 + 0.1 * inside[:, 0]]
+    for part, code in ((30, 0), (200, 4)):
+        mixed = np.r_[xyz[part:], xyz[:part] / 0.3048]
+        times = 4e8 + 1e-4 * np.arange(2000)
+        lasmaker.write_las(tmp_path / "f0.las", mixed, point_format=6, gps_time=times, scale=0.01)
+        (tmp_path / "s.yaml").write_text("survey: {name: s, sources: ['*.las']}\n")
+        for size in (25, 60):
+            ended, report = measured(tmp_path / "s.yaml", "--set", f"tile.size={size}")
+            assert ended.returncode == code, ended.stderr
+            assert ("200 of 2,000 echoes" in report["input"]["places"]["elsewhere"]) == (code == 4)
+
+
 def test_a_system_that_puts_files_further_outside_than_their_own_ends_with_4(tmp_path: Path) -> None:
     path = files(tmp_path, [(770_500.0, 6_277_500.0)], keys=lasmaker.UTM33 | {3072: 2154})
     for code, fault in ((2154, 0), (3035, 4), (25832, 4)):

@@ -111,6 +111,19 @@ def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> st
     )
 
 
+def away_from_area(crs: Any, x: Sequence[float], y: Sequence[float]) -> list[bool]:
+    """Whether each of some finite places (in units of `crs`) lies not even near the area that its system is used in;
+    none does where nothing tells."""
+    flat = _horizontal(crs) if crs is not None else None
+    if flat is None or flat.area_of_use is None or not flat.is_projected:
+        return [False] * len(x)
+    try:
+        lons, lats = Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True).transform(list(x), list(y))
+    except (CRSError, ProjError):
+        return [False] * len(x)
+    return [not _near(flat.area_of_use.bounds, lon, lat) for lon, lat in zip(lons, lats, strict=True)]
+
+
 def place_in_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> tuple[float, str] | None:
     """How far a box lies outside of the area that its system is used in [degrees], by the nearest of its middle and
     corners, 0 within; and where its middle is, in words. None where nothing tells.

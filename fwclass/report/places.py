@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_named, several, visible
-from fwclass.formats.area_of_use import elsewhere, overruled, place_faults
+from fwclass.formats.area_of_use import away_from_area, elsewhere, outside_of_area, overruled, place_faults
 from fwclass.graph.sources import strip_of
 from fwclass.read.return_counts import join_counts
 from fwclass.store.receipts import Receipt
@@ -51,17 +51,38 @@ def bounds_of_files(read: Iterable[Receipt], tiled: Iterable[Receipt]) -> dict[i
     return dict(sorted(bounds.items()))
 
 
-def file_places(survey: Survey, bounds: Mapping[int, Bounds], params: PlausibilityParams) -> dict[str, Any]:
-    """``remarks`` on where files lie, and what of it is not sound: files that lie ``elsewhere`` than their system is
-    used, that survey.crs puts further away than the system that they name (``overruled``), that are ``alone`` far from
-    many others; each what `judge_file_places` refuses, or "". What is said of a survey whose whole extent
-    lies elsewhere (`place_facts`) is not said of its files again.
+def echoes_in_tiles(split: Iterable[Receipt]) -> dict[int, dict[str, int]]:
+    """How many echoes of every strip, by its number, lie in which tile."""
+    counts: dict[int, dict[str, int]] = {}
+    for receipt in split:
+        own = counts.setdefault(strip_of(receipt.part), {})
+        for key, (_, rows) in receipt.meta["tiles"].items():
+            own[key] = own.get(key, 0) + rows
+    return counts
 
-    `bounds`: of the files, by number.
+
+def file_places(
+    survey: Survey,
+    bounds: Mapping[int, Bounds],
+    params: PlausibilityParams,
+    tiles: Mapping[str, Bounds] | None = None,
+    echoes: Mapping[int, Mapping[str, int]] | None = None,
+) -> dict[str, Any]:
+    """``remarks`` on where files lie, and what of it is not sound: files that lie ``elsewhere`` than their system is
+    used, or have more than `params.max_implausible` of their echoes there, that survey.crs puts further away than the
+    system that they name (``overruled``), that are ``alone`` far from many others; each what `judge_file_places`
+    refuses, or "". What is said of a survey whose whole extent lies elsewhere (`place_facts`) is not said of its files
+    again.
+
+    `bounds`: of the files, by number; `tiles`: where the echoes of tiles lie, by key; `echoes`: of the files, by
+    number, in which tile (`echoes_in_tiles`).
     """
     system = CRS.from_user_input(survey.crs) if survey.crs else None
     files = {s.number: visible(s.path.name) for s in survey.strips if s.number in bounds}
     away = {k: place_faults(system, *bounds[k])[0] for k in files if elsewhere(system, *bounds[k])}
+    for k in files:
+        if k not in away and (text := _partly_away(system, bounds[k], (echoes or {}).get(k, {}), tiles or {}, params)):
+            away[k] = text
     near = [k for k in files if k not in away]
     named = {s.number: survey.overruled.get(s.path.name) for s in survey.strips}
     own = {k: CRS.from_wkt(wkt) if (wkt := named[k]) else None for k in near}
@@ -100,6 +121,27 @@ def judge_file_places(facts: Mapping[str, Any] | None, params: PlausibilityParam
         ),
     )
     refuse_named(facts, ways, params.accept, where)
+
+
+def _partly_away(
+    system: CRS | None, box: Bounds, echoes: Mapping[str, int], tiles: Mapping[str, Bounds], params: PlausibilityParams
+) -> str:
+    """That many of a file's `echoes` lie outside of the area of its `system`, where corners of its `box` do."""
+    (west, south), (east, north) = box[0][:2], box[1][:2]
+    keys = [key for key in echoes if key in tiles]
+    if not keys or not any(away_from_area(system, [west, west, east, east], [south, north, south, north])):
+        return ""
+    middle = [[(low + high) / 2.0 for low, high in zip(*tiles[key], strict=True)] for key in keys]
+    far = [
+        key
+        for key, away in zip(keys, away_from_area(system, *zip(*(m[:2] for m in middle), strict=True)), strict=True)
+        if away
+    ]
+    number, every = sum(echoes[key] for key in far), sum(echoes.values())
+    if number < params.least or number <= params.max_implausible * every:
+        return ""
+    fullest = max(far, key=lambda key: (echoes[key], key))
+    return f"{number:,} of {every:,} echoes: {outside_of_area(system, *tiles[fullest])}"
 
 
 def _of_files(said: Mapping[str, str], every: int) -> str:

@@ -43,7 +43,7 @@ from fwclass.report.facts import (
 )
 from fwclass.report.figures import report_figures
 from fwclass.report.labels import label_facts
-from fwclass.report.places import bounds_of_files, file_places
+from fwclass.report.places import bounds_of_files, echoes_in_tiles, file_places
 from fwclass.report.remarks import (
     lines_changed,
     remarks_of_parts,
@@ -144,6 +144,7 @@ def _of_the_survey(
     files, spacings = source_files(runner, survey), config.quality.void_spacings
     covered = CoveredArea.joined(config.publish.class_cell, metas_of_run(runner, "publish-rasters", "covered"))
     read = [r for stage in ("read", "decompose") for r in receipts_of_run(runner, stage)]
+    tiled = receipts_of_run(runner, TILE.name)
     decomposed = {r.part for r in read if r.stage == "decompose"}
     quality = next(iter(metas_of_run(runner, "publish-quality", "quality")), None)
     unplaced = None if tiles else place_without_tiles(survey.crs, layout.box, heights_of_returns(read))
@@ -152,7 +153,11 @@ def _of_the_survey(
             **files,
             "place": unplaced,
             "places": file_places(
-                survey, bounds_of_files(read, receipts_of_run(runner, TILE.name)), config.plausibility
+                survey,
+                bounds_of_files(read, tiled),
+                config.plausibility,
+                {r.part: (r.meta["bounds"][:3], r.meta["bounds"][3:]) for r in tiled},
+                echoes_in_tiles(receipts_of_run(runner, SPLIT.name)),
             ),
         },
         "counts": echo_counts(runner),
@@ -164,9 +169,7 @@ def _of_the_survey(
         "waveforms": waveform_facts(runner, survey),
         "plausibility": plausibility_of_run(runner, survey, config),
         "radiometry": radiometry_of_run(runner, survey, config),
-        "repeated": repeated_facts(
-            (r.meta for r in receipts_of_run(runner, TILE.name)), survey.strips, receipts_of_run(runner, "decompose")
-        ),
+        "repeated": repeated_facts((r.meta for r in tiled), survey.strips, receipts_of_run(runner, "decompose")),
         "returns": returns_facts(
             read, survey.strips, names if "classify" in runner.tallies else (), config.plausibility
         ),
