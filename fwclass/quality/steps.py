@@ -80,21 +80,21 @@ def told_steps(
     `ways`: what was counted, and the names by number. Lines are told only where no files are: the lines of a file that
     was lifted lie higher there, too.
     """
-    told = []
+    notable = []
     for (by, seen), (steps, names) in ways.items():
         for one in steps.facts():
             error = math.sqrt(math.pi / 2) * one["deviation"] / math.sqrt(one["places"])
             if one["places"] >= PLACES and abs(one["step"]) >= max(TOLD, SURE * error):
                 a, b = (names.get(one[n], str(one[n])) for n in ("first", "second"))
-                told.append({"by": by, "seen": seen, **one, "first": a, "second": b})
-    by_files = [one for one in told if one["by"] == "files"]
-    return sorted(by_files or told, key=lambda one: (-abs(one["step"]), one["first"], one["second"], one["seen"]))
+                notable.append({"by": by, "seen": seen, **one, "first": a, "second": b})
+    by_files = [one for one in notable if one["by"] == "files"]
+    return sorted(by_files or notable, key=lambda one: (-abs(one["step"]), one["first"], one["second"], one["seen"]))
 
 
 def step_remarks(facts: Mapping[str, Any]) -> list[str]:
     """The steps that are told, in one sentence; `facts` of the strips."""
-    told = facts.get("steps", ())
-    return [_words(told)] if told else []
+    notable = facts.get("steps", ())
+    return [_words(notable)] if notable else []
 
 
 def judge_steps(facts: Mapping[str, Any], most: float, accepted: bool, where: object) -> None:
@@ -111,9 +111,9 @@ def judge_steps(facts: Mapping[str, Any], most: float, accepted: bool, where: ob
     )
 
 
-def _words(told: Sequence[Mapping[str, Any]]) -> str:
+def _words(notable: Sequence[Mapping[str, Any]]) -> str:
     listed = []
-    for one in told:
+    for one in notable:
         high, low = (one[n] for n in (("first", "second") if one["step"] > 0 else ("second", "first")))
         how = "that both see" if one["seen"] == "overlap" else "along their border"
         listed.append(

@@ -72,11 +72,11 @@ def repeated_facts(
             f"{exact.total():,} echoes, {100 * exact.total() / rows:.1f} %, have place and time of another "
             f"({_pairs(alike, pairs)}): {CAUSE}"
         )
-    told = [p for p in pairs if p["moved"] > SAID_FROM * p["echoes"] / (p["of_smaller"] or 1.0)]
-    if told:
+    apart = [p for p in pairs if p["moved"] > SAID_FROM * p["echoes"] / (p["of_smaller"] or 1.0)]
+    if apart:
         remarks.append(
-            f"{sum(p['moved'] for p in told):,} echoes have GPS time and number of another file's within half a metre "
-            f"({first_few([_moved_words(p) for p in told], NAMED, '; ')}): one flight "
+            f"{sum(p['moved'] for p in apart):,} echoes have GPS time and number of another file's within half a metre "
+            f"({first_few([_moved_words(p) for p in apart], NAMED, '; ')}): one flight "
             "delivered twice, or files with a common rim that were adjusted or converted apart"
         )
     return {"echoes": total, "share": share, "files": files, "pairs": pairs, "remarks": remarks}
