@@ -44,7 +44,7 @@ def keep_freed() -> None:
 
 def give_back(most: int | None) -> None:
     """Return freed memory to the system where the process holds more than `KEPT`, or half of the `most` that it may
-    have [bytes]: Dask gives no part to a worker that holds much."""
+    have [bytes]: the next part needs the room."""
     library = _library()
     if library is not None and resident() > min(KEPT, most // 2 if most else KEPT):
         library.malloc_trim(0)

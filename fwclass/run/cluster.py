@@ -178,9 +178,17 @@ def _no_answer(address: str | None, fault: Exception) -> FwclassError:
             do="name certificates of the scheduler's authority in Dask's distributed.comm.tls: ca-file, client.cert, "
             "client.key, and those of scheduler and worker where these run (docs/security.md)",
         )
+    if address is None:
+        return FwclassError(
+            "the workers of this machine do not start, or end at once",
+            where="local cluster",
+            got=fault,
+            do="give each more memory (run.worker_memory_gib; `fwclass plan` tells what it needs), or go without: "
+            "--workers 0",
+        )
     return FwclassError(
         "no Dask scheduler answers",
-        where=address or "local cluster",
+        where=address,
         got=fault,
         do="start one with `dask scheduler`, or leave --scheduler out for a local cluster; one that speaks TLS has an "
         "address tls://…",
@@ -225,6 +233,7 @@ class Cluster:
                 "distributed.deploy.lost-worker-timeout": f"{SLOW_START:g}s",
                 **({} if watched else _QUIET),
                 "distributed.scheduler.worker-ttl": None,  # it asks the wall clock; nannies know whether workers live
+                "distributed.worker.memory.pause": False,  # what a worker holds between parts, waiting frees nothing of
             }
         )
         self._cluster: LocalCluster | None = None

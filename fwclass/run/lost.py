@@ -40,6 +40,7 @@ class Losses:
     retries: int
     _causes: dict[Name, list[str]] = field(default_factory=dict)
     _alone: dict[Name, int] = field(default_factory=dict)
+    _idle: dict[Name, int] = field(default_factory=dict)
 
     def lost(self, name: Name, cause: str, alone: bool, together: bool = False) -> Verdict:
         """A worker that had the part was lost, by `cause`; what to do with the part. Its log tells it.
@@ -50,8 +51,10 @@ class Losses:
             begun = Store(self.location).clear_staged(*name)
         else:  # who stages elsewhere is not seen: of several any may have been begun
             begun = not together
-        if not begun and not alone:
-            return "again"
+        if not begun and not alone:  # innocent, unless what is loaded to begin it is already too much
+            self._idle[name] = self._idle.get(name, 0) + 1
+            often = cause.startswith(MEMORY) and self._idle[name] > max(1, self.retries)
+            return "alone" if often else "again"
         causes = self._causes.setdefault(name, [])
         causes.append(cause)
         log_attempt(self.location, *name, {"status": "lost", "message": cause})

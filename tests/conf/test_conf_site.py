@@ -34,3 +34,8 @@ def test_the_cluster_of_kubernetes_hangs_together(base):
         assert gib > base["store"]["scratch_gib"]
     args = pods[0]["containers"][0]["args"]
     assert args[args.index("--nthreads") + 1] == "1"
+
+
+@pytest.mark.parametrize("site", ["kubernetes", "pbs", "slurm"])
+def test_workers_of_a_site_go_on_whatever_they_hold_between_two_parts(site):
+    assert "DASK_DISTRIBUTED__WORKER__MEMORY__PAUSE" in (SITE / f"{site}.yaml").read_text()

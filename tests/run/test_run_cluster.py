@@ -10,10 +10,14 @@ import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fwclass import compiling
+from fwclass.errors import FwclassError
+from fwclass.memory import resident
 from fwclass.run.cluster import Cluster
+from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Task
 
 SCRIPT = """
@@ -92,3 +96,49 @@ def test_it_is_told_that_a_worker_compiles(tmp_path: Path) -> None:
     with Cluster(None, 1, 1.0, 10, compiles=lambda *told: heard.append(told)) as cluster:
         assert [o.status for o in cluster.run(tmp_path, [Task("slow", "all", 1, {}, compiles)])] == ["computed"]
     assert [begins for _, begins in heard] == [True, False] and heard[0][0] == heard[1][0] != ""
+
+
+LIMIT_GIB = 0.7
+kept = []
+
+
+def keeps(inputs, directory):
+    """Leave the worker with 87 % of its memory, as a library's caches or memory in pieces do."""
+    kept.append(np.ones(max(0, int(0.87 * LIMIT_GIB * 2**30) - resident()), np.uint8))
+    time.sleep(1.0)
+    return {}
+
+
+@pytest.fixture
+def at_most_a_minute():
+    def over(*_):
+        raise TimeoutError("the workers do nothing")
+
+    before = signal.signal(signal.SIGALRM, over)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_a_worker_that_keeps_much_memory_goes_on(tmp_path: Path, at_most_a_minute: None) -> None:
+    tasks = [
+        Task("first", "all", 1, {}, keeps),
+        *(Task("then", str(k), 1, {}, partial(quick), needs=(("first", "all"),)) for k in range(3)),
+    ]
+    with Cluster(None, 1, LIMIT_GIB, 10) as cluster:
+        assert [o.status for o in cluster.run(tmp_path, tasks)] == ["computed"] * 4
+
+
+@pytest.mark.slow
+def test_workers_that_do_not_start_are_told_as_such(at_most_a_minute: None) -> None:
+    with pytest.raises(FwclassError, match="workers of this machine do not start") as told:
+        Cluster(None, 1, 0.01, 10).__exit__(None, None, None)
+    assert "run.worker_memory_gib" in str(told.value)
+
+
+def test_a_part_that_no_worker_can_begin_is_given_up(tmp_path: Path) -> None:
+    losses, cause, one = Losses(tmp_path, retries=2), cause_of(2**30, 0.9, None), ("one", "a")
+    assert [losses.lost(one, cause, alone=False) for _ in range(3)] == ["again", "again", "alone"]
+    assert losses.lost(one, cause, alone=True) == "failed"
+    assert [losses.lost(("one", "b"), cause_of(None, None, -9), alone=False) for _ in range(9)] == ["again"] * 9
