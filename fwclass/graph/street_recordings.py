@@ -22,7 +22,7 @@ from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table
 from fwclass.street.frames import Frame, Recording, Scan, rotation
-from fwclass.street.line_scans import Cutter, Turning, check_times, measure_scanner
+from fwclass.street.line_scans import Cutter, Turning, check_falls, check_times, measure_scanner
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_bag import BagRecording
 from fwclass.street.recording_columns import MOST_BEAMS
@@ -299,10 +299,12 @@ class LasRecording:
         self.left_out.clear()
         cutter = Cutter(turning)
         scan = replace(sheet, beams=turning.beams, first=turning.first, step=turning.step)
-        number = 0
+        number, last = 0, np.empty(0)
         with PointReader(self.source) as reader:
             for _, points in reader.blocks():
                 time, plane, codes, light = self._seen(points)
+                check_falls(np.concatenate([last, time]), self.path)
+                last = time[-1:] if len(time) else last
                 of_block = time, self._angle(plane), np.linalg.norm(plane, axis=1), codes, light
                 for one in cutter.take(*of_block):
                     yield self._frame(number, cutter, one, scan)

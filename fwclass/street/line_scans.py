@@ -30,6 +30,13 @@ EVEN, REGULAR = 0.25, 0.8
 DISORDER = 0.01
 """Share of the times that may go back: points of one frame are written in any order."""
 
+FALL = 1.0
+"""Seconds by which no time goes back: what is longer than a frame is another clock, or the end of a GPS week."""
+
+ON = 0.25
+"""Share of the times of a file with a time a frame from which on they are no frames': those begin anew, and where the
+next time goes on in angle where the last one ended, times were rounded."""
+
 NEAR_GAP, FAR_GAP = 8, 200
 """Beams without a return over which the next is still counted, while the step is rough, and once it is better."""
 
@@ -86,6 +93,22 @@ def check_times(time: NDArray[np.float64], where: object) -> None:
             got=f"{100 * back:.1f} % do",
             do="sort the file by GPS time (PDAL: filters.sort), and let it have one scanner",
         )
+    check_falls(time, where)
+
+
+def check_falls(time: NDArray[np.float64], where: object) -> None:
+    """`InputError` for times [s], in the order of the file, that go back by more than `FALL`."""
+    steps = np.diff(time)
+    if not len(steps) or steps.min() >= -FALL:
+        return
+    at = int(np.argmin(steps))
+    raise InputError(
+        "the times go back",
+        where=where,
+        expected=f"GPS times that rise; those of one frame may go back by up to {FALL:g} s",
+        got=f"{time[at + 1]:.3f} after {time[at]:.3f} s",
+        do="cut the file there if seconds of the week begin anew, or sort it by GPS time (PDAL: filters.sort)",
+    )
 
 
 def measure_scanner(time: NDArray[np.float64], angle: NDArray[np.float64], most_beams: int, where: object) -> Turning:
@@ -106,6 +129,14 @@ def measure_scanner(time: NDArray[np.float64], angle: NDArray[np.float64], most_
     sense = float(np.sign(np.median(turn)))
     edges = np.flatnonzero(steps != 0 if _is_stamped(time) else sense * turn < -BACK * (high - low)) + 1
     slope = 0.0 if _is_stamped(time) else _slope(time, angle, edges)
+    if not slope and (on := _share_going_on(sense * angle, edges)) > ON:
+        raise InputError(
+            "the times are too coarse to tell frames",
+            where=where,
+            expected="GPS times of every beam, or one of every frame",
+            got=f"{100 * on:.0f} % of the times go on in angle where the one before ended, as rounded ones do",
+            do="export the points with times as they were measured (microseconds)",
+        )
     begin = time - slope * (angle - low)
     if len(edges) < FEWEST / 20:
         raise _refusal("too few frames to tell how a scanner turned", where, f"at least {FEWEST // 20}", len(edges))
@@ -133,6 +164,16 @@ def measure_scanner(time: NDArray[np.float64], angle: NDArray[np.float64], most_
 def _is_stamped(time: NDArray[np.float64]) -> bool:
     runs = np.diff(np.flatnonzero(np.concatenate([[True], np.diff(time) != 0, [True]])))
     return float(np.median(runs)) >= STAMPED
+
+
+def _share_going_on(angle: NDArray[np.float64], edges: NDArray[np.int64]) -> float:
+    """Of the groups of points that begin at `edges`: how many begin, in angle, where the one before ends."""
+    if not len(edges):
+        return 0.0
+    begins = np.concatenate([[0], edges])
+    low, high = np.minimum.reduceat(angle, begins), np.maximum.reduceat(angle, begins)
+    span = high - low
+    return float(np.mean(low[1:] > high[:-1] - 0.1 * np.maximum(span[1:], span[:-1])))
 
 
 def _slope(time: NDArray[np.float64], angle: NDArray[np.float64], edges: NDArray[np.int64]) -> float:

@@ -165,3 +165,31 @@ def test_what_is_no_recording_of_a_2d_scanner_is_refused_in_words(tmp_path, made
     path, _ = written(tmp_path, rows, fixes)
     with pytest.raises(ConfigError, match="where the scanner was"):
         open_on_trajectory(path, config().street)
+
+
+@pytest.mark.parametrize("digits", [3, 2])
+def test_times_that_were_rounded_are_no_frames(tmp_path, made, digits):
+    rows, fixes = made
+    rows = rows.copy()
+    rows[:, 0] = rows[:, 0].round(digits)
+    path, way = written(tmp_path, rows, fixes)
+    with pytest.raises(InputError, match="too coarse to tell frames"):
+        info(path, config("street.speed=null").street, way)
+
+
+def test_seconds_of_the_week_that_begin_anew_are_told(tmp_path, made):
+    rows, fixes = ((part - [1000.75, *np.zeros(part.shape[1] - 1)]) for part in made)
+    rows[:, 0] %= 604_800
+    fixes[:, 0] %= 604_800
+    path, way = written(tmp_path, rows, fixes)
+    with pytest.raises(InputError, match=r"the times go back(.|\n)*after 6047"):
+        list(LasRecording(path, config().street, way).frames())
+
+
+def test_times_that_go_back_further_on_are_told(tmp_path, made, monkeypatch):
+    rows, fixes = made
+    path, way = written(tmp_path, np.concatenate([rows, rows]), fixes)
+    monkeypatch.setattr("fwclass.read.points.BLOCK", len(rows))
+    recording = LasRecording(path, config().street, way)
+    with pytest.raises(InputError, match="the times go back"):
+        list(recording.frames())
