@@ -19,6 +19,7 @@ from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of
 from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.decompose.placement import Placement, offsets_of
 from fwclass.decompose.placing import beams, origins_of, row_shifts
+from fwclass.decompose.recovery import recovered
 from fwclass.decompose.shapes import Profiles, height_error
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantise
@@ -50,7 +51,8 @@ def backscatter_samples(
     `SAMPLE_COLUMNS`, a row a sample, by pulse and time; and ``energy`` over all and ``dropped`` of it in samples below
     `params.least` [DN ns].
     """
-    fits = fit_waveforms(waves, fit, pulse)
+    waves, doubt = recovered(waves, fit, pulse)
+    fits = fit_waveforms(waves, fit, pulse, doubt)
     spacing, length = waves.pulses["sample_spacing"].astype(np.float64), np.diff(waves.offsets)
     kinds, kind = pulses_of(waves, pulse)
     known = [*(c for c in pulse.channels if c.freedom > 0.0), None]

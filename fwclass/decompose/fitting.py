@@ -29,6 +29,9 @@ AT_A_TIME = 4_000
 """Waveforms that one call of the kernel fits, some tenths of a second: between two calls an interrupt is heeded."""
 
 
+NOTHING: NDArray[np.float64] = np.empty(0)
+
+
 @dataclass(frozen=True)
 class Fits:
     """Echoes of a batch of waveforms.
@@ -64,7 +67,9 @@ class Fits:
     flags: NDArray[np.uint8]
 
 
-def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> Fits:
+def fit_waveforms(
+    waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, doubt: NDArray[np.float64] = NOTHING
+) -> Fits:
     """Decompose every waveform into echoes of the system's pulse, widened.
 
     Every waveform is fitted alone: neither its neighbours nor their order change its numbers.
@@ -75,6 +80,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     params : `DecomposeParams`.
     pulse : the system's pulse; where one of its `channels` has a waveform's sample spacing and saturation, that
         channel's own pulse counts, and its level and noise are prior knowledge for the waveform's.
+    doubt : variance that every sample has beside the noise's [DN^2], float64 (samples,), or empty.
 
     Returns
     -------
@@ -105,6 +111,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
                 waves.offsets,
                 some,
                 top,
+                doubt,
                 values,
                 channel_of,
                 kind_of(noise, channel.growth / channel.step if channel else 0.0),

@@ -21,6 +21,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
 from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
 from fwclass.decompose.pulse_fit import EDGE, OVERLAPPING, SATURATED
+from fwclass.decompose.recovery import recovered
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
 from fwclass.units import SIGMA_PER_MAD
@@ -96,7 +97,8 @@ def measure_placement(
     """
     if sample.pulses.rows == 0:
         return AS_STORED
-    fits = fit_waveforms(sample, params, pulse)
+    sample, doubt = recovered(sample, params, pulse)
+    fits = fit_waveforms(sample, params, pulse, doubt)
     if at_returns:
         return Placement(_curves(sample, fits, params, pulse) if params.vendor_offset == "auto" else ())
     return _outgoing(sample, fits, params, pulse, from_outgoing)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fwclass.decompose.least_squares import fit, lay, less, moments
 from fwclass.decompose.normal_equations import factorise, normal_equations, variances
 from fwclass.decompose.peaks import BINS, first_echoes, level_and_noise, match_filter, surer
-from fwclass.decompose.sample_weights import highest_sample, load_samples, weigh_samples, whiten
+from fwclass.decompose.sample_weights import highest_sample, load_samples, weigh_doubt, weigh_samples, whiten
 from fwclass.decompose.second_look import posterior, second_look
 from fwclass.kernel import inlined, kernel, vectorised
 from fwclass.units import FWHM_PER_SIGMA
@@ -161,11 +161,12 @@ def _rms_near(residual, weight, pad, n, t, reach):  # type: ignore[no-untyped-de
 
 @inlined
 def fit_pulse(  # type: ignore[no-untyped-def]
-    samples, first, n, top, channel, kind, settings, most, look, p, errors, y, white, weight, bins, work, spare
+    samples, first, n, top, doubt, channel, kind, settings, most, look, p, errors, y, white, weight, bins, work, spare
 ):
     """Echoes of one waveform into `p`, sorted by time, level less the returned base, and their standard errors into
     `errors`: (count, base, noise, misfit).
 
+    `doubt` is variance that every sample has beside the noise's [DN^2], (n,), or empty.
     `channel` is (baseline, its standard deviation, noise, freedom) of the receiver; freedom 0 where it is unknown.
     `kind` is `Kind` of its noise. Samples `y` of correlated noise are fitted as `white`, with a level times
     ``kind.level``, and so `p` has it.
@@ -218,6 +219,8 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         return 0, base, marginal, np.nan
     if settings.shape_error > 0.0 or kind.growth > 0.0:
         weigh_samples(y[pad:], n, level, variance, settings.shape_error, kind.growth * kind.innovation, weight[pad:])
+    if len(doubt) > 0:
+        weigh_doubt(doubt, n, variance, kind.innovation, weight[pad:])
     sums = moments(white, weight, pad, n)
     highest = highest_sample(y, pad, n) - level
     highest = HIGHEST_SATURATED * (top - base) if used < n else settings.between * highest + 5.0 * marginal
@@ -319,6 +322,7 @@ def fit_all(  # type: ignore[no-untyped-def]
     offsets,
     rows,
     top,
+    doubt,
     channels,
     channel_of,
     kind,
@@ -338,6 +342,7 @@ def fit_all(  # type: ignore[no-untyped-def]
     ----------
     samples, offsets : ragged samples [DN].
     top : saturation per waveform [DN].
+    doubt : variance of every sample beside the noise's [DN^2], or empty.
     channels, channel_of : (c, 4) baseline, its standard deviation, noise [DN] and freedom of the receiver's channels,
         and every waveform's channel; the last is all zeros: unknown.
     kind : `Kind` of their noise.
@@ -376,6 +381,7 @@ def fit_all(  # type: ignore[no-untyped-def]
             first,
             n,
             top[w],
+            doubt[first : first + n] if len(doubt) > 0 else doubt,
             channel,
             kind,
             settings,

@@ -24,7 +24,7 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
     """Of every channel of the receiver, or of the strip where none is known: spacing [ns], saturation [DN], the width
     of its pulse [ns], how many echoes or outgoing pulses it stands on, how wide the outgoing pulse was recorded, what
     bright single echoes leave over the noise (`Channel.misfit`), the share of the threshold that is therefore asked
-    of further echoes, whether its noise is correlated, and the step of its samples [DN]."""
+    of further echoes, whether its noise is correlated, the step of its samples [DN], and its `recovery` [ns, DN]."""
     known = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
     rows = []
     for channel in pulse.channels or (None,):
@@ -41,6 +41,8 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
                 "further_detection": further_share(channel, params),
                 "correlated": bool(channel and channel.phi),
                 "step": channel.step if channel else 1.0,
+                "recovery": channel.recovery if channel else 0.0,
+                "recovery_depth": channel.recovery_depth if channel else 0.0,
             }
         )
     return rows

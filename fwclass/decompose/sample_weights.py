@@ -71,3 +71,10 @@ def weigh_samples(y, n, level, variance, shape_error, growth, weight):  # type: 
     for i in range(n - 2):
         high = max(0.25 * before[i] + 0.5 * at[i] + 0.25 * after[i] - level, 0.0)
         weigh[i] *= variance / (variance + growth * high + square * high * high)
+
+
+@vectorised
+def weigh_doubt(doubt, n, variance, innovation, weight):  # type: ignore[no-untyped-def]
+    """Less weight of the first `n` samples where something beside the noise's `variance` [DN^2] makes them vary."""
+    for i in range(n):
+        weight[i] *= variance / (variance + innovation * doubt[i])

@@ -15,6 +15,7 @@ from fwclass.decompose.placement import Placement, offsets_of
 from fwclass.decompose.placing import beams, origins_of, row_shifts
 from fwclass.decompose.pulse_fit import SATURATED
 from fwclass.decompose.pulse_sample import rows_of
+from fwclass.decompose.recovery import recovered
 from fwclass.decompose.shapes import Profiles
 from fwclass.decompose.stack_kernels import match_around
 from fwclass.decompose.system_pulse import Channel, SystemPulse
@@ -124,7 +125,8 @@ def candidates(
     if len(near) == 0:
         return None, np.empty((0, 2))
     some, late, beam, speed = rows_of(waves, near), late[near], beam[near], speed[near]
-    fits = fit_waveforms(some, fit, pulse)
+    some, doubt = recovered(some, fit, pulse)
+    fits = fit_waveforms(some, fit, pulse, doubt)
     after = fits.time - offsets_of(fits, some.pulses, placement)
     after -= (some.pulses["anchor_time"].astype(np.float64) + late)[fits.row]
     shift = row_shifts(fits, after, some, fit, placement)[0] if at_return else np.zeros(len(near))

@@ -15,6 +15,7 @@ from fwclass.decompose.placement import AS_STORED, Placement
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
 from fwclass.decompose.plausible import UNKNOWN, Surroundings, flag_implausible, renumber
 from fwclass.decompose.pulse_fit import SATURATED
+from fwclass.decompose.recovery import recovered
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import place_water, with_water
 from fwclass.grid import quantise
@@ -207,7 +208,8 @@ def _echo_columns(
     bathymetry: BathymetryParams | None,
 ) -> dict[str, NDArray]:
     """Columns of the fitted echoes, by pulse and echo number."""
-    fits = fit_waveforms(waves, params, pulse)
+    waves, doubt = recovered(waves, params, pulse)
+    fits = fit_waveforms(waves, params, pulse, doubt)
     if bathymetry is not None:
         fits, waters = with_water(fits, waves, params, pulse, bathymetry)
     row, pulses = fits.row, waves.pulses
@@ -326,5 +328,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=12)
-PLACES = Computation(name="places", version=4)
+PLACES = Computation(name="places", version=5)
 DECOMPOSE = Computation(name="decompose", version=16, writes=ECHO_COLUMNS)

@@ -41,6 +41,9 @@ class Channel:
     misfit : mean square of what bright single echoes leave under them over that of the noise beside them; 1 is a
         perfect model. None: not known.
     step : its samples are multiples of so many DN.
+    recovery : time constant with which it comes back to its level behind saturated samples [ns]; 0: at once.
+    recovery_depth : how far below its level it is right behind them, median [DN].
+    recovery_doubt : how far the first samples behind them depart from that, as a share of the depth.
     """
 
     sample_spacing: float
@@ -55,6 +58,9 @@ class Channel:
     pulse: SystemPulse | None = None
     misfit: float | None = None
     step: float = 1.0
+    recovery: float = 0.0
+    recovery_depth: float = 0.0
+    recovery_doubt: float = 0.0
 
     @property
     def special(self) -> bool:
@@ -235,6 +241,9 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             pulse=_own_pulse(one["pulse"], where),
             misfit=None if one["misfit"] is None else _number(one, "misfit", where, 0.0, 1e300),
             step=_number(one, "step", where, 1.0, 2.0**16),
+            recovery=_number(one, "recovery", where, 0.0, 1e6),
+            recovery_depth=_number(one, "recovery_depth", where, 0.0, 2.0**32),
+            recovery_doubt=_number(one, "recovery_doubt", where, 0.0, 1.0),
         )
         for one in stored
     )

@@ -197,6 +197,18 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
     return [*filter(None, lines), *place_remarks(strips)]
 
 
+def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("recovery", 0.0) > 0.0]
+    if not some:
+        return []
+    _, worst = max(some, key=lambda one: one[1]["recovery_depth"])
+    return [
+        f"behind saturated samples the receiver is {worst['recovery_depth']:.3g} DN below its level (median) and comes "
+        f"back with a time constant of {worst['recovery']:.0f} ns{_channel_words(worst)}: that is taken off; "
+        f"saturated echoes may be off by more than their errors ({_names(_once(s for s, _ in some))})"
+    ]
+
+
 def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     """Where the echoes' pulse is not the recorded one, not the echoes', or not one at all heights: of ``name``,
     ``channels`` and ``widths``."""
@@ -218,6 +230,7 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"recorded outgoing pulses{_channel_words(worst)}: look at info --waveforms, and fix it by pulse.width, "
             f"a Gaussian's ({_names(_once(s for s, _ in some))})"
         )
+    lines += _recovery_remarks(strips)
     some = [(s, c) for s, c in known if c["outgoing"]]
     if some:
         one = some[0][1]

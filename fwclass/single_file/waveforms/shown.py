@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_fit import OVERLAPPING
+from fwclass.decompose.recovery import recovered
 from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
@@ -69,7 +70,8 @@ def see(
     """
     if only:
         waves = _rows(waves, np.flatnonzero(np.isin(waves.pulses["pulse"], only)))
-    fits = fit_waveforms(waves, params, pulse)
+    waves, doubt = recovered(waves, params, pulse)
+    fits = fit_waveforms(waves, params, pulse, doubt)
     ids, of_row = np.unique(waves.pulses["pulse"].astype(np.int64), return_inverse=True)
     owner = of_row[fits.row]
     time = waves.pulses["segment_start"].astype(np.float64)[fits.row] + fits.time
