@@ -51,6 +51,17 @@ def test_a_common_rim_is_told_and_refused(survey: Path, words: tuple[str, ...]) 
     assert fwclass(*line, "--accept-implausible").returncode == 0
 
 
+def test_advice_goes_by_where_they_lie(survey: Path) -> None:
+    whole = laspy.read(survey.parent / "a.las")
+    twice = laspy.LasData(whole.header)
+    twice.points = whole.points[np.concatenate([np.arange(len(whole.x)), np.arange(len(whole.x))])]
+    twice.write(survey.parent / "west.las")
+    survey.write_text(survey.read_text().replace("[west.las, east.las]", "[west.las]"))
+    ended = fwclass("run", survey, "--out", survey.parent / "r", "--workers", 0, "--workflow", "quality")
+    assert ended.returncode == 4 and "west.las itself" in ended.stderr, ended.stderr
+    assert "points that are there twice" in ended.stderr and "take every file once" not in ended.stderr
+
+
 def test_a_sound_survey_has_none(tmp_path: Path) -> None:
     assert fwclass("run", small_survey(tmp_path), "--out", tmp_path / "r", "--workers", 0).returncode == 0
     assert json.loads((tmp_path / "r" / "report.json").read_text())["repeated"] is None

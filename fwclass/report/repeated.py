@@ -24,6 +24,13 @@ CAUSE = (
 )
 
 
+WITHIN = (
+    "points that one file has twice, or packets for every return of a pulse that are not read as one waveform: density "
+    "and accuracy are wrong"
+)
+"""Where most of them lie in one file."""
+
+
 def repeated_facts(
     tiles: Iterable[Mapping[str, Any]], strips: Iterable[Strip], decomposed: Iterable[Receipt]
 ) -> dict[str, Any] | None:
@@ -70,7 +77,7 @@ def repeated_facts(
         alike = [[*pair[:2], n] for pair, (key, _) in zip(files, ordered, strict=True) if (n := exact[key])]
         remarks.append(
             f"{exact.total():,} echoes, {100 * exact.total() / rows:.1f} %, have place and time of another "
-            f"({_pairs(alike, pairs)}): {CAUSE}"
+            f"({_pairs(alike, pairs)}): {WITHIN if _within(alike) else CAUSE}"
         )
     apart = [p for p in pairs if p["moved"] > SAID_FROM * p["echoes"] / (p["of_smaller"] or 1.0)]
     if apart:
@@ -87,10 +94,8 @@ def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) 
     it."""
     if facts is None:
         return
-    do = (
-        "take every file once, and cut rims that files have in common off; --accept-implausible "
-        "(plausibility.accept=true) takes them as they are"
-    )
+    taking = "--accept-implausible (plausibility.accept=true) takes them as they are"
+    once = "take every file once, and cut rims that files have in common off"
     within = [p for p in facts.get("pairs", ()) if (p["of_smaller"] or 0.0) > params.max_shared]
     if within and within[0]["echoes"] >= params.least:
         refuse_unsound(
@@ -99,18 +104,32 @@ def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) 
             "the sources have a file twice",
             where=first_few([f"{p['first']} and {p['second']}" for p in within], NAMED, "; "),
             expected=f"at most {100 * params.max_shared:g} % of a file's echoes in another (plausibility.max_shared)",
-            do=do,
+            do=f"{once}; {taking}",
         )
     if facts["share"] <= params.max_repeated:
         return
+    advice = once
+    if _within(facts["files"]):
+        advice = (
+            "take points that are there twice out; of waveforms, write the returns of a pulse one after the other, "
+            "with one GPS time, and one packet for all of them"
+        )
     refuse_unsound(
         [f"{facts['echoes']:,}, {100 * facts['share']:.1f} %"],
         params.accept,
         "the sources have too many echoes twice",
         where=_pairs(facts["files"], facts.get("pairs", ())),
         expected=f"at most {100 * params.max_repeated:g} % with place and time of another (plausibility.max_repeated)",
-        do=do,
+        do=f"{advice}; {taking}",
     )
+
+
+def _within(files: Iterable[list[Any]]) -> bool:
+    """Whether most of [name, name, echoes] are of one file."""
+    own = {True: 0, False: 0}
+    for a, b, n in files:
+        own[a == b] += n
+    return own[True] > own[False]
 
 
 def _pairs(files: Iterable[list[Any]], pairs: Iterable[Mapping[str, Any]]) -> str:
