@@ -46,6 +46,11 @@ LOOK = (
 )
 """What to do where a bound is passed."""
 
+SHAPES = (
+    f"{LOOK}; detectors with pulses of their own count as one where descriptors alone tell them apart: give each a "
+    "file of its own"
+)
+
 FLOOR = (
     "their level was taken off, and what lay below it cut, so that noise and false echoes cannot be told: export them "
     "with their level"
@@ -329,7 +334,7 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
         ("unlike", "unlike", "returns have the strength of other echoes", MIXED),
         ("misplaced", "misplaced", "returns do not lie where their times say", UNITS),
         ("swapped", "swapped", "waveforms have their samples' bytes exchanged", SWAP),
-        ("poor", "poor", "fitted echoes fit poorly", LOOK),
+        ("poor", "poor", "fitted echoes fit poorly", SHAPES),
         ("implausible", "implausible", "echoes are implausible", LOOK),
         ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),
     )

@@ -6,7 +6,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from commandline import fwclass
 from defaults import BASE
+from lasmaker import Descriptor, write_las
 from scipy.special import erfc
 from wavemaker import FWHM, METRES_PER_NS, waves_of
 
@@ -67,3 +69,26 @@ def test_a_tail_far_longer_than_the_rise_makes_no_echoes(tail):
     single = np.flatnonzero((np.bincount(row) == 1)[fits.row] & (fits.count[fits.row] == 1))
     first = time[: waves.pulses.rows]
     assert abs(np.median(fits.time[single] - first[fits.row[single]])) * METRES_PER_NS < 0.01
+
+
+def test_two_detectors_of_one_spacing_are_named_among_the_causes(tmp_path):
+    rng, n = np.random.default_rng(2), 800
+    at, top = crest(4.0)
+    t, first = np.arange(90), rng.uniform(25.0, 26.0, n)
+    height = rng.uniform(40.0, 180.0, n)
+    y = 12.0 + rng.normal(0.0, 1.0, (n, len(t)))
+    for i in range(n):
+        gaussian = np.exp(-0.5 * ((t - first[i]) / 4.0 * FWHM) ** 2)
+        y[i] += height[i] * (gaussian if i % 2 else exgaussian(t - first[i] + at, 4.0) / top)
+    write_las(
+        tmp_path / "two.las",
+        np.c_[500000.0 + 0.5 * (np.arange(n) % 20), 5400000.0 + 0.5 * (np.arange(n) // 20), np.full(n, 200.0)],
+        waveforms=list(np.clip(np.rint(y), 0, 255).astype(np.uint8)),
+        descriptor_of=1 + np.arange(n) % 2,
+        descriptors={k: Descriptor(8, len(t), 1000) for k in (1, 2)},
+        pulse=np.arange(n),
+        location=first,
+        gps_time=1000.0 + 1e-5 * np.arange(n),
+    )
+    ended = fwclass("decompose", tmp_path / "two.las", tmp_path / "two.laz")
+    assert ended.returncode == 4 and "detectors with pulses of their own" in ended.stderr, ended.stderr
