@@ -47,6 +47,10 @@ SUFFIX = ".kernel"
 LINKING = 2
 """Goes into the names of the files; it changes with what is done to kernels while they are compiled."""
 
+SAME_CODE = {"NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"}
+"""Settings of numba in the environment with which it compiles the same, or that `codegen` tells; others go into the
+names of the files: what was compiled for a debugger, or without optimising, is not taken later."""
+
 NOTIFY_AFTER = 1.0
 """Seconds that a process compiles before a person is told."""
 
@@ -207,7 +211,8 @@ class KernelFiles:
 
         # What only kernels call has no machine code, so that it has a file of its own.
         compiler = (codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
-        parts = (LINKING, len(_stacks) > 1, _type_key(signature), *compiler)
+        settings = sorted(f"{n}={v}" for n, v in os.environ.items() if n.startswith("NUMBA_") and n not in SAME_CODE)
+        parts = (LINKING, len(_stacks) > 1, _type_key(signature), *compiler, *settings)
         key = hashlib.blake2b(repr(parts).encode(), digest_size=8).hexdigest()
         return kernel_cache() / f"{self._name}-{self._stamp[:16]}-{key}{SUFFIX}"
 

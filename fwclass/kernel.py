@@ -60,6 +60,8 @@ def _stamp_of(function: Callable[..., Any], options: str = "") -> str:
     if function not in _stamps:
         _stamps[function] = ""  # one that calls itself adds nothing
         state = hashlib.blake2b(options.encode(), digest_size=16)
+        if function.__defaults__:
+            state.update(repr(function.__defaults__).encode())
         _add_code(state, function.__code__, function.__globals__)
         _stamps[function] = state.hexdigest()
     return _stamps[function]

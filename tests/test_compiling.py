@@ -252,6 +252,13 @@ def test_two_versions_and_two_processors_keep_their_own(program: Path, tmp_path:
     assert [run(place, cache, **words)[:2] for place, words in asked] == [(9.0, 0), (21.0, 0), (9.0, 0)]
 
 
+def test_what_was_compiled_for_a_debugger_is_not_taken_later(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert run(program, cache, NUMBA_BOUNDSCHECK="1")[:2] == (9.0, KERNELS)
+    assert run(program, cache)[:2] == (9.0, KERNELS)
+    assert run(program, cache, NUMBA_BOUNDSCHECK="1", NUMBA_NUM_THREADS="1")[:2] == (9.0, 0)
+
+
 def test_versions_long_gone_are_removed(program: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     cache.mkdir()

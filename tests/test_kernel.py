@@ -68,6 +68,31 @@ def test_a_kernel_follows_what_it_calls_in_other_files(tmp_path: Path) -> None:
         assert float(told) == answer
 
 
+def test_a_kernel_follows_the_defaults_of_what_it_calls(tmp_path: Path) -> None:
+    (tmp_path / "upper.py").write_text(DEFAULT)
+    for more in (1.0, 5.0):
+        (tmp_path / "below.py").write_text(BELOW.format(more=more))
+        told = run("from upper import total; print(total(3.0))", tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
+        assert float(told) == 3.0 + more
+
+
+BELOW = """
+from fwclass.kernel import kernel
+
+@kernel
+def add(x, more={more}):
+    return x + more
+"""
+DEFAULT = """
+from below import add
+from fwclass.kernel import kernel
+
+@kernel
+def total(x):
+    return add(x)
+"""
+
+
 def test_what_is_unchanged_is_not_compiled_again(tmp_path: Path) -> None:
     (tmp_path / "lower.py").write_text(LOWER.format(limit=9.0, more=1.0, share=0.5))
     code = "import upper; upper.total(3.0); print(sum(upper.total.compiled().stats.cache_hits.values()))"

@@ -67,6 +67,8 @@ def main() -> None:
     asked.add_argument("--set", dest="settings", action="append", default=["tile.size=500", "run.seam_check_echoes=0"])
     asked.add_argument("--every", type=int, default=1, help="take every n-th point alone: as many parts, less work")
     words = asked.parse_args()
+    if words.out:
+        words.out.mkdir(parents=True, exist_ok=True)
     source = (words.data / "km_0299_6802.laz").read_bytes()
     if words.every > 1:
         cloud, out = laspy.read(words.data / "km_0299_6802.laz"), io.BytesIO()
