@@ -53,6 +53,8 @@ def by_stage(run: Path) -> dict[str, dict[str, float]]:
         for name, value in told.items():
             one[name] = one.get(name, 0.0) + value
         one["peak"] = max(one.get("peak", 0.0), receipt["peak_mib"])
+    if not stages:
+        raise SystemExit(f"{run} is no run directory that keeps its parts (store/STAGE/PART/receipt.json)")
     return stages
 
 
