@@ -70,8 +70,8 @@ def see(
     """
     if only:
         waves = _rows(waves, np.flatnonzero(np.isin(waves.pulses["pulse"], only)))
-    waves, doubt = recovered(waves, params, pulse)
-    fits = fit_waveforms(waves, params, pulse, doubt)
+    level, doubt = recovered(waves, params, pulse)
+    fits = fit_waveforms(level, params, pulse, doubt)
     ids, of_row = np.unique(waves.pulses["pulse"].astype(np.int64), return_inverse=True)
     owner = of_row[fits.row]
     time = waves.pulses["segment_start"].astype(np.float64)[fits.row] + fits.time
