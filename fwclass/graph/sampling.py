@@ -70,6 +70,11 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
             if by_hand
             else "draw training areas where every class is labelled"
         )
+        if config.survey.reference.kind == "echoes" and not any(whole["labelled"]):
+            how = (
+                "give labels of these very files (a strip is its file's name, a pulse its place in the file, and x, y, "
+                f"z within {config.label.max_move:g} m, label.max_move)"
+            )
         raise ConfigError(
             "the labels do not suffice to train on",
             where=f"{config.path}: {'' if by_hand else 'areas.train, '}survey.classes",

@@ -18,6 +18,7 @@ def sampling(
     labelled: Sequence[Receipt],
     polygons: Sequence[Receipt],
     corrections: Sequence[Receipt] = (),
+    by_echo: Sequence[Receipt] = (),
     *,
     whole_run: bool = True,
 ) -> dict[str, Any] | None:
@@ -25,8 +26,8 @@ def sampling(
 
     Parameters
     ----------
-    counted, drawn, labelled, polygons, corrections : receipts of the parts `label-counts`, `sample-counts`, `label`,
-        `polygons` and `corrections`.
+    counted, drawn, labelled, polygons, corrections, by_echo : receipts of the parts `label-counts`, `sample-counts`,
+        `label`, `polygons`, `corrections` and `echo-labels`.
     whole_run : all tiles are among them; else nobody knows of the others' corrections.
     """
     if not counted:
@@ -66,6 +67,7 @@ def sampling(
             *notes,
             *_of_polygons(polygons, ambiguous),
             *(_remarks_on_corrections(corrected, config.label.max_move) if whole_run else ()),
+            *(_remarks_on_echo_labels(by_echo, labelled, config.label.max_move) if whole_run else ()),
         ],
     }
 
@@ -85,6 +87,19 @@ def _remarks_on_corrections(corrected: dict[str, int] | None, reach: float) -> l
     return [
         f"{lost:,} of {corrected['standing']:,} corrections label nothing: their echo is gone, or another one that "
         f"lies further than {reach:g} m (label.max_move) from its place has its number."
+    ]
+
+
+def _remarks_on_echo_labels(read: Sequence[Receipt], labelled: Sequence[Receipt], reach: float) -> list[str]:
+    rows = sum(int(r.meta["rows"]) for r in read)
+    lost = rows - sum(int(r.meta.get("by_echo", 0)) for r in labelled)
+    if lost <= 0:
+        return []
+    several = ", a later file has a label of the same echo" if len(read) > 1 else ""
+    return [
+        f"{lost:,} of {rows:,} labels by echo label nothing: their echo is not in this survey, or another one that "
+        f"lies further than {reach:g} m (label.max_move) from its place has its number (files were renamed, cut or "
+        f"sorted anew){several}."
     ]
 
 

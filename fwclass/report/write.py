@@ -10,7 +10,7 @@ from fwclass.classify.kept import Kept
 from fwclass.classify.params import RegularizeParams
 from fwclass.conf import Config
 from fwclass.graph.classify import codes_on_lines
-from fwclass.graph.corrections import CORRECTIONS
+from fwclass.graph.corrections import CORRECTIONS, ECHO_LABELS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.model_fit import ground_notes
 from fwclass.graph.sampling import LABELS, SAMPLES
@@ -194,7 +194,7 @@ def _of_the_classes(
     classes = _classes(config, source) if classified else []
     counted = sampling(
         config,
-        *(receipts_of_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
+        *(receipts_of_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS, ECHO_LABELS)),
         whole_run=runner.whole,
     )
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
@@ -177,7 +178,8 @@ def test_labels_by_echo_are_a_reference(first, tmp_path):
         f"survey.reference={{kind: echoes, files: ['{root / 'parquet'}/*.parquet'], field: classification}}",
         "survey.reference.corrections=false",
     )
-    run(survey, tmp_path, *settings)
+    report = run(survey, tmp_path, *settings)
+    assert not any("by echo label nothing" in r for r in report["sampling"]["remarks"])
     made = echoes(tmp_path)
     given = {}
     for path in (root / "parquet").glob("*.parquet"):
@@ -191,6 +193,26 @@ def test_labels_by_echo_are_a_reference(first, tmp_path):
         )
     keys = zip(made["strip"].tolist(), made["pulse"].tolist(), made["echo_number"].tolist(), strict=True)
     assert made["reference"].tolist() == [given[k] for k in keys]
+
+
+def test_labels_by_echo_whose_echo_is_another_now_are_told(first, tmp_path):
+    survey, root, _, _before = first
+    table = pa.concat_tables(
+        [
+            pq.read_table(path, columns=[*PLACE[:3], "x", "y", "z", "classification"])
+            for path in (root / "parquet").glob("*.parquet")
+        ]
+    )
+    moved = np.arange(table.num_rows) % 5 == 0
+    height = table["z"].to_numpy() + np.where(moved, 1.0, 0.0)
+    pq.write_table(table.set_column(5, "z", pa.array(height)), tmp_path / "labels.parquet")
+    told = run(
+        survey,
+        tmp_path / "run",
+        f"survey.reference={{kind: echoes, files: ['{tmp_path}/labels.parquet'], field: classification}}",
+        "survey.reference.corrections=false",
+    )["sampling"]["remarks"]
+    assert any(f"{moved.sum():,} of {table.num_rows:,} labels by echo label nothing" in line for line in told)
 
 
 @pytest.mark.parametrize(
