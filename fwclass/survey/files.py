@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import itertools
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -43,15 +44,38 @@ def find_files(
 
 
 def matching_files(pattern: str, directory: Path) -> list[Path]:
-    """Files of this host whose paths below `directory` match, sorted; `InputError` for a pipe, a device or a socket."""
+    """Files of this host whose paths below `directory` match, sorted; `InputError` for a pipe, a device or a socket,
+    and for a directory on the way that may not be read."""
     parts = Path(pattern).parts
     fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))
     wild = parts[len(fixed) :]
     if "**" in wild and ".." not in wild:
         base = directory.joinpath(*fixed)
         return _files(p for p in sorted(_below(base)) if path_matches(p.relative_to(base).parts, wild))
-    wanted = str(Path(glob.escape(str(directory))) / pattern)
-    return _files(sorted(map(Path, glob.glob(wanted, recursive=True))))  # noqa: PTH207
+    here = Path(glob.escape(str(directory)))
+    for count in range(len(fixed), len(parts)):
+        for path in _globbed(here.joinpath(*parts[:count])):
+            if os.path.isdir(path):  # noqa: PTH112 - Path's raises where nobody may look
+                _check_readable(path)
+    return _files(_globbed(here / pattern))
+
+
+def _globbed(pattern: Path) -> list[Path]:
+    return sorted(map(Path, glob.glob(str(pattern), recursive=True)))  # noqa: PTH207
+
+
+def _check_readable(directory: Path) -> None:
+    """`glob` leaves out what it may not read; a survey does not lose files so. Hidden ones and `lost+found`, the file
+    system's own, hold none."""
+    if directory.name.startswith(".") or directory.name == "lost+found" or os.access(directory, os.R_OK | os.X_OK):
+        return
+    raise InputError(
+        "a directory where sources may lie cannot be read",
+        where=directory,
+        expected="the right to list and to enter it",
+        got="permission denied",
+        do="change its permissions, or name the sources by a pattern that leaves it out",
+    )
 
 
 def _files(paths: Iterable[Path]) -> list[Path]:
@@ -82,11 +106,12 @@ def _below(directory: Path) -> Iterator[Path]:
             if (facts.st_dev, facts.st_ino) in visited:
                 continue
             visited.add((facts.st_dev, facts.st_ino))
+            _check_readable(path)
             entries = sorted(path.iterdir(), reverse=True)
-        except OSError:  # as `glob` does: what cannot be read holds nothing
+        except OSError:  # it is gone by now, or a link that leads in a ring
             continue
         yield from (p for p in entries if not p.is_dir())
-        waiting += [p for p in entries if p.is_dir() and not (p / "store" / HISTORY).is_file()]
+        waiting += [p for p in entries if p.is_dir() and not os.path.isfile(p / "store" / HISTORY)]  # noqa: PTH113
 
 
 def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:

@@ -126,6 +126,23 @@ def test_links_that_lead_back_are_walked_once(tmp_path: Path) -> None:
     assert found == [tmp_path / "d" / "a.las"]
 
 
+@pytest.mark.parametrize("pattern", ["*/*.las", "**/*.las", "d/*.las"])
+def test_a_directory_that_may_not_be_read_is_named(
+    pattern: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("c", "d", ".e", "lost+found"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.las").touch()
+    readable = os.access
+    closed = {"d", ".e", "lost+found"}  # root may read all
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name not in closed and readable(path, mode))
+    with pytest.raises(InputError, match="cannot be read") as told:
+        matching_files(pattern, tmp_path)
+    assert str(tmp_path / "d") in str(told.value)
+    closed.remove("d")
+    assert tmp_path / "d" / "a.las" in matching_files(pattern, tmp_path)
+
+
 def committed(root: Path) -> tuple[Store, Path]:
     """A store with one delivered part, and its receipt."""
 
