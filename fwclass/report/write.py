@@ -310,6 +310,7 @@ def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] 
     if (
         standing.get("config") != _plain(config.raw)
         or standing.get("failed")
+        or "thresholds" not in standing  # of before it was there
         or standing.get("outputs") != delivered_files(runner)
         or ((standing.get("sampling") or {}).get("corrections") is None) != (survey.corrections is None)
     ):
