@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, join_samples
 from fwclass.decompose.params import DecomposeParams, SampleParams
+from fwclass.errors import ConfigError
 from fwclass.graph.ground import around_block, survey_blocks, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, owned
-from fwclass.graph.sources import MEASURE_PULSE, READ_SPAN, placement_of, pulse_of, strip_of, waveforms_of
+from fwclass.graph.sources import (
+    MEASURE_PULSE,
+    READ_SPAN,
+    placement_of,
+    pulse_of,
+    strip_of,
+    strips_declared,
+    waveforms_of,
+)
 from fwclass.graph.stacking import chunks_near
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
@@ -202,6 +211,30 @@ def _about(crs: str | None, title: str, size: float) -> dict[str, Any]:
 def _any_product(plan: Plan) -> bool:
     config = plan.config
     return config.samples.write or config.voxels.write or config.profile.write
+
+
+def check_waves(plan: Plan) -> str:
+    """A note on files without waveforms, of which no sample, voxel or profile tells; "" where all have some.
+
+    Raises
+    ------
+    ConfigError
+        None of the files has any, or they are left aside (`survey.echoes`).
+    """
+    if not _any_product(plan):
+        return ""
+    strips = plan.survey.strips
+    without = len(strips) - (0 if plan.returns else len(strips_declared(plan)))
+    if without == len(strips):
+        raise ConfigError(
+            "samples, voxels and profiles are of waveforms, and this survey has none",
+            where=plan.config.path,
+            expected="files with waveforms (`fwclass info` tells)",
+            got="survey.echoes: returns" if plan.returns else f"{without} files of returns alone",
+            do="leave voxels.write, profile.write and samples.write out, or name the files that have waveforms",
+        )
+    left_out = f"{without} of {len(strips)} files have no waveforms: samples, voxels and profiles lack their pulses"
+    return left_out if without else ""
 
 
 def _samples_around(box: Callable[[Plan, Tile], Box]) -> Callable[[Plan, Tile], list[Name]]:

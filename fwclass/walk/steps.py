@@ -12,6 +12,7 @@ from fwclass.conf.checks import refuse_regularized
 from fwclass.conf.sections import ClassSection
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
+from fwclass.graph.backscatter import SAMPLE_WAVES, check_waves
 from fwclass.graph.base_model import base_remarks
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, label_parts
 from fwclass.graph.fine_layer import fine_layer
@@ -185,6 +186,8 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     plan = replace(plan, providers=providers(plan, stages))
     if plan.returns:
         runner.display.say(f"note: {LEFT_ASIDE} (survey.echoes: waveforms has them)")
+    if SAMPLE_WAVES in stages and (left_out := check_waves(plan)):
+        runner.display.say(f"note: {left_out}")
     splits = runner.do(_of_strips(plan) + SPLIT_REFERENCE.tasks(plan))
     _check_widths(config, plan.names, splits, runner.store)
     plan = replace(plan, splits=splits)
