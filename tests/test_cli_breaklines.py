@@ -116,6 +116,7 @@ def test_heights_are_told_from_measures_in_every_dialect() -> None:
     bad += [
         wkb([(0.0, 0.0, np.nan)] * 2),
         wkb([(0.0, 0.0, 1e300)] * 2),
+        wkb([(0.0, 0.0, 200.0), (1.0, 0.0, -9999.0)]),
         struct.pack("<BII", 1, 1005, 1) + wkb([p[:2] for p in FOOT], 2),
     ]
     bad += [struct.pack("<BII", 1, 1005, 1) + wkb(FOOT, 2002), struct.pack("<BII", 1, 1005, 3) + wkb(FOOT)]

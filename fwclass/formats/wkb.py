@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.units import LAND
 
 LINE, MULTILINE = 2, 5
 POLYGON, MULTIPOLYGON = 3, 6
@@ -213,10 +214,6 @@ def _polygons(data: bytes | None, where: object, number: int) -> list[list[Ring]
         ) from fault
 
 
-HIGHEST = 12_000.0
-"""m, no land is higher above, or deeper below, the zero of any system of heights."""
-
-
 def lines(geometries: Iterable[bytes | None], where: object) -> tuple[Shapes, NDArray[np.float64]]:
     """Lines of all features, in their order, each a ring that is not closed, and the heights of their points.
 
@@ -274,8 +271,9 @@ def _line(cursor: _Cursor) -> Ring:
     cursor.at += 8 * n * dimensions
     if n < 2 or not np.isfinite(values).all():
         raise WkbError("a line of fewer than two points, or with a coordinate that is no number")
-    if (highest := np.abs(values[:, 2]).max()) > HIGHEST:
-        raise WkbError(f"a height of {highest:g} m, beyond any place on earth")
+    for height in (values[:, 2].min(), values[:, 2].max()):
+        if not LAND[0] <= height <= LAND[1]:
+            raise WkbError(f"a height of {height:g} m, where no land is: a number for no data, or another unit")
     return values.astype(np.float64)
 
 

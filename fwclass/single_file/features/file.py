@@ -244,7 +244,8 @@ _WHY = {
     "height_above_ground": "no ground (class 2)",
     **dict.fromkeys(("echo_number", "number_of_echoes"), "no echo numbers (a text has none)"),
     **dict.fromkeys(
-        RADIOMETRY.writes, "no ranges (--trajectory, or --set radiometry.platform_altitude=METRES; and beams)"
+        RADIOMETRY.writes,
+        "no ranges (they need beams, as waveforms have, and --trajectory or --set radiometry.platform_altitude=METRES)",
     ),
 }
 """What a file lacks that does not have a column."""
