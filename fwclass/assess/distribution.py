@@ -6,7 +6,7 @@ unit and range, nothing has to be known beforehand, and a quantile is right to 0
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -60,14 +60,21 @@ def pack(
     return np.concatenate(places), np.concatenate(counts)
 
 
-def unpack(
-    parts: Iterable[tuple[NDArray[np.int64], NDArray[np.int64]]], names: Sequence[str], classes: int
-) -> dict[str, NDArray[np.int64]]:
-    """The sum of histograms that `pack` gave, of the columns `names`, each (classes, BINS)."""
-    total = np.zeros(len(names) * classes * BINS, np.int64)
-    for places, counts in parts:
-        total[places] += counts
-    return dict(zip(names, total.reshape(len(names), classes, BINS), strict=True))
+class Histograms:
+    """The sum of histograms that `pack` gave, of the columns `names` by `classes`; one part after another is added."""
+
+    def __init__(self, names: Sequence[str], classes: int) -> None:
+        self._names, self._classes = tuple(names), classes
+        self._total = np.zeros(len(self._names) * classes * BINS, np.int64)
+
+    def add(self, places: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+        """Those of one part more, int64 (bins with an echo,) each."""
+        self._total[places] += counts
+
+    def by_column(self) -> dict[str, NDArray[np.int64]]:
+        """Of every column a histogram int64 (classes, BINS)."""
+        total = self._total.reshape(len(self._names), self._classes, BINS)
+        return dict(zip(self._names, total, strict=True))
 
 
 def _histogram(values: NDArray, index: NDArray[np.int64], classes: int) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.confusion import confusion, figures, unclassified
-from fwclass.assess.distribution import pack, summary, unpack
+from fwclass.assess.distribution import Histograms, pack, summary
 from fwclass.assess.intervals import intervals
 from fwclass.assess.remarks import pure_share
 from fwclass.assess.stage import ASSESS_VERSION, CONFUSION_VERSION
@@ -162,7 +162,7 @@ def assess_survey(
     """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
-    parts, counted, sure, left_out = [], [], np.zeros((3, PERCENT), np.int64), 0
+    parts, histograms, sure, left_out = [], Histograms(names, n), np.zeros((3, PERCENT), np.int64), 0
     tested: dict[str, NDArray] = {}
     for tile in here.parts("confusion"):
         meta = here.inputs.meta("confusion", tile)
@@ -172,12 +172,12 @@ def assess_survey(
         sure += np.array(meta["sure"], np.int64)
         left_out += meta.get("kept", 0)
         arrays, _ = here.inputs.arrays("confusion", tile, COUNTS)
-        counted.append((arrays["places"], arrays["counts"]))
+        histograms.add(arrays["places"], arrays["counts"])
         tested = merge_tested(tested, arrays) if by_place else {}
-        parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
+        # a survey has many tiles: copies, as what is read of one lies in one piece of memory
+        parts.append(BlockCounts(arrays["place"].copy(), arrays["blocks"].copy()))
     blocks = BlockCounts.merged(parts, n)
     write_arrays(here.directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})
-    histograms = unpack(counted, names, n)
     called = [c.name for c in classes]
     accuracy = figures(matrix, called, lost) | {
         "intervals": intervals(blocks.counts),
@@ -188,7 +188,7 @@ def assess_survey(
     }
     return {
         "accuracy": accuracy if matrix.any() or lost.any() else None,
-        "distribution": summary(histograms, called, quantiles),
+        "distribution": summary(histograms.by_column(), called, quantiles),
         "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
         "automation": automation(sure),
         "reliability": steps | {"without_class": int(lost.sum())} if (steps := reliability(sure)) else None,

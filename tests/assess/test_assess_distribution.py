@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fwclass.assess.distribution import BINS, QUANTILES, distribution, pack, quantiles, summary, unpack
+from fwclass.assess.distribution import BINS, QUANTILES, Histograms, distribution, pack, quantiles, summary
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 
@@ -106,7 +106,10 @@ def test_packed_histograms_of_tiles_are_the_whole_one():
     tile = np.random.default_rng(2).integers(0, 5, len(reference))
     parts = [pack(features.take(tile == t), reference[tile == t], CLASSES) for t in range(6)]
     assert all((counts > 0).all() for _, counts in parts)
-    whole, made = distribution(features, reference, CLASSES), unpack(parts, tuple(features), len(CLASSES))
+    histograms = Histograms(tuple(features), len(CLASSES))
+    for part in parts:
+        histograms.add(*part)
+    whole, made = distribution(features, reference, CLASSES), histograms.by_column()
     assert list(made) == list(whole)
     for name, histogram in whole.items():
         np.testing.assert_array_equal(made[name], histogram)
