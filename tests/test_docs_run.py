@@ -46,7 +46,7 @@ WALKED = {"first-survey.md": "tests/run/test_run_first_survey.py"}
 NAMES = (
     (r"\s+\[--.*", ""),
     (r"\s>.*", ""),
-    (r"CONF\|FILE", "my-survey.yaml"),
+    (r"^(voxels|profile) (CONF\|FILE|my-survey\.yaml)", r"\1 strip.las"),  # which has waveforms
     (r"\bRUN\b", "runs/my-survey"),
     (r"\bOTHER\b", "runs/other"),
     (r"\bFILE\b", "worklist.gpkg"),
