@@ -41,4 +41,4 @@ def test_a_table_of_classifiers_has_the_remarks_of_each(tmp_path: Path) -> None:
     line = ("train", small_survey(tmp_path), "--out", tmp_path / "r", "--workers", 0, "--compare", "forest,linear-svm")
     ended = fwclass(*line)
     assert ended.returncode == 0 and "remark: The accuracy may be too good: it was tested" in ended.stdout, ended.stdout
-    assert "smaller than the 12 m that what decides reaches" in ended.stdout
+    assert "errors hang together over the 12 m that what decides reaches" in ended.stdout
