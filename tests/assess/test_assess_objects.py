@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from fwclass.assess.objects import (
     object_classes,
     object_figures,
 )
+from fwclass.graph.objects import objects_of_tiles
 from fwclass.grid import TileGrid, millimetres, quantise
 from fwclass.model import ClassDef
 
@@ -109,6 +111,25 @@ def test_tiles_change_nothing(size, across):
         beyond.append(rest)
     counts += count_objects(ObjectCells.merged(beyond), 3, cell, PARAMS)
     assert (counts == whole).all()
+
+
+@pytest.mark.parametrize("size", [3.0, 7.1, 11.75, 100.0])
+def test_a_survey_of_many_tiles_has_the_objects_of_the_whole(size):
+    """And holds no more of them than the borders of squares of tiles: all that touched a tile's border were held, 1.9
+    GiB for 52 million echoes."""
+    x, y, truth, answer = scene()
+    grid, names = TileGrid(size), [c.name for c in CLASSES]
+    blocks = BlockCounts.of(x, y, truth, answer, CLASSES, 25.0).counts
+    cell = cells_across(blocks, 25.0, PARAMS) * PARAMS.step
+    whole = cells_of(x, y, truth, answer).coarser(round(cell / PARAMS.step))
+    keys = np.array([f"{a}_{b}" for a, b in zip(*(v.tolist() for v in grid.indices(x, y)), strict=True)])
+    parts = {key: cells_of(*(v[keys == key] for v in (x, y, truth, answer))) for key in sorted(set(keys))}
+    inputs = SimpleNamespace(
+        arrays=lambda stage, key, name: ({"place": parts[key].place, "counts": parts[key].counts}, {})
+    )
+    here = SimpleNamespace(parts=lambda stage: tuple(parts), inputs=inputs)
+    judged = objects_of_tiles(here, "confusion", blocks, 25.0, names, {"params": PARAMS, "tile": size})
+    assert judged == object_figures(count_objects(whole, 3, cell, PARAMS), names, cell, PARAMS)
 
 
 def squares(*boxes, step=0.25):
