@@ -41,13 +41,11 @@ class Canopy(NamedTuple):
 
     Attributes
     ----------
-    top : of the highest echo, 0 where there is none.
-    surface : the same without its pits (`without_pits`).
+    surface : of the highest echo, 0 where there is none, without its pits (`without_pits`).
     smooth : that without its twigs.
     bulge : how much it is higher than around it, at the scale of a crown of its height (`bulge`).
     """
 
-    top: NDArray[np.float64]
     surface: NDArray[np.float64]
     smooth: NDArray[np.float64]
     bulge: NDArray[np.float64]
@@ -58,7 +56,7 @@ def canopy(counts: Counts, cell: float, params: TreeParams) -> Canopy:
     top = np.nan_to_num(counts.top.astype(np.float64), nan=0.0).clip(0.0)
     surface = without_pits(top, cell, params.pit)
     smooth = _smoothed(surface, params.smooth / cell)
-    return Canopy(top, surface, smooth, bulge(surface, smooth, cell, params))
+    return Canopy(surface, smooth, bulge(surface, smooth, cell, params))
 
 
 def without_pits(top: NDArray[np.float64], cell: float, radius: float) -> NDArray[np.float64]:
