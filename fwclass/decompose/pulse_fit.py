@@ -116,10 +116,16 @@ def _mark_dropped(p, count, n, share, reach, drop):  # type: ignore[no-untyped-d
 
 
 @inlined
+def _are_near(p, k, m):  # type: ignore[no-untyped-def]
+    """Whether echoes k and m are nearer to each other than their two widths allow to separate well."""
+    return abs(p[3 * m + 2] - p[3 * k + 2]) < 0.75 * FWHM_PER_SIGMA * (p[3 * k + 3] + p[3 * m + 3])
+
+
+@inlined
 def _overlaps(p, count, k):  # type: ignore[no-untyped-def]
-    """Whether another echo is nearer to echo k than their two widths allow to separate well."""
+    """Whether another echo is near to echo k."""
     for m in range(count):
-        if m != k and abs(p[3 * m + 2] - p[3 * k + 2]) < 0.75 * FWHM_PER_SIGMA * (p[3 * k + 3] + p[3 * m + 3]):
+        if m != k and _are_near(p, k, m):
             return True
     return False
 
@@ -139,7 +145,7 @@ def _flags(p, count, k, y, pad, n, top, misfit, poor, drop):  # type: ignore[no-
         if y[pad + i] >= top:
             flags |= SATURATED
     for m in range(count):
-        if m != k and not drop[m] and abs(p[3 * m + 2] - t) < 0.75 * FWHM_PER_SIGMA * (s + p[3 * m + 3]):
+        if m != k and not drop[m] and _are_near(p, k, m):
             flags |= OVERLAPPING
     if misfit > poor:
         flags |= POOR
