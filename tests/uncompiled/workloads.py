@@ -325,6 +325,20 @@ def work_estimated_pulse(_: Path) -> Any:
     return pulse, decompose(few, 0, conf.section("decompose"), pulse)
 
 
+def work_recovery(_: Path) -> Any:
+    """Saturated waveforms of a receiver that swings below its level behind them; echoes so near to each other that
+    the height of one is not known."""
+    rng, t = np.random.default_rng(11), np.arange(70)
+    near = rng.uniform(2.0, 7.0, (40, 3)).cumsum(axis=1) + 22.0
+    height = rng.uniform(10.0, 500.0, (40, 3))
+    shape = np.exp(-0.5 * ((t - near[:, :, None]) / (3.5 / wavemaker.FWHM)) ** 2)
+    y = 25.0 + rng.normal(0.0, 1.0, (40, 70)) + (height[:, :, None] * shape).sum(axis=1)
+    waves = wavemaker.waves_of(list(np.clip(np.rint(y), 0, 230).astype(np.uint8)))
+    channel = Channel(1.0, 255.0, 25.0, 0.1, 1.0, 18.0, 230.0, recovery=15.0, recovery_depth=10.0, recovery_doubt=0.3)
+    pulse = SystemPulse("gaussian", 3.5, channels=(channel,))
+    return decompose(waves, 0, conf.section("decompose"), pulse)
+
+
 def work_model_of_a_waveform(_: Path) -> Any:
     look = lookup(SystemPulse.gaussian(3.5), 1.0, 0.5, 3.0)
     size = 30 + look.before + look.after + 4
