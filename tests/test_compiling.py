@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -381,6 +382,16 @@ def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
     for kernel, types in kernels:
         assert [_text(_type(told)) for told in types] == types, kernel
         assert len(types) == len(inspect.signature(kernel).parameters), f"{kernel}: run tests/kernels/record.py"
+
+
+def test_what_records_the_list_says_how_it_is_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["record.py", "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(Path(__file__).parent / "kernels" / "record.py"), run_name="__main__")
+    assert ended.value.code == 0 and "--anew" in capsys.readouterr().out and not list(tmp_path.iterdir())
 
 
 def test_an_entry_that_does_not_fit_its_kernel_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,13 @@
 """Write `conf/kernels.json`: the kernels that the program calls, and the types of their arguments.
 
 `python tests/kernels/record.py DIRECTORY` runs the commands below in DIRECTORY, some minutes, and adds what they call
-to the list; with `--anew` the list has nothing else; with `--from COMMAND` those from this one on are run. Real data is
-taken from `../shared/data` where there is any.
+to the list. Real data is taken from `../shared/data` where there is any.
 """
 
 from __future__ import annotations
 
 import _thread
+import argparse
 import json
 import os
 import subprocess
@@ -70,15 +70,28 @@ def child(to: Path, words: list[str]) -> None:
         to.write_text("\n".join(lines(compiling.asked)))
 
 
+def arguments() -> argparse.Namespace:
+    """What the command line asks for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    parser.add_argument("directory", type=Path, help="where the commands run; it is made if it is not there")
+    parser.add_argument("--anew", action="store_true", help="keep nothing of the list that there is")
+    parser.add_argument(
+        "--from", dest="first", choices=COMMANDS, default=COMMANDS[0], metavar="COMMAND", help="begin at this command"
+    )
+    return parser.parse_args()
+
+
 def main() -> None:
-    if sys.argv[1] == "child":
+    if sys.argv[1:2] == ["child"]:
         child(Path(sys.argv[2]), sys.argv[3:])
         return
-    directory = Path(sys.argv[1]).resolve()
+    asked = arguments()
+    directory = asked.directory.resolve()
     directory.mkdir(parents=True, exist_ok=True)
-    found = set() if "--anew" in sys.argv else {json.dumps(row) for row in json.loads(LIST.read_text())}
-    first = sys.argv[sys.argv.index("--from") + 1] if "--from" in sys.argv else ""
-    for command in COMMANDS[COMMANDS.index(first) if first else 0 :]:
+    listed = set() if asked.anew else {json.dumps(row) for row in json.loads(LIST.read_text())}
+    for command in COMMANDS[COMMANDS.index(asked.first) :]:
         to = directory / "called.txt"
         to.unlink(missing_ok=True)
         ended = subprocess.run(
@@ -89,11 +102,11 @@ def main() -> None:
             text=True,
         )
         called = set(to.read_text().splitlines()) if to.exists() else set()
-        print(f"{command}: exit {ended.returncode}, {len(called)} called, {len(called - found)} new", flush=True)
+        print(f"{command}: exit {ended.returncode}, {len(called)} called, {len(called - listed)} new", flush=True)
         if ended.returncode:
             print(ended.stderr[-600:])
-        found |= called
-    LIST.write_text("[\n" + ",\n".join(sorted(found)) + "\n]\n")
+        listed |= called
+    LIST.write_text("[\n" + ",\n".join(sorted(listed)) + "\n]\n")
 
 
 if __name__ == "__main__":
