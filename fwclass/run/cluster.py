@@ -9,17 +9,15 @@ from __future__ import annotations
 import importlib.util
 import logging
 import math
-import os
 import re
 import signal
 import threading
 import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from functools import cache
-from multiprocessing import resource_tracker
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -36,18 +34,26 @@ from fwclass.errors import FwclassError
 from fwclass.isolation import kernel_cache
 from fwclass.memory import give_back, keep_freed
 from fwclass.run.bundles import Bundles
+from fwclass.run.cluster_errors import (
+    OtherLibraries,
+    difference_from_here,
+    no_answer,
+    program_changed,
+    scheduler_gone,
+    unlike_workers,
+)
 from fwclass.run.in_flight import InFlight
 from fwclass.run.limit import ended_after
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Outcome, Task, execute
+from fwclass.run.semaphores import settle_tracker
 from fwclass.store.atomic import digest_of, write_text
-from fwclass.store.libraries import changes, fingerprint
+from fwclass.store.libraries import fingerprint
 from fwclass.store.run_location import RunLocation
 from fwclass.store.scratch import worker_directory
 
 _OUTSIDE = re.compile(r'<link rel="shortcut icon" href="https?://[^">]*"[^>]*>')
 """Of a performance report: its icon, which would be fetched."""
-
 
 MUSTER = 2.0
 """Seconds between looks at whether workers are missing."""
@@ -63,19 +69,11 @@ _QUIET = {
 """Dask looks at itself every 10 to 500 ms in every process: 12 % of a core for two workers that have nothing to do,
 4 % with these."""
 
-TOLD_WORKERS = 10
-"""Workers that are named of those that differ."""
-
 _ENDS: dict[str, int] = {}
 """How workers of this process ended, by address: the exit code, negative for a signal."""
 
-
 CORES = CPU_COUNT
 """Cores that this process may use: of the machine, its affinity and its container's quota the least."""
-
-
-class OtherLibraries(Exception):
-    """A worker computes by other code than the run: its address, and its `libraries.fingerprint`."""
 
 
 def _at_worker(
@@ -114,46 +112,16 @@ def _fingerprint_here() -> dict[str, str]:
     return dict(fingerprint())
 
 
-def _apart(there: dict[str, str]) -> str:
-    """How a worker differs from this process, in words."""
-    return ", ".join(changes(fingerprint(), there))
-
-
 def wait_by_monotonic_clock() -> None:
     """Let this process's senders of Dask wait by the monotonic clock.
 
     They wait until a time of the wall clock (`distributed.batched`, tornado's `IOLoop.time`): where that is set back by
     an hour, nothing is sent for one.
     """
-    _settle_tracker()
+    settle_tracker()
     ahead = time.time() - time.monotonic()
     setattr(IOLoop, "time", lambda loop: time.monotonic() + ahead)  # noqa: B010 (a method of theirs, on purpose)
     distributed.batched.time = lambda: time.monotonic() + ahead
-
-
-def _settle_tracker() -> None:
-    """Let Python's tracker of semaphores hear of those alone that it was told of.
-
-    One that was killed is started again, and prints a traceback for every name that only the first one knew.
-    """
-    tracker: Any = resource_tracker._resource_tracker
-    if "_send" in vars(tracker):  # done before
-        return
-    known = set[tuple[object, ...]]()
-
-    def send_known(command: str, name: str, kind: str) -> None:
-        tracker.ensure_running()
-        thing = (tracker._pid, name, kind)
-        if command == "REGISTER":
-            known.add(thing)
-        elif thing not in known:
-            return
-        else:
-            known.remove(thing)
-        with suppress(OSError):  # it was killed since; Python's own `_send` would tell the next one of this name
-            os.write(tracker._fd, f"{command}:{name}:{kind}\n".encode("ascii"))
-
-    tracker._send = send_known
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
@@ -166,33 +134,6 @@ class Unheeding(WorkerPlugin):  # type: ignore[misc]
         wait_by_monotonic_clock()
         keep_freed()  # before there are threads with memory of their own
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _no_answer(address: str | None, fault: Exception) -> FwclassError:
-    """Nobody speaks at `address`, or not to us."""
-    if (address or "").startswith("tls://") or dask.config.get("distributed.comm.require-encryption"):
-        return FwclassError(
-            "no Dask scheduler answers, or not to this certificate",
-            where=address or "local cluster",
-            got=fault,
-            do="name certificates of the scheduler's authority in Dask's distributed.comm.tls: ca-file, client.cert, "
-            "client.key, and those of scheduler and worker where these run (docs/security.md)",
-        )
-    if address is None:
-        return FwclassError(
-            "the workers of this machine do not start, or end at once",
-            where="local cluster",
-            got=fault,
-            do="give each more memory (run.worker_memory_gib; `fwclass plan` tells what it needs), or go without: "
-            "--workers 0",
-        )
-    return FwclassError(
-        "no Dask scheduler answers",
-        where=address,
-        got=fault,
-        do="start one with `dask scheduler`, or leave --scheduler out for a local cluster; one that speaks TLS has an "
-        "address tls://…",
-    )
 
 
 class Watcher(Nanny):  # type: ignore[misc]
@@ -260,7 +201,8 @@ class Cluster:
             self._topic = f"fwclass-{uuid.uuid4().hex}"
             self._client.subscribe_topic(self._topic, self._hear)
         except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as fault:  # TypeError: no certificate
-            raise _no_answer(address, fault) from fault
+            encrypted = bool(dask.config.get("distributed.comm.require-encryption"))
+            raise no_answer(address, encrypted, fault) from fault
         self.address, self.dashboard = self._client.scheduler.address, self._page()
         self.workers = len(self._client.ncores())
         self._window, self._count, self._over, self._say = window, 0, threading.Event(), say
@@ -272,34 +214,22 @@ class Cluster:
     def _check_workers(self) -> None:
         """`FwclassError` if a worker computes by other code than this process."""
         codes = {
-            address: _apart(there) if isinstance(there, dict) else f"{type(there).__name__}: {there}"
+            address: difference_from_here(there) if isinstance(there, dict) else f"{type(there).__name__}: {there}"
             for address, there in self._client.run(_fingerprint_here, on_error="return").items()
         }
-        other = [f"{address}: {text}" for address, text in codes.items() if text]
-        if other:
+        others = [f"{address}: {text}" for address, text in codes.items() if text]
+        if others:
             self.__exit__(None, None, None)
-            more = f"\n    and {len(other) - TOLD_WORKERS} more" if len(other) > TOLD_WORKERS else ""
-            raise FwclassError(
-                f"{len(other)} of {len(codes)} workers compute by other code than this run",
-                where=self.address,
-                expected="the same fwclass and libraries on all hosts: parts would come out otherwise on some",
-                got="\n    ".join(["", *other[:TOLD_WORKERS]]) + more,
-                do="install the same on all hosts (requirements.lock), and start the workers again",
-            )
+            raise unlike_workers(self.address, others, len(codes))
 
     def turned_away(self, fault: BaseException | None) -> bool:
         """Whether `fault` is that of a worker which computes by other code; it is told, and gets no part any more."""
         if not isinstance(fault, OtherLibraries):
             return False
         address, there = fault.args
-        text = f"worker {address} computes by other code than this run ({_apart(there)})"
+        text = f"worker {address} computes by other code than this run ({difference_from_here(there)})"
         if self._cluster is not None:
-            raise FwclassError(
-                "the program was changed while it ran",
-                where=self.address,
-                got=text,
-                do="run the same again; what is done is kept",
-            )
+            raise program_changed(self.address, text)
         if address not in self._away:
             self._away.add(address)
             self._say(f"dask             {text}: it is retired")
@@ -412,11 +342,7 @@ class Cluster:
     def gone(self) -> FwclassError:
         """The words for a scheduler that does not answer any more; its client's own are kept from the terminal."""
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-        return FwclassError(
-            "the Dask scheduler is gone",
-            where=self.address,
-            do="start it and its workers again, then run the same command; what is done is kept",
-        )
+        return scheduler_gone(self.address)
 
     @staticmethod
     def killed(fault: BaseException | None, key: str) -> str | None:
