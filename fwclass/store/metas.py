@@ -5,19 +5,25 @@ from __future__ import annotations
 
 from typing import Any
 
+from fwclass.store.quality_metas import CALIBRATION, CHECKED, QUALITY
 from fwclass.store.shapes import (
     ANY,
     CODE,
     COUNT,
     DECIMAL,
+    FIGURE,
     FINITE,
     FLAG,
     KEY,
     NUMBER,
     NUMERAL,
+    PAIR,
+    PLANE,
     POSITIVE,
+    REMARKS,
     TEXT,
     TILE,
+    TIMES,
     WHOLE,
     Maybe,
     Misfit,
@@ -27,15 +33,9 @@ from fwclass.store.shapes import (
     square,
 )
 
-_FIGURE = Maybe(NUMBER)
-_PAIR = (NUMBER, NUMBER)
-_TIMES = (FINITE, FINITE)
-"""As files have them, whatever they are."""
 _TWO = ((COUNT, COUNT), (COUNT, COUNT))
 _PERCENT = (COUNT,) * 101
-_PLANE = (NUMBER,) * 4
 _SPACE = (FINITE,) * 6
-_REMARKS = [TEXT]
 _FAULTS = {TEXT: COUNT}
 _ROWS = {"rows": COUNT}
 _OUTSIDE = {TEXT: (COUNT, COUNT)}
@@ -43,13 +43,13 @@ _OFFSET = Maybe({**dict.fromkeys(("x", "y"), FINITE), **dict.fromkeys(("cell", "
 _MOVES = ((COUNT,) * 11,) * 11
 _TRIAL = {"rows": COUNT, "counts": [COUNT]}
 
-EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": _REMARKS, "without_value?": _FAULTS}
+EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": REMARKS, "without_value?": _FAULTS}
 """Of any stage."""
 
 _VALUES = {
     "intensities": {TEXT: COUNT},
     "intensity": Maybe((COUNT, COUNT)),
-    "times": Maybe(_TIMES),
+    "times": Maybe(TIMES),
     "several": COUNT,
     "missing": COUNT,
     "following?": (COUNT, COUNT),
@@ -65,13 +65,13 @@ _CUT = {"tiles": {TILE: (COUNT, COUNT)}, "rows": COUNT}
 _FIGURES = {
     "classes": [TEXT],
     "confusion": square(),
-    "overall_accuracy": _FIGURE,
-    "kappa": _FIGURE,
-    "mean_iou": _FIGURE,
-    **{name: [_FIGURE] for name in ("producers_accuracy", "users_accuracy", "iou")},
-    "type_i?": _FIGURE,
-    "type_ii?": _FIGURE,
-    "total_error?": _FIGURE,
+    "overall_accuracy": FIGURE,
+    "kappa": FIGURE,
+    "mean_iou": FIGURE,
+    **{name: [FIGURE] for name in ("producers_accuracy", "users_accuracy", "iou")},
+    "type_i?": FIGURE,
+    "type_ii?": FIGURE,
+    "total_error?": FIGURE,
     "unclassified?": [COUNT],
 }
 _BY_CLASS = ("confusion", "producers_accuracy", "users_accuracy", "iou", "unclassified")
@@ -93,9 +93,9 @@ def _by_class(shape: dict[str, Shape]) -> Related:
 
 _OBJECTS = {
     **dict.fromkeys(("reference", "found", "split", "predicted", "correct", "merged"), COUNT),
-    **dict.fromkeys(("completeness", "correctness", "quality"), _FIGURE),
+    **dict.fromkeys(("completeness", "correctness", "quality"), FIGURE),
 }
-_INTERVALS = {"level": NUMBER, "blocks": COUNT, "overall_accuracy": Maybe([_FIGURE])}
+_INTERVALS = {"level": NUMBER, "blocks": COUNT, "overall_accuracy": Maybe([FIGURE])}
 _CARD = Related(
     {
         "classes": [{"name": TEXT, "code": COUNT, "codes": [COUNT]}],
@@ -103,9 +103,9 @@ _CARD = Related(
         "features": [TEXT],
         "notes?": [TEXT],
         "method?": TEXT,
-        "ranges?": {TEXT: _PAIR},
+        "ranges?": {TEXT: PAIR},
         "context?": Maybe({"cells?": [NUMBER]}),
-        "out_of_bag?": {"accuracy?": _FIGURE},
+        "out_of_bag?": {"accuracy?": FIGURE},
         "importance?": Maybe({TEXT: ANY}),
     },
     "a number of samples for each class",
@@ -119,97 +119,9 @@ _CENSUS = {
     "train": [COUNT],
     "test": [COUNT],
     "boxes": [[COUNT]],
-    "nearest": _FIGURE,
+    "nearest": FIGURE,
 }
 _FULLEST = Maybe({"echoes": COUNT, "most": COUNT, "corner": [NUMBER]})
-_VOIDS = [{"area": NUMBER, "bounds": _PLANE}]
-_HEIGHTS = Maybe(
-    {
-        "count": COUNT,
-        **dict.fromkeys(("mean", "rmse", "accuracy_95", "percentile_95", "lowest", "highest"), NUMBER),
-        "sd": _FIGURE,
-        "rmse_interval": _PAIR,
-    }
-)
-_CHECKED = {
-    "given": COUNT,
-    "repeated?": COUNT,
-    "blunders?": {"count": COUNT, "points": [_PLANE]},
-    "nearest_echo": _FIGURE,
-    "all": _HEIGHTS,
-    "open": _HEIGHTS,
-    "vegetated": _HEIGHTS,
-}
-_MOVED = ("height", "roll", "pitch")
-_STRIP = Related(
-    {
-        "name": TEXT,
-        "files": [TEXT],
-        "echoes": COUNT,
-        "times": Maybe(_TIMES),
-        "azimuth": _FIGURE,
-        "timed": FLAG,
-        "centre": _PAIR,
-        "width": NUMBER,
-        "length": NUMBER,
-        "pairs": COUNT,
-        "group": WHOLE,
-        **{f"{n}{end}": _FIGURE for n in _MOVED for end in ("", "_error")},
-    },
-    "an error of what is adjusted, and of nothing else",
-    lambda strip: all((strip[n] is None) == (strip[f"{n}_error"] is None) for n in _MOVED),
-)
-_QUALITY = {
-    "survey": TEXT,
-    "echoes": COUNT,
-    "noise": COUNT,
-    "noise_share": _FIGURE,
-    "pulses": COUNT,
-    "density": {
-        **dict.fromkeys(("cell", "area"), NUMBER),
-        **dict.fromkeys(("echoes", "pulses", "spacing"), _FIGURE),
-        "percentiles": Maybe(dict.fromkeys(("p5", "p50", "p95"), NUMBER)),
-    },
-    "voids": {"area": NUMBER, "count": COUNT, "least": NUMBER, "share": _FIGURE, "largest": _VOIDS},
-    "strips": {
-        "by": TEXT,
-        "pairs": COUNT,
-        "adjusted": COUNT,
-        "apart": COUNT,
-        **dict.fromkeys(("rms", "left", "sigma"), _FIGURE),
-        "strips": [_STRIP],
-        "between": [
-            {
-                **dict.fromkeys(("first", "second", "pairs"), COUNT),
-                **dict.fromkeys(("mean", "rms"), NUMBER),
-                "offset?": Maybe({**dict.fromkeys(("east", "north", "distance", "error"), NUMBER), "slopes": COUNT}),
-            }
-        ],
-        "roughness?": {"places": COUNT, "smoothest": _FIGURE, "median": _FIGURE},
-        "lifted?": [{"by": TEXT, "first": COUNT, "second": COUNT, "places": COUNT, "step": NUMBER}],
-        "borders?": {
-            **dict.fromkeys(("places", "borders"), COUNT),
-            "stepped": [{"first": TEXT, "second": TEXT, "places": COUNT, "step": NUMBER}],
-        },
-    },
-    "coverage": Maybe({"area": NUMBER, "share": _FIGURE, "gaps": COUNT, "largest": _VOIDS}),
-    "check_points": Maybe(_CHECKED),
-    "remarks": _REMARKS,
-}
-_CALIBRATION = {
-    "constant": NUMBER,
-    "error": _FIGURE,
-    "source": TEXT,
-    "target_echoes": COUNT,
-    "unit_error": _FIGURE,
-    "others": FLAG,
-    "strips": [{"strip": COUNT, "gain": NUMBER, "error": _FIGURE, "echoes": COUNT, "group": COUNT, "tied": FLAG}],
-    "pairs": [
-        {"first": COUNT, "second": COUNT, "cells": COUNT, **dict.fromkeys(("log_ratio", "error", "residual"), NUMBER)}
-    ],
-    "target_spread?": _FIGURE,
-    "target_levels?": [(COUNT, NUMBER)],
-}
 _PULSE = {
     "pulse": {
         "shape": TEXT,
@@ -217,7 +129,7 @@ _PULSE = {
         "outgoing": COUNT,
         **dict.fromkeys(("fwhm", "rise_time", "skew", "tail_share", "shape_error"), NUMBER),
     },
-    "noise": _FIGURE,
+    "noise": FIGURE,
     "channels": [
         {
             "echoes": COUNT,
@@ -225,7 +137,7 @@ _PULSE = {
             "fwhm": NUMBER,
             "further_detection?": NUMBER,
             "correlated?": FLAG,
-            **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm", "misfit?"), _FIGURE),
+            **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm", "misfit?"), FIGURE),
         }
     ],
     "widths?": [(NUMBER, NUMBER)],
@@ -233,7 +145,7 @@ _PULSE = {
     "quiet_samples": COUNT,
     "noise_order": COUNT,
     "noise_period?": COUNT,
-    "lag1": _FIGURE,
+    "lag1": FIGURE,
     **dict.fromkeys(("inflation", "noise_growth", "noise_periodic?"), NUMBER),
 }
 _PLACES = {
@@ -263,8 +175,8 @@ _TILE_FACTS = {
     "classes": {CODE: COUNT},
     "several?": {CODE: COUNT},
     "sure": {CODE: (COUNT, NUMBER)},
-    "confidence": _FIGURE,
-    "times": Maybe(_TIMES),
+    "confidence": FIGURE,
+    "times": Maybe(TIMES),
     "figures": {TEXT: {"count": COUNT, **dict.fromkeys(("minimum", "maximum", "mean", "stddev"), FINITE)}},
 }
 
@@ -300,8 +212,8 @@ META: dict[str, Shape] = {
     },
     "reference": _ROWS,
     "trajectory": {"fixes": COUNT, "begins": Related([FINITE], "at least one", bool), "ends": FINITE},
-    "calibrate": {"calibration": _CALIBRATION},
-    "radiometry": {"sums": {NUMERAL: (NUMBER,) * 16}, "without_range": COUNT, "pointing_error": _FIGURE},
+    "calibrate": {"calibration": CALIBRATION},
+    "radiometry": {"sums": {NUMERAL: (NUMBER,) * 16}, "without_range": COUNT, "pointing_error": FIGURE},
     "polygons": {
         "file": TEXT,
         "features": COUNT,
@@ -311,7 +223,7 @@ META: dict[str, Shape] = {
         "without_polygon": COUNT,
         "invalid": COUNT,
         "reprojected": TEXT,
-        "bounds": Maybe(_PLANE),
+        "bounds": Maybe(PLANE),
     },
     "echo-labels": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
     "corrections": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
@@ -328,7 +240,7 @@ META: dict[str, Shape] = {
     "ground-auto": {
         "parameters": {"method": TEXT, "max_building_size": NUMBER, "values": {TEXT: NUMBER}},
         "occupied": COUNT,
-        "evidence": Maybe({TEXT: _FIGURE}),
+        "evidence": Maybe({TEXT: FIGURE}),
     },
     "ground-filter": {
         "rows": COUNT,
@@ -347,23 +259,23 @@ META: dict[str, Shape] = {
     "seams": {
         **dict.fromkeys(("cells", "cells_off", "cells_one_sided", "echoes", "flags_differ", "left_out"), COUNT),
         "within": NUMBER,
-        "dtm_p999": _FIGURE,
-        "dtm_worst": _FIGURE,
+        "dtm_p999": FIGURE,
+        "dtm_worst": FIGURE,
         "across?": {"width": NUMBER, "echoes": COUNT, "flags_differ": COUNT},
     },
     "water-levels": {
         "bodies": [
             {
                 **dict.fromkeys(("feature", "echoes", "inside"), COUNT),
-                **dict.fromkeys(("level", "shore_level", "inside_level", "lowest", "highest"), _FIGURE),
+                **dict.fromkeys(("level", "shore_level", "inside_level", "lowest", "highest"), FIGURE),
                 "level_enough": FLAG,
             }
         ],
-        "remarks": _REMARKS,
+        "remarks": REMARKS,
     },
     "features": {"dense?": {"cubes": _FULLEST, "columns": _FULLEST}},
     "training": {**_TRIAL, "offset?": _OFFSET},
-    "base-rows": {**_TRIAL, "remarks": _REMARKS},
+    "base-rows": {**_TRIAL, "remarks": REMARKS},
     "train": {"card": _CARD, "fine?": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT, "tried?": TEXT},
     "train-coarse": {"card": _CARD, "trees": Maybe(COUNT), "nodes?": COUNT},
     "fold-models": {"rows": COUNT, "model": FLAG},
@@ -390,7 +302,7 @@ META: dict[str, Shape] = {
                 {
                     **_FIGURES,
                     "blocks": COUNT,
-                    "pure_share?": _FIGURE,
+                    "pure_share?": FIGURE,
                     "intervals": Maybe(_INTERVALS),
                     "kept?": COUNT,
                     "objects?": {
@@ -403,7 +315,7 @@ META: dict[str, Shape] = {
         "distribution": Related(
             {
                 "shares": [NUMBER],
-                "features": {TEXT: {TEXT: {"rows": COUNT, "without_value": COUNT, "quantiles": [_FIGURE]}}},
+                "features": {TEXT: {TEXT: {"rows": COUNT, "without_value": COUNT, "quantiles": [FIGURE]}}},
             },
             "a quantile of every share",
             _has_every_quantile,
@@ -419,17 +331,17 @@ META: dict[str, Shape] = {
         ),
     },
     "quality-block": dict.fromkeys(("echoes", "noise", "pairs", "between_files", "between_lines"), COUNT),
-    "check-points": _CHECKED,
-    "publish-quality": {"quality": _QUALITY},
+    "check-points": CHECKED,
+    "publish-quality": {"quality": QUALITY},
     "publish-tile": {"rows": COUNT, "beyond": {TEXT: COUNT}, "facts": _TILE_FACTS, "percent": Maybe([COUNT])},
     "publish-rasters": {
         "dtm_cells": COUNT,
-        "ranges": {TEXT: _PAIR},
+        "ranges": {TEXT: PAIR},
         "covered": [{"count": COUNT, "gaps": {NUMERAL: COUNT}}],
     },
     "publish-overview": _ROWS,
     "contours": {"every": COUNT, "pieces": COUNT, "vertices": COUNT},
-    "publish-contours": {"lines": COUNT, "vertices": COUNT, "remarks": _REMARKS},
+    "publish-contours": {"lines": COUNT, "vertices": COUNT, "remarks": REMARKS},
     "pulse-density": {"squares": {NUMERAL: COUNT}},
     "vector-cell": {"density": NUMBER, "cell": POSITIVE, "sparse": FLAG},
     "publish-vectors": {"density": NUMBER, "cell": POSITIVE, "sparse": FLAG},

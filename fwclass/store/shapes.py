@@ -90,6 +90,12 @@ NUMERAL = pattern("a whole number as text", r"\d{1,15}")
 CODE = Kind("a class code as text", lambda value: NUMERAL.fits(value) and int(value) <= 255)
 DECIMAL = pattern("a number above 0 as text", r"(?=.*[1-9])\d{1,9}(\.\d{1,9})?")
 TILE = pattern("the key of a tile, as 12_34", r"-?\d{1,15}_-?\d{1,15}")
+FIGURE = Maybe(NUMBER)
+PAIR = (NUMBER, NUMBER)
+PLANE = (NUMBER,) * 4
+REMARKS = [TEXT]
+TIMES = (FINITE, FINITE)
+"""First and last, as files have them, whatever they are."""
 
 
 def square(shape: Shape = COUNT) -> Related:
