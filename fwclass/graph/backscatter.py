@@ -320,7 +320,7 @@ DELIVER_SAMPLES = Stage(
     silent=NO_BYTE,
     after=(SAMPLES.name,),
     needs=_samples_around(lambda plan, block: block.box),
-    where="deliver",
+    place="deliver",
 )
 DELIVER_VOXELS = Stage(
     "publish-voxels",
@@ -336,7 +336,7 @@ DELIVER_VOXELS = Stage(
     },
     after=("voxels",),
     needs=lambda plan, part: [("voxels", b.key) for b in survey_blocks(plan)],
-    where="deliver",
+    place="deliver",
 )
 DELIVER_PROFILES = Stage(
     "publish-profiles",
@@ -348,5 +348,5 @@ DELIVER_PROFILES = Stage(
     arguments=lambda plan: {"params": plan.config.profile, "block": plan.config.terrain.block, "crs": plan.survey.crs},
     after=("profiles",),
     needs=lambda plan, part: [("profiles", b.key) for b in survey_blocks(plan)],
-    where="deliver",
+    place="deliver",
 )

@@ -165,7 +165,7 @@ DELIVER_CATALOGUE = Stage(
     },
     after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
     needs=_parts_listed,
-    where="deliver",
+    place="deliver",
 )
 DELIVER_POLYGONS = Stage(
     "publish-polygons",
@@ -182,5 +182,5 @@ DELIVER_POLYGONS = Stage(
     after=(DELIVER_TILE.name, COUNT_CONFUSION.name),
     needs=_parts_drawn,
     check=True,  # it tells accuracy: where that cannot be made, the delivery is whole all the same
-    where="deliver",
+    place="deliver",
 )

@@ -389,5 +389,5 @@ TRAIN_CONTEXT = Stage(
         *base_rows_part(plan),
         *((TRIED, k) for k in _folds(plan)),
     ),
-    where="deliver",
+    place="deliver",
 )

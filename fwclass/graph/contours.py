@@ -199,5 +199,5 @@ DELIVER_CONTOURS = Stage(
     arguments=lambda plan: {"params": plan.config.contours, "crs": plan.survey.crs},
     after=(CONTOUR_BLOCKS.name,),
     needs=lambda plan, part: [(CONTOUR_BLOCKS.name, b.key) for b in terrain_blocks(plan.layout)],
-    where="deliver",
+    place="deliver",
 )

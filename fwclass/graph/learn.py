@@ -249,7 +249,7 @@ TRAIN_FOREST = Stage(
         *(("trees", b.key) for b in _batches(plan)),
         *(("importance", b.key) for b in _batches(plan) if plan.config.train.importance_repeats),
     ],
-    where="deliver",
+    place="deliver",
 )
 TRY_MACHINES = Stage(
     MACHINE_SEARCH,
@@ -281,14 +281,14 @@ TRAIN_BASELINE = Stage(
     arguments=lambda plan: {**_card_arguments(plan), "compare": plan.config.compare, **_squares(plan)},
     after=("training", MACHINE_SEARCH),
     needs=lambda plan, part: (("training", "all"), *((MACHINE_SEARCH, t.key) for t in trials(plan) if searches(plan))),
-    where="deliver",
+    place="deliver",
 )
 TRAIN_COARSE_FOREST = replace(
-    TRAIN_FOREST, name=TRAIN_COARSE, when=lambda plan: forest_learns(plan) and _two_layers(plan), where="store"
+    TRAIN_FOREST, name=TRAIN_COARSE, when=lambda plan: forest_learns(plan) and _two_layers(plan), place="store"
 )
 TRAIN_COARSE_BASELINE = replace(
     TRAIN_BASELINE,
     name=TRAIN_COARSE,
     when=lambda plan: trains(plan) and _two_layers(plan) and not forest_learns(plan),
-    where="store",
+    place="store",
 )

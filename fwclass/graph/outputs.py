@@ -247,7 +247,7 @@ DELIVER_TILE = Stage(
     keyed=lambda plan: {"columns": columns_of_tiles(plan)},
     silent=NO_BYTE,
     own=columns_of_tiles,
-    where="deliver",
+    place="deliver",
 )
 DELIVER_STRIP = Stage(
     "publish-strip",
@@ -266,5 +266,5 @@ DELIVER_STRIP = Stage(
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
     source=lambda plan, part: (part.strip.path, part.strip.digests),
-    where="deliver",
+    place="deliver",
 )

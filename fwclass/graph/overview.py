@@ -171,5 +171,5 @@ DELIVER_OVERVIEW = Stage(
     tiles=lambda plan: () if _drawn_squares(plan) else plan.layout.tiles,
     after=(DRAW_OVERVIEW.name,),
     needs=lambda plan, part: [(DRAW_OVERVIEW.name, s.key) for s in _drawn_squares(plan) if part in (WHOLE, s.key)],
-    where="deliver",
+    place="deliver",
 )

@@ -138,7 +138,7 @@ def delivery_stage(
         OfDelivery(name, function),
         arguments=_constant(name, settings),
         own=_column_names(name, reads),
-        where="deliver",
+        place="deliver",
     )
 
 

@@ -308,5 +308,5 @@ DELIVER_QUALITY = Stage(
         *([(CHECK_POINTS, "all")] if has_check_points(plan) else []),
     ],
     source=lambda plan, part: source_of(plan.survey.area),
-    where="deliver",
+    place="deliver",
 )

@@ -231,5 +231,5 @@ DELIVER_RASTERS = Stage(
     silent=NO_BYTE,
     after=("terrain", "class-block"),
     needs=lambda plan, site: [(stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks],
-    where="deliver",
+    place="deliver",
 )

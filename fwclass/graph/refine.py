@@ -301,7 +301,7 @@ TRAIN_FINE = Stage(
     },
     after=(MERGED, TRAIN_COARSE),
     needs=lambda plan, part: ((MERGED, "all"), (TRAIN_COARSE, "model")),
-    where="deliver",
+    place="deliver",
 )
 WIDEN_BOUNDARY = Stage(
     REFINE.name,

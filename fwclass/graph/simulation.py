@@ -51,7 +51,7 @@ def simulation(prefix: str) -> Stage:
         when=lambda plan: plan.config.simulate is not None,
         parts=parts,
         arguments=lambda plan: {"params": plan.config.simulate, "prefix": prefix},
-        where="run",
+        place="run",
     )
 
 

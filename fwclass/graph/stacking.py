@@ -230,5 +230,5 @@ DELIVER_STACK = Stage(
     silent=NO_BYTE,
     after=(STACK.name,),
     needs=lambda plan, block: [(STACK.name, block.key)],
-    where="deliver",
+    place="deliver",
 )

@@ -48,8 +48,8 @@ class Plan:
     Attributes
     ----------
     names, computed : the features that the classifier decides by; all that are computed.
-    model : place and digest of the model that is given, None where one is trained.
-    base : place and digest of the model whose rows are learned from too, None without one.
+    model : location and digest of the model that is given, None where one is trained.
+    base : location and digest of the model whose rows are learned from too, None without one.
     files : the survey's files, once they are found and checked.
     indexed : receipts of the strips' index.
     splits : receipts of the chunks that are cut into tiles.
@@ -96,15 +96,15 @@ class Plan:
 
 @dataclass(frozen=True)
 class StageInputs:
-    """What the work of one part gets: its place, and what it declared of others.
+    """What the work of one part gets: its square, and what it declared of others.
 
     Attributes
     ----------
     inputs : the store, as far as it is declared.
     directory : where files of the part go.
     part, needs : its name, and the parts that it reads.
-    place : its tile or block, None for other parts.
-    halo : distance around `place` that is read [m].
+    square : its tile or block, None for other parts.
+    halo : distance around `square` that is read [m].
     columns : stage of every column that is read, in the halo too; `own` of those read of the part's own tile alone.
     present : tiles that echoes are read of.
     tile_size : edge of the tiles [m].
@@ -116,7 +116,7 @@ class StageInputs:
     directory: Path
     part: str
     needs: tuple[Name, ...] = ()
-    place: Tile | None = None
+    square: Tile | None = None
     halo: float = 0.0
     columns: Mapping[str, str] = field(default_factory=dict)
     own: Mapping[str, str] = field(default_factory=dict)
@@ -128,9 +128,9 @@ class StageInputs:
     @property
     def tile(self) -> Tile:
         """The part's tile or block; `FwclassError` for a part without one."""
-        if self.place is None:
+        if self.square is None:
             raise FwclassError("this part has no place", where=self.part)
-        return self.place
+        return self.square
 
     def parts(self, stage: str) -> tuple[str, ...]:
         """The parts of `stage` that are declared, in the order of the plan."""
@@ -249,7 +249,7 @@ class Stage:
         survey reads those of all tiles, or of `tiles`.
     own : columns that are read of the own tile alone.
     writes : columns of the table that it writes. Those of a stage over tiles can be read by others.
-    halo : distance around the part's place that is read [m], None for none; what lies there enters the key by digests.
+    halo : distance around the part's square that is read [m], None for none; what lies there enters the key by digests.
     area : what the halo is around; the part's own box unless given.
     after : stages that it comes after, besides those that write its columns: it reads parts of them, or is planned by
         them.
@@ -260,7 +260,7 @@ class Stage:
     declares : columns among those it writes that the program does not know.
     cells : its rows are digested by place, as others read them in a halo.
     check : it only judges: a delivery is whole though it failed.
-    where : "store"; "deliver" for what the user gets; "run" for files of the run directory itself.
+    place : "store"; "deliver" for what the user gets; "run" for files of the run directory itself.
     """
 
     name: str
@@ -283,7 +283,7 @@ class Stage:
     own: Columns = ()
     writes: Columns = ()
     halo: float | Callable[[Plan], float] | None = None
-    area: Callable[[Plan, Tile], Box] = lambda plan, place: place.box
+    area: Callable[[Plan, Tile], Box] = lambda plan, square: square.box
     after: Names = ()
     needs: Callable[[Plan, Any], Iterable[Name]] = lambda plan, part: ()
     source: Callable[[Plan, Any], tuple[Location, FileDigests] | None] = lambda plan, part: None
@@ -291,7 +291,7 @@ class Stage:
     declares: tuple[Column, ...] = ()
     cells: bool = False
     check: bool | Callable[[Plan], bool] = False
-    where: Literal["store", "deliver", "run"] = "store"
+    place: Literal["store", "deliver", "run"] = "store"
 
     def all_parts(self, plan: Plan) -> Sequence[Any]:
         """The parts of a run; none where it has not this stage."""
@@ -313,12 +313,12 @@ class Stage:
         return _Maker(self, plan)(part)
 
     def reach(self, plan: Plan) -> float:
-        """Distance around a part's place that is read [m]."""
+        """Distance around a part's square that is read [m]."""
         return float(self.halo(plan) if callable(self.halo) else self.halo or 0.0)
 
-    def box(self, plan: Plan, place: Tile) -> Box:
-        """Where a part at `place` reads echoes."""
-        return self.area(plan, place).grown(self.reach(plan))
+    def box(self, plan: Plan, square: Tile) -> Box:
+        """Where a part of `square` reads echoes."""
+        return self.area(plan, square).grown(self.reach(plan))
 
     def columns_read(self, plan: Plan) -> dict[str, str]:
         """The columns that it reads under this plan, and the stage that writes each, as far as a record tells."""
@@ -356,8 +356,8 @@ class _Maker:
 
     def __call__(self, part: Any) -> Task:
         stage, plan = self.stage, self.plan
-        name, place = stage.part_name(part), part if isinstance(part, Tile) else None
-        present, within = self._around(name, place)
+        name, square = stage.part_name(part), part if isinstance(part, Tile) else None
+        present, within = self._around(name, square)
         read = ((s, t) for t in present for s in sorted({*self.of_reads.values(), "tile"})) if self.reads else ()
         mine = ((s, name) for s in sorted({*self.of_own.values(), "tile"})) if self.own else ()
         more_needs = tuple(stage.needs(plan, part))
@@ -377,7 +377,7 @@ class _Maker:
             StageInputs,
             part=name,
             needs=needs,
-            place=place,
+            square=square,
             halo=self.halo,
             columns=self.of_reads,
             own=self.of_own,
@@ -388,16 +388,16 @@ class _Maker:
         )
         work = Work(stage.function, {**self.arguments, **more}, here, stage.cells, plan.declares)
         return Task(
-            stage.name, name, stage.version, params, work, needs, external, stage.where, within, check=self.check
+            stage.name, name, stage.version, params, work, needs, external, stage.place, within, check=self.check
         )
 
-    def _around(self, name: str, place: Tile | None) -> tuple[tuple[str, ...], Within]:
+    def _around(self, name: str, square: Tile | None) -> tuple[tuple[str, ...], Within]:
         """Tiles that echoes are read of, and within which box, or under which name."""
         if self.stage.named:
             return (), name
-        if place is None:
+        if square is None:
             return (tuple(t.key for t in self.stage.tiles(self.plan)) if self.reads else ()), None
         if self.stage.halo is None:
             return (name,), None
-        box = self.stage.area(self.plan, place).grown(self.halo)
+        box = self.stage.area(self.plan, square).grown(self.halo)
         return (self.plan.layout.around(box, self.plan.layout.keys) if self.reads else (name,)), box

@@ -298,5 +298,5 @@ DELIVER_VECTORS = Stage(
         (CELL, "all"),
         *((s.name, b.key) for s in (FIND_BUILDINGS, FIND_TREES) if s.when(plan) for b in survey_blocks(plan)),
     ],
-    where="deliver",
+    place="deliver",
 )

@@ -194,7 +194,7 @@ def test_implausible_echoes_have_no_label_whatever_polygon_is_above(tmp_path, mo
     monkeypatch.setattr(label, "from_polygons", lambda *_: (Table({"reference": [6, 6]}), 0))
     monkeypatch.setattr(label, "polygons_at", lambda *_: SimpleNamespace(within=lambda box: None))
     inputs = SimpleNamespace(chunk=lambda tile, halo, columns, present: chunk)
-    table, facts = label.label_by_polygons(StageInputs(inputs, tmp_path, chunk.tile.key, place=chunk.tile))
+    table, facts = label.label_by_polygons(StageInputs(inputs, tmp_path, chunk.tile.key, square=chunk.tile))
     assert table["reference"].tolist() == [6, 0] and facts == {"codes": {"0": 1, "6": 1}, "ambiguous": 0}
 
 

@@ -44,7 +44,7 @@ def test_records_of_one_name_agree_on_what_plan_and_store_ask():
     for stage in STAGES:
         by_name.setdefault(stage.name, []).append(stage)
     for name, some in by_name.items():
-        assert len({(s.over, s.where) for s in some}) == 1, name
+        assert len({(s.over, s.place) for s in some}) == 1, name
 
 
 def test_what_a_column_comes_from_follows_from_the_records():
