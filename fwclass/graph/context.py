@@ -95,7 +95,7 @@ SHARE_FIRST = Stage(
     after=("train",),
     needs=own_model,
     source=given_model,
-    cells=True,
+    row_digests=True,
 )
 CLASSIFY_IN_CONTEXT = Stage(
     CLASSIFY.name,

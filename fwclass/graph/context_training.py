@@ -326,7 +326,7 @@ SHARE_FOLDS = Stage(
     writes=lambda plan: layer_of(plan).columns(FOLD_SHARE),
     after=("training", FOLDS, TRAIN_COARSE),
     needs=lambda plan, part: (("training", "all"), (TRAIN_COARSE, "model"), *((FOLDS, k) for k in _folds(plan))),
-    cells=True,
+    row_digests=True,
 )
 DRAW_CONTEXT = Stage(
     DRAWN,

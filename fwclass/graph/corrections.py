@@ -19,8 +19,8 @@ from fwclass.model import ClassDef
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
-from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.remote_file import Location
+from fwclass.store.row_digests import ROW_DIGESTS, digests_by_name, digests_by_square
 from fwclass.store.tables import write_groups
 from fwclass.survey.layout import FileDigests, Layout
 
@@ -70,7 +70,7 @@ def _cut(
         "taken_back": int((~stands).sum()),
         "codes": {str(c): int(n) for c, n in zip(used.tolist(), counts.tolist(), strict=True)},
         "tiles": {k: [i, int(n), k in mine] for i, (k, n) in enumerate(zip(keys, np.diff(offsets), strict=True))},
-        CELLS: {**by_name(pieces, keys, offsets), **by_place(pieces, pieces["x"], pieces["y"])},
+        ROW_DIGESTS: {**digests_by_name(pieces, keys, offsets), **digests_by_square(pieces, pieces["x"], pieces["y"])},
     }
 
 

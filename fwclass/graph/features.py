@@ -51,5 +51,5 @@ COMPUTE_FEATURES = Stage(
     own=sampled_columns,
     writes=lambda plan: (*neighbourhood_features(plan).names, *NORMAL),
     halo=lambda plan: neighbourhood_features(plan).halo(plan.config.features),
-    cells=True,
+    row_digests=True,
 )

@@ -27,7 +27,7 @@ from fwclass.ground.terrain.terrain import FLATTENED, NO_TERRAIN, ON_BREAKLINE, 
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table, column
-from fwclass.store.cells import CELLS, by_name
+from fwclass.store.row_digests import ROW_DIGESTS, digests_by_name
 from fwclass.survey.layout import Layout
 from fwclass.waveforms import IMPLAUSIBLE
 
@@ -53,8 +53,8 @@ class Surroundings:
     def facts(self, results: Table) -> dict[str, Any]:
         """Facts for the receipt of a block with `results` of its echoes: whose they are, a digest for every tile."""
         offsets = np.cumsum([0, *(rows for _, rows in self.pieces)])
-        cells = by_name(results, (key for key, _ in self.pieces), offsets.tolist())
-        return {"pieces": [list(p) for p in self.pieces], CELLS: cells}
+        digests = digests_by_name(results, (key for key, _ in self.pieces), offsets.tolist())
+        return {"pieces": [list(p) for p in self.pieces], ROW_DIGESTS: digests}
 
 
 def surroundings(
@@ -240,7 +240,7 @@ def gathers(name: str, source: Stage, columns: Names, block: Any, when: Callable
         after=(source.name,),
         needs=blocks,
         named=True,
-        cells=True,
+        row_digests=True,
     )
 
 

@@ -76,7 +76,7 @@ def chunk_stage(
         writes=tuple(c.name for c in columns),
         declares=columns,
         halo=_halo(name, halo),
-        cells=True,
+        row_digests=True,
     )
 
 

@@ -239,7 +239,7 @@ ANSWER_COARSE = Stage(
     after=(TRAIN_COARSE,),
     needs=lambda plan, part: () if plan.model else ((TRAIN_COARSE, "model"),),
     source=given_model,
-    cells=True,
+    row_digests=True,
 )
 DRAW_BOUNDARY = Stage(
     DRAWN,

@@ -121,7 +121,7 @@ SHARE_ECHOES = replace(
     arguments=_share_arguments,
     own=lambda plan: plan.names,
     writes=lambda plan: model_share_columns(_codes(plan)),
-    cells=True,
+    row_digests=True,
 )
 SHARE_IN_CONTEXT = replace(
     CLASSIFY_IN_CONTEXT,
@@ -131,7 +131,7 @@ SHARE_IN_CONTEXT = replace(
     arguments=lambda plan: {**_share_arguments(plan), "layer": layer_of(plan)},
     own=lambda plan: plan.names,
     writes=lambda plan: model_share_columns(_codes(plan)),
-    cells=True,
+    row_digests=True,
 )
 CLASSIFY_REGULARIZED = Stage(
     CLASSIFY.name,

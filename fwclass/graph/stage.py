@@ -21,9 +21,9 @@ from fwclass.run.part import Name, Task
 from fwclass.run.tasks import Tasks
 from fwclass.schema import Column, Table
 from fwclass.stage import Chunk
-from fwclass.store.cells import CELLS, Within, by_place
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
+from fwclass.store.row_digests import ROW_DIGESTS, Within, digests_by_square
 from fwclass.store.tables import write_table
 from fwclass.survey.layout import FileDigests, Layout, Survey
 
@@ -176,7 +176,7 @@ class Work:
     function: Callable[..., Result]
     arguments: Mapping[str, Any]
     here: Callable[[PartInputs, Path], StageInputs]
-    cells: bool = False
+    row_digests: bool = False
     declares: tuple[Column, ...] = ()
 
     def __call__(self, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
@@ -185,7 +185,7 @@ class Work:
         if table is None:
             return facts
         write_table(directory / TABLE, table)
-        return {**facts, **(_cell_digests(table, here) if self.cells else {})}
+        return {**facts, **(_row_digests(table, here) if self.row_digests else {})}
 
     def result(self, here: StageInputs) -> tuple[Table | None, Mapping[str, Any]]:
         """The part's table, if the stage gives one, and what its receipt says besides."""
@@ -209,10 +209,10 @@ def _check_columns(table: Table, here: StageInputs) -> None:
         )
 
 
-def _cell_digests(table: Table, here: StageInputs) -> Mapping[str, Any]:
-    """Digests of the rows by place, so that who reads a halo is made anew for what changed in it, and no more."""
-    place = table if "x" in table else here.inputs.rows(here.part, dict.fromkeys(("x", "y"), "tile"))
-    return {CELLS: by_place(table, place["x"], place["y"])}
+def _row_digests(table: Table, here: StageInputs) -> Mapping[str, Any]:
+    """Digests of the rows by square, so that who reads a halo is made anew for what changed in it, and no more."""
+    located = table if "x" in table else here.inputs.rows(here.part, dict.fromkeys(("x", "y"), "tile"))
+    return {ROW_DIGESTS: digests_by_square(table, located["x"], located["y"])}
 
 
 def always(plan: Plan) -> bool:
@@ -256,9 +256,9 @@ class Stage:
     needs : these parts, of stages in `after`.
     source : the file from outside that a part is made from, with its digests.
     named : of each part it needs, it reads only the rows stored under its own part name, as a tile's rows of a chunk
-        (`store.cells.by_name`).
+        (`store.row_digests.digests_by_name`).
     declares : columns among those it writes that the program does not know.
-    cells : its rows are digested by place, as others read them in a halo.
+    row_digests : its rows are digested by square, as others read them in a halo.
     check : it only judges: a delivery is whole though it failed.
     place : "store"; "deliver" for what the user gets; "run" for files of the run directory itself.
     """
@@ -289,7 +289,7 @@ class Stage:
     source: Callable[[Plan, Any], tuple[Location, FileDigests] | None] = lambda plan, part: None
     named: bool = False
     declares: tuple[Column, ...] = ()
-    cells: bool = False
+    row_digests: bool = False
     check: bool | Callable[[Plan], bool] = False
     place: Literal["store", "deliver", "run"] = "store"
 
@@ -386,7 +386,7 @@ class _Maker:
             source=location,
             writes=self.writes,
         )
-        work = Work(stage.function, {**self.arguments, **more}, here, stage.cells, plan.declares)
+        work = Work(stage.function, {**self.arguments, **more}, here, stage.row_digests, plan.declares)
         return Task(
             stage.name, name, stage.version, params, work, needs, external, stage.place, within, check=self.check
         )

@@ -18,9 +18,9 @@ from fwclass.read.stage import read_cloud
 from fwclass.run.inputs import TABLE
 from fwclass.run.part import Name
 from fwclass.schema import Table
-from fwclass.store.cells import CELLS, by_name
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
+from fwclass.store.row_digests import ROW_DIGESTS, digests_by_name
 from fwclass.store.tables import write_groups
 from fwclass.survey.bounds import CLOUD_ROWS
 from fwclass.survey.layout import FileDigests
@@ -115,7 +115,7 @@ def _write_split(here: StageInputs, table: Table, params: TileParams) -> dict[st
     return {
         "tiles": {k: [i, n] for i, (k, n) in enumerate(zip(result.keys, rows, strict=True))},
         "rows": sum(rows),
-        CELLS: by_name(result.table, result.keys, result.offsets),
+        ROW_DIGESTS: digests_by_name(result.table, result.keys, result.offsets),
     }
 
 
@@ -210,7 +210,7 @@ TILE_ECHOES = Stage(
     needs=lambda plan, tile: [("split", part) for part in tile.chunks],
     writes=lambda plan: (*DECOMPOSE.writes, *water_columns(plan)),
     named=True,
-    cells=True,
+    row_digests=True,
 )
 TILE_REFERENCE = Stage(
     REFERENCE.name,
@@ -225,5 +225,5 @@ TILE_REFERENCE = Stage(
     needs=lambda plan, tile: [("reference-split", part) for part in tile.chunks],
     writes=CLOUD_COLUMNS,
     named=True,
-    cells=True,
+    row_digests=True,
 )

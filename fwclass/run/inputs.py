@@ -15,9 +15,9 @@ from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
-from fwclass.store.cells import Within, cells_of
 from fwclass.store.kept import groups_touching, read_kept, rows_of_groups
 from fwclass.store.remote_file import Location, local
+from fwclass.store.row_digests import Within, row_digests_of
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, row_groups
 
@@ -61,8 +61,8 @@ class PartInputs:
         """A file or directory of a part, which is read whole."""
         self._check(stage, part)
         if self.declared is not None and isinstance(self.declared.within, Box):
-            cells = cells_of(self.meta(stage, part), f"{stage}/{part}")
-            if cells is not None and "size" in cells:
+            digests = row_digests_of(self.meta(stage, part), f"{stage}/{part}")
+            if digests is not None and "size" in digests:
                 self._refuse(f"all of {stage}/{part}", "what lies in the box that the task is bound to")
         return self._store.path(stage, part, name)
 

@@ -14,10 +14,10 @@ from fwclass.errors import FwclassError, full_or, is_interrupt, system_error
 from fwclass.memory import keep_freed
 from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.logs import Value, log_attempt, log_path
-from fwclass.store.cells import Within, digest_within
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.libraries import stale_by
 from fwclass.store.receipts import Receipt, key_of
+from fwclass.store.row_digests import Within, digest_within
 from fwclass.store.run_location import RunLocation, open_store
 from fwclass.store.run_store import Store
 
@@ -35,8 +35,8 @@ class Task:
     params : plain data that enters the key.
     work : picklable; ``work(inputs, directory)`` writes files into `directory` and returns the part's meta.
     needs : parts read; their digests enter the key.
-    within : what is read of those of them that have digests of pieces (`store.cells`): the rows in a box, the piece of
-        a name; None for all.
+    within : what is read of those of them that have digests of pieces (`store.row_digests`): the rows in a box, the
+        piece of a name; None for all.
     check : it only judges: nothing that is delivered is made from it, and a delivery is whole though it failed.
     external : files read from outside; their digests enter the key by name.
     any_libraries : the part is done if it was made with other libraries, too (`store.libraries`).

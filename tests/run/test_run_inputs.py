@@ -8,7 +8,7 @@ from fwclass.run.inputs import TABLE, Declared, PartInputs, UndeclaredRead
 from fwclass.run.part import Task, execute
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
-from fwclass.store.cells import CELLS, by_name, by_place
+from fwclass.store.row_digests import ROW_DIGESTS, digests_by_name, digests_by_square
 from fwclass.store.run_location import open_store
 from fwclass.store.tables import read_table, write_groups, write_table
 
@@ -34,13 +34,24 @@ def echoes(tile, inputs, directory):
     write_table(directory / TABLE, table)
     write_arrays(directory / "a", {"z": table["z"]})
     ends = [float(f(table[c])) for f in (np.min, np.max) for c in "xyz"]
-    return {"rows": n, "bounds": ends, "blocks": {}, "strips": [], "times": [], CELLS: by_place(table, x, y)}
+    return {
+        "rows": n,
+        "bounds": ends,
+        "blocks": {},
+        "strips": [],
+        "times": [],
+        ROW_DIGESTS: digests_by_square(table, x, y),
+    }
 
 
 def named(inputs, directory):
     table = Table({"z": np.arange(4.0)})
     write_groups(directory / TABLE, table, [0, 2, 4])
-    return {"rows": 4, "tiles": {"0_0": [0, 2], "1_0": [1, 2]}, CELLS: by_name(table, ["0_0", "1_0"], [0, 2, 4])}
+    return {
+        "rows": 4,
+        "tiles": {"0_0": [0, 2], "1_0": [1, 2]},
+        ROW_DIGESTS: digests_by_name(table, ["0_0", "1_0"], [0, 2, 4]),
+    }
 
 
 @pytest.fixture

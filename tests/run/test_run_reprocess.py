@@ -13,7 +13,7 @@ from runmaker import delivered, looked, walk
 from fwclass import conf
 from fwclass.features.names import Asked, is_feature
 from fwclass.grid import Box, TileGrid
-from fwclass.store.cells import CELL
+from fwclass.store.row_digests import CELL
 from fwclass.survey.numbering import NUMBERS, assign_numbers
 
 pytestmark = pytest.mark.slow

@@ -16,9 +16,9 @@ from smallsurvey import deliver, small_survey
 from fwclass.classes import counts_of
 from fwclass.errors import DamagedError
 from fwclass.graph.stages import STAGES
-from fwclass.store.cells import digest_within
 from fwclass.store.metas import META
 from fwclass.store.receipts import Receipt
+from fwclass.store.row_digests import digest_within
 from fwclass.store.run_store import Store
 
 INDEX = {"spans": [[0, 9, 0, 4, []]], "points": 9, "pulses": 4, "point_format": 4, "from_outgoing": False}

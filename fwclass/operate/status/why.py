@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from fwclass.run.part import Name, Task
-from fwclass.store.cells import digest_within
 from fwclass.store.libraries import stale_by
 from fwclass.store.receipts import Receipt
+from fwclass.store.row_digests import digest_within
 from fwclass.store.run_store import Store
 
 SOME = 3

@@ -22,10 +22,10 @@ CELL = 8.0
 MOST_SQUARES = 1 << 20
 """Of a rectangle, 16 MiB of text; of a wider one (8 km by 8 km, or one row that lies far off) the edge is doubled."""
 
-CELLS = "cells"
+ROW_DIGESTS = "cells"
 """Where a receipt's meta keeps them.
 
-By place: ``{"size": m, "first": [column, row], "rows": n, "digests": text}`` with 16 characters for every square of a
+By square: ``{"size": m, "first": [column, row], "rows": n, "digests": text}`` with 16 characters for every square of a
 rectangle, column by column, dots where nothing lies. By name: ``{"names": {name: 16 hex digits}}``.
 """
 
@@ -44,7 +44,7 @@ Within = Box | str | None
 """What a part reads of others: the rows in a box, the piece of a name, or everything."""
 
 
-def by_place(table: Table, x: NDArray[np.float64], y: NDArray[np.float64]) -> dict[str, Any]:
+def digests_by_square(table: Table, x: NDArray[np.float64], y: NDArray[np.float64]) -> dict[str, Any]:
     """For a receipt's meta: a digest of the rows in every square of `CELL`, or of 2, 4, 8… times that where these would
     be more than `MOST_SQUARES`; rows are at `x`, `y` [m]."""
     if not len(x):
@@ -63,7 +63,7 @@ def by_place(table: Table, x: NDArray[np.float64], y: NDArray[np.float64]) -> di
     return {"size": size, "first": [left, low], "rows": rows, "digests": "".join(texts)}
 
 
-def by_name(table: Table, names: Iterable[str], offsets: Iterable[int]) -> dict[str, Any]:
+def digests_by_name(table: Table, names: Iterable[str], offsets: Iterable[int]) -> dict[str, Any]:
     """For a receipt's meta: a digest of every named run of rows ``offsets[k]:offsets[k + 1]``."""
     bounds = [int(o) for o in offsets]
     runs = zip(names, bounds[:-1], bounds[1:], strict=True)
@@ -82,36 +82,37 @@ def _digest(table: Table, first: int, last: int) -> str:
 _SHAPE = {"size?": POSITIVE, "first?": (WHOLE, WHOLE), "rows?": COUNT, "digests?": TEXT, "names?": {TEXT: TEXT}}
 
 
-def cells_of(meta: Mapping[str, Any], where: object) -> Mapping[str, Any] | None:
-    """What a receipt keeps under `CELLS`, None where that are no digests of pieces; `DamagedError` for wrong ones."""
-    cells = meta.get(CELLS)
-    if cells is None or isinstance(cells, int):  # a count of cells, as stages of rasters tell it
+def row_digests_of(meta: Mapping[str, Any], where: object) -> Mapping[str, Any] | None:
+    """What a receipt keeps under `ROW_DIGESTS`, None where that are no digests of pieces; `DamagedError` for wrong
+    ones."""
+    kept = meta.get(ROW_DIGESTS)
+    if kept is None or isinstance(kept, int):  # a count of cells, as stages of rasters tell it
         return None
-    wrong = misfit(cells, _SHAPE, f"meta.{CELLS}")
-    if wrong or ("size" in cells and not {"first", "rows", "digests"} <= cells.keys()):
+    wrong = misfit(kept, _SHAPE, f"meta.{ROW_DIGESTS}")
+    if wrong or ("size" in kept and not {"first", "rows", "digests"} <= kept.keys()):
         raise DamagedError(
             "a receipt tells no digests of pieces",
             where=where,
             expected=f"{wrong.at}: {wrong.expected}" if wrong else "size, first, rows and digests",
-            got=wrong.got if wrong else ", ".join(cells),
+            got=wrong.got if wrong else ", ".join(kept),
             do="remove the file; the part is made anew",
         )
-    return dict(cells)
+    return dict(kept)
 
 
 def digest_within(receipt: Receipt, within: Within) -> str | None:
     """Digest of what is read of a part; None where that is nothing."""
-    cells = cells_of(receipt.meta, f"{receipt.stage}/{receipt.part}")
-    if within is None or cells is None:
+    pieces = row_digests_of(receipt.meta, f"{receipt.stage}/{receipt.part}")
+    if within is None or pieces is None:
         return receipt.digest
     if isinstance(within, str):
-        names: Mapping[str, str] | None = cells.get("names")
+        names: Mapping[str, str] | None = pieces.get("names")
         return receipt.digest if names is None else names.get(within)
-    if "size" not in cells:
+    if "size" not in pieces:
         return receipt.digest
-    (column, row), rows, text = cells["first"], int(cells["rows"]), str(cells["digests"])
+    (column, row), rows, text = pieces["first"], int(pieces["rows"]), str(pieces["digests"])
     columns = len(text) // (_WIDTH * rows) if rows else 0
-    whole = Window.covering(within, float(cells["size"]))
+    whole = Window.covering(within, float(pieces["size"]))
     across = max(whole.col, column), min(whole.col + whole.ncols, column + columns)
     up = max(whole.row, row), min(whole.row + whole.nrows, row + rows)
     window = (receipt.digest, *across, *up)
@@ -128,8 +129,8 @@ def _digest_of_squares(
 ) -> str | None:
     """Digest of column, row and digest of every square in a window that something lies in; None where nothing does.
 
-    `text`, `rows`: as in `CELLS`, from (`column`, `row`) on; `across`, `up`: first column and row, and those behind
-    the last ones.
+    `text`, `rows`: as in `ROW_DIGESTS`, from (`column`, `row`) on; `across`, `up`: first column and row, and those
+    behind the last ones.
     """
     squares = []
     for c in range(*across):
