@@ -73,6 +73,21 @@ def test_a_whole_run_is_done_by_configuration_and_by_directory(copy):
     assert {p["status"] for p in json.loads(every.stdout)["parts"]} == {"done"}
 
 
+def test_what_is_done_and_not_delivered_is_told(copy):
+    """A run was killed at its end, or what says which delivery is shown is damaged."""
+    shown = copy / "r" / "current" / "generation.json"
+    facts = {**json.loads(shown.read_text()), "digest": "0" * 32}
+    del facts["seal"]
+    shown.unlink()
+    for text in (json.dumps(facts), "{}"):  # an earlier delivery, and none
+        shown.write_text(text)
+        ended = fwclass("status", copy / "r")
+        assert ended.returncode == 3 and "readers do not see them yet; deliver them: fwclass run" in ended.stdout
+        assert not data(copy / "r")["done"]
+    assert fwclass("run", copy / "c.yaml", "--out", copy / "r", *RUN).returncode == 0
+    assert data(copy / "r")["done"]
+
+
 def test_a_changed_setting_is_told(copy):
     ended = fwclass("status", copy / "c.yaml", "--out", copy / "r", "--set", "train.trees=6")
     assert ended.returncode == 3

@@ -130,7 +130,7 @@ def status(
 
     A run directory is looked at as its last `fwclass run` was asked for; a configuration with the words given here.
     With --verify, RUN may also be a copy of a delivery elsewhere, as RUN/generations/0001 is one.
-    Exit code 0 if all is done (and, with --verify, undamaged), 3 if not.
+    Exit code 0 if all is done and delivered (and, with --verify, undamaged), 3 if not.
     """
     little_garbage()
     from fwclass.store.generations import is_generation
@@ -159,7 +159,7 @@ def status(
         config, request = read_request(conf_or_run, out, settings, workflow, chosen_tiles(tiles, aoi))
     from fwclass.operate.schedule.state import standing
     from fwclass.operate.sizes import sizes_of
-    from fwclass.operate.status.summary import as_data, as_text
+    from fwclass.operate.status.summary import as_data, as_text, is_delivered
 
     location = location_of_run(request, config)
     writer, scheduled = held_by(location), standing(location)
@@ -184,5 +184,5 @@ def status(
         click.echo(sizes.as_text())
         if verified is not None:
             click.echo(verifying.as_text(verified, request))
-    if not looked.all_done or (verified is not None and not verified.sound):
+    if not is_delivered(looked, request) or (verified is not None and not verified.sound):
         sys.exit(PARTIAL)

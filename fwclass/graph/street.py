@@ -24,6 +24,7 @@ from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
 from fwclass.street.ring import Ring, Seen, feature_names
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.survey.files import matching_paths
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import train_other
 from fwclass.train.params import TrainParams
@@ -42,7 +43,7 @@ LEAST = 5
 def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
     """The survey's recordings in order; `ConfigError` where there are none. `directory`: in place of the survey's."""
     base = directory or config.path.parent / (config.survey.directory or ".")
-    paths = [path for pattern in config.survey.sources for path in sorted(base.glob(pattern))]
+    paths = [path for pattern in config.survey.sources for path in matching_paths(pattern, base)]
     if not paths:
         raise ConfigError(
             "no recording of this name",

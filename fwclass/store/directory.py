@@ -184,9 +184,10 @@ class Directory:
             yield directory, check
 
     def finish(self, path: Path, delivered: bool) -> None:
-        """A file that was made is whole: flush it; what is `delivered` is read-only, as it is linked to."""
+        """A file that was made is whole: flush it; what is `delivered` nobody may write, as it is linked to, and who
+        may read it is the umask's to say."""
         if delivered:
-            path.chmod(0o444)
+            path.chmod(path.stat().st_mode & 0o444)
         sync(path)
 
     def put_part(self, receipt: Receipt, directory: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -180,6 +180,12 @@ FARTHEST = 2000.0
 FASTEST, LATEST, ROUND_THE_EARTH = 100.0, 1e10, 4e7
 """Speeds [m/s], times [s] and places [m] beyond these are no values."""
 
+MOST_MISSING = 3
+"""Frames one after the other that may be missing again and again."""
+
+NEARLY = 0.2
+"""Of a step that it may be longer or shorter than others: clocks of hosts, not of scanners."""
+
 STILL = 0.0005
 """m between frames, up to which a vehicle stands."""
 
@@ -197,6 +203,17 @@ FAULTS = (
     "impossible speed or place",
 )
 """What frames are counted for; the first five are left out."""
+
+
+def usual_step(steps: Sequence[float]) -> float:
+    """Time from one frame to the next [s], where some are missing between: the median of `steps` [s], or a shorter one
+    where nearly all are that or a few times as long (every third frame is missing: 1, 2, 1, 2)."""
+    values = np.asarray(steps)
+    shortest = float(np.quantile(values, 0.25, method="lower"))
+    period = float(np.median(values[values < 1.5 * shortest]))
+    times = np.rint(values / period)
+    fits = (times >= 1) & (times <= MOST_MISSING + 1) & (np.abs(values / period - times) < NEARLY)
+    return period if fits.mean() > 0.9 else float(np.median(values))
 
 
 @dataclass
@@ -224,6 +241,7 @@ class Track:
     _given: float = math.nan
     _bridged: float = 0.0
     _steps: list[float] = field(default_factory=list)
+    _period: float = math.nan
     _road: float = math.nan
     _moved: bool = False
 
@@ -232,8 +250,8 @@ class Track:
 
     @property
     def period(self) -> float:
-        """Median time between the first frames [s]; NaN of fewer than two."""
-        return float(np.median(self._steps)) if self._steps else math.nan
+        """Time from one of the first frames to the next [s], as `usual_step` has it; NaN of fewer than two."""
+        return self._period
 
     def take(self, frame: Frame) -> Placed | None:
         """The frame with its coordinates, or None if it is left out."""
@@ -292,6 +310,7 @@ class Track:
             self.faults["dropped before"] += round(min(step / period, 1e9)) - 1
         if self.used and len(self._steps) < 99 and step > 0:
             self._steps.append(step)
+            self._period = usual_step(self._steps)
         self._advance(frame, step, leaps)
         self._time = frame.time
         return True

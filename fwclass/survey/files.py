@@ -44,20 +44,30 @@ def find_files(
 
 
 def matching_files(pattern: str, directory: Path) -> list[Path]:
-    """Files of this host whose paths below `directory` match, sorted; `InputError` for a pipe, a device or a socket,
-    and for a directory on the way that may not be read."""
+    """As `matching_paths`, files alone; `InputError` for a pipe, a device or a socket."""
+    return _files(matching_paths(pattern, directory))
+
+
+def matching_paths(pattern: str, directory: Path) -> list[Path]:
+    """Paths of this host below `directory` that match, sorted; where the pattern has ``**``, no directories.
+
+    Raises
+    ------
+    InputError
+        A directory on the way may not be read.
+    """
     parts = Path(pattern).parts
     fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))
     wild = parts[len(fixed) :]
     if "**" in wild and ".." not in wild:
         base = directory.joinpath(*fixed)
-        return _files(p for p in sorted(_below(base)) if path_matches(p.relative_to(base).parts, wild))
+        return [p for p in sorted(_below(base)) if path_matches(p.relative_to(base).parts, wild)]
     here = Path(glob.escape(str(directory)))
     for count in range(len(fixed), len(parts)):
         for path in _globbed(here.joinpath(*parts[:count])):
             if os.path.isdir(path):  # noqa: PTH112 - Path's raises where nobody may look
                 _check_readable(path)
-    return _files(_globbed(here / pattern))
+    return _globbed(here / pattern)
 
 
 def _globbed(pattern: Path) -> list[Path]:

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 from commandline import fwclass
 
-from fwclass import paths
+from fwclass import conf, paths
 from fwclass.errors import ConfigError, InputError, StoreError
+from fwclass.graph.street import recordings_of
 from fwclass.operate.request import Request
 from fwclass.paths import below, path_matches
 from fwclass.run.logs import log_attempt, remove_logs
@@ -141,6 +142,22 @@ def test_a_directory_that_may_not_be_read_is_named(
     assert str(tmp_path / "d") in str(told.value)
     closed.remove("d")
     assert tmp_path / "d" / "a.las" in matching_files(pattern, tmp_path)
+
+
+def test_a_directory_of_recordings_that_may_not_be_read_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("c", "d"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.parquet").touch()
+    (tmp_path / "c" / "bag").mkdir()
+    config = conf.load("street-sim", (f"survey.directory={tmp_path}", "survey.sources=['*/*']"))
+    every = [tmp_path / "c" / "a.parquet", tmp_path / "c" / "bag", tmp_path / "d" / "a.parquet"]
+    assert recordings_of(config) == every
+    readable = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "d" and readable(path, mode))
+    with pytest.raises(InputError, match="cannot be read"):
+        recordings_of(config)
 
 
 def committed(root: Path) -> tuple[Store, Path]:

@@ -3,6 +3,7 @@
 import copy
 import json
 import os
+import stat
 import subprocess
 import sys
 import time
@@ -95,6 +96,17 @@ def test_delivered_files_go_to_the_run_directory_and_vanish_with_their_part(tmp_
     assert (tmp_path / "laz" / "one").read_text() == "one"
     store.commit("publish", "p", "k2", {}, "run", work("two"))
     assert [p.name for p in (tmp_path / "laz").iterdir()] == ["two"]
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o444), (0o027, 0o440), (0o077, 0o400)])
+def test_who_may_read_what_is_delivered_is_the_umasks_to_say(tmp_path, umask, mode):
+    store = Store(tmp_path)
+    before = os.umask(umask)
+    try:
+        receipt = store.commit("publish", "p", "k", {}, "deliver", write("abc"))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((store.base(receipt) / "a.txt").stat().st_mode) == mode
 
 
 @pytest.mark.parametrize("place", ["store", "deliver", "run"])

@@ -191,6 +191,16 @@ def test_frames_that_cannot_be_used_are_counted():
     assert told["blind"] == 1
 
 
+@pytest.mark.parametrize(("kept", "dropped"), [([0, 1], 9), ([0, 2], 9), ([0], 0)])
+def test_frames_that_are_missing_again_and_again_are_counted(kept, dropped):
+    frames = [f for k, f in enumerate(drive()[:30]) if k % 3 in kept]
+    counted = taken(frames)[1].counts()["faults"].get("dropped before", 0)
+    assert dropped - 1 <= counted <= dropped  # the first step alone tells of none; of each third nothing tells
+    noise = np.random.default_rng(1).uniform(-0.4, 0.4, len(frames))
+    late = [replace(f, time=f.time + 0.025 * e) for f, e in zip(frames, noise, strict=True)]
+    assert taken(late)[1].counts()["faults"].get("dropped before", 0) <= dropped + 3
+
+
 def test_a_clock_that_leaps_and_a_vehicle_that_goes_back():
     frames = [replace(f, speed=2.0 if k < 6 else -2.0) for k, f in enumerate(drive()[:12])]
     frames = [replace(f, time=f.time + (1e6 if k >= 9 else 0.0) * (-1)) for k, f in enumerate(frames)]

@@ -18,13 +18,22 @@ NAMED = 4
 """Parts that are named of those that have one reason."""
 
 
+def is_delivered(looked: RunStatus, request: Request) -> bool:
+    """Whether all parts are done, and readers see just them; those of chosen tiles may lie in a delivery aside."""
+    if not looked.all_done:
+        return False
+    shown = looked.store.generations.current()
+    there = [shown] if request.wanted is None or shown is None else looked.store.generations.all()
+    return any(g is not None and g.digest == looked.digest for g in there)
+
+
 def as_data(looked: RunStatus, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:
     """Plain data: counts by stage, and every part that is not done, or with `every` all parts."""
     parts = [_part(s, request) for s in looked.states.values() if every or s.standing != "done"]
     return {
         "run": request.root,
         "command": request.command(),
-        "done": looked.all_done,
+        "done": is_delivered(looked, request),
         "running": dict(writer) if writer else None,
         "plan_ends": looked.ends,
         "fault": None if looked.fault is None else str(looked.fault),
@@ -129,8 +138,11 @@ def _failed(looked: RunStatus, request: Request) -> list[str]:
 
 def _verdict(looked: RunStatus, request: Request, writer: Mapping[str, Any] | None) -> str:
     total = len(looked.states)
-    if looked.all_done:
+    if is_delivered(looked, request):
         return f"all {total} parts are done"
+    if looked.all_done:
+        next_step = "wait for the run to end" if writer else f"deliver them: {request.command()}"
+        return f"all {total} parts are done, and readers do not see them yet; {next_step}"
     left = sum(s.standing != "done" for s in looked.states.values())
     next_step = "wait for the run to end" if writer else f"make them: {request.command()}"
     waits = f" ({looked.waiting} of them only wait for what they need)" if looked.waiting else ""

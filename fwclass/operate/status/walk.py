@@ -15,6 +15,7 @@ from fwclass.run.local import Loop
 from fwclass.run.part import Name, Outcome, Task, holds, input_digests
 from fwclass.run.progress import Display
 from fwclass.run.runner import Done, Lacking, Runner
+from fwclass.store.atomic import digest_of
 from fwclass.store.failures import Failure
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_location import RunLocation, held_by, open_store
@@ -142,6 +143,12 @@ class StatusWalk(Runner):
         why = come if key and come else come + reasons(task, receipt, self.store, self._waits)
         return State(*task.name, "stale", tuple(why + before))
 
+    def digest(self) -> str:
+        """That of a delivery of the parts that are there."""
+        names = [n for n in self.outcomes if self.tasks[n].place == "deliver"]
+        receipts = [r for n in names if (r := self.store.receipt(*n)) is not None]
+        return digest_of({name: facts["digest"] for r in receipts for name, facts in r.outputs.items()})
+
     def _come(self, task: Task) -> list[Reason]:
         """Files without parts that lie over a tile."""
         if task.stage != "tile":
@@ -157,7 +164,8 @@ class StatusWalk(Runner):
 @dataclass(frozen=True)
 class RunStatus:
     """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is; how many
-    receipts have which `libraries`; the fault of the input by which it is not, None where it is another reason."""
+    receipts have which `libraries`; the fault of the input by which it is not, None where it is another reason; the
+    digest of a delivery of all parts."""
 
     store: Store
     states: dict[Name, State]
@@ -165,6 +173,7 @@ class RunStatus:
     ends: str | None
     libraries: Mapping[str, int]
     fault: FwclassError | None = None
+    digest: str = ""
 
     @property
     def waiting(self) -> int:
@@ -199,4 +208,4 @@ def look_at(location: RunLocation, workflow: Callable[[Runner], object], accept_
         ends = fault.what
         if isinstance(fault, Lacking):
             ends = f"{'/'.join(fault.name)} is {look.states[fault.name].standing}"
-    return RunStatus(look.store, look.states, look.tasks, ends, look.libraries, wrong)
+    return RunStatus(look.store, look.states, look.tasks, ends, look.libraries, wrong, look.digest())
