@@ -67,6 +67,18 @@ def test_heights_of_another_kind_are_told(survey: Path, tmp_path: Path, lift: fl
     assert (said in ended.stderr) == bool(side) and ("of one kind" in ended.stderr) == bool(side)
 
 
+def test_lines_away_from_the_survey_are_counted(survey: Path, tmp_path: Path) -> None:
+    far = [
+        [(a, b + 1e5, c) for a, b, c in FOOT],
+        [(X - 9000.0, Y + 10_000.0, 200.0), (X + 10_000.0, Y + 9000.0, 200.0)],
+    ]
+    over = [(X - 1e5, Y + 20.0, 200.0), (X + 1e5, Y + 20.0, 200.0)]  # none of its points lies there
+    gpkg(tmp_path / "more.gpkg", "LineString Z", wkb(FOOT), *map(wkb, far), wkb(over))
+    words = ("--set", f"breaklines.file={tmp_path / 'more.gpkg'}", "--out", tmp_path / "r")
+    ended = fwclass("run", survey, *WORDS, *words)
+    assert ended.returncode == 0 and "2 of 4 breaklines lie away from the survey" in ended.stderr, ended.stderr
+
+
 def test_a_wall_is_no_fault_of_heights_and_its_cells_are_no_measured_ones(survey: Path, tmp_path: Path) -> None:
     words = ("--set", "breaklines.file=wall.gpkg", "--out", tmp_path / "r")
     assert "of one kind" not in fwclass("run", survey, *WORDS, *words).stderr

@@ -70,6 +70,13 @@ def _checked(value: Any, param: click.Parameter | None, ctx: click.Context | Non
     return value
 
 
+def _check_seen(value: Any, param: click.Parameter | None, ctx: click.Context | None) -> None:
+    """Usage error for a name that would colour, erase or break the lines that tell of it."""
+    if visible(value) != str(value):
+        words = f"{visible(value)} has a character that cannot be seen, as the end of a line; choose another name"
+        raise click.BadParameter(words, ctx, param)
+
+
 class LocalPath(click.Path):
     """A path of this host; an address on object storage is refused in words."""
 
@@ -85,10 +92,12 @@ class LocalPath(click.Path):
 
 
 class OutputPath(LocalPath):
-    """A path to write to, which lies in no run's store or delivery, whatever links lead there."""
+    """A path to write to, whose name can be seen, and which lies in no run's store or delivery, whatever links lead
+    there."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         path = super().convert(value, param, ctx)
+        _check_seen(value, param, ctx)
         if run := run_around(Path(path)):
             self.fail(
                 f"{path} lies in what the run {run} has made and delivers, which commands leave as it is; name another "
@@ -111,12 +120,14 @@ class Finite(click.FloatRange):
 
 
 class RunPlace(click.Path):
-    """A path of this host, or an address on object storage."""
+    """A path of this host whose name can be seen, or an address on object storage."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if is_url(value):
             return url_of(value, param.get_error_hint(ctx).strip("'") if param and ctx else "")
-        return super().convert(_checked(value, param, ctx), param, ctx)
+        path = super().convert(_checked(value, param, ctx), param, ctx)
+        _check_seen(value, param, ctx)
+        return path
 
 
 PATH = LocalPath(path_type=Path)

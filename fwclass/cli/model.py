@@ -41,7 +41,7 @@ from fwclass.errors import ConfigError, nearest
     metavar="N",
     help="Keep N rows of every class beside the model, to be learned from further (survey.base_model).",
 )
-@click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
+@click.option("--out", type=OUTPUT, help="Run directory (default: runs/<survey>).")
 @SET
 @SCHEDULER
 @WORKERS

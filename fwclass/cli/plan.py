@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, WORKERS, cli
+from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, PATH, SET, WORKERS, cli
 from fwclass.cli.run_words import WORKFLOW
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
@@ -16,7 +16,7 @@ from fwclass.errors import ConfigError
 
 @cli.command()
 @click.argument("conf", type=PATH)
-@click.option("--out", type=PATH, help="Run directory (default: runs/<survey>); the plan goes to its plan/.")
+@click.option("--out", type=OUTPUT, help="Run directory (default: runs/<survey>); the plan goes to its plan/.")
 @click.option(
     "--dry-run",
     "count",

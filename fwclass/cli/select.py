@@ -40,7 +40,7 @@ def _split_names(context: click.Context, parameter: click.Parameter, text: str |
 @click.option(
     "--to", "target", type=OUTPUT, help="The feature-set file (default: OUT/select/METHOD.yaml); .json and .png beside."
 )
-@click.option("--out", type=PATH, help="Run directory, shared with `fwclass run` (default: runs/<survey>).")
+@click.option("--out", type=OUTPUT, help="Run directory, shared with `fwclass run` (default: runs/<survey>).")
 @SET
 @SCHEDULER
 @WORKERS

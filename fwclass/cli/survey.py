@@ -13,6 +13,7 @@ from fwclass.cli.base import (
     ACCEPT_DRIFT,
     ACCEPT_IMPLAUSIBLE,
     MIRROR_BEAMS,
+    OUTPUT,
     PATH,
     RUN,
     SCHEDULER,
@@ -175,7 +176,7 @@ def run(
 
 
 @cli.command()
-@click.option("--out", type=PATH, default=Path("demo-run"), show_default=True, help="Run directory.")
+@click.option("--out", type=OUTPUT, default=Path("demo-run"), show_default=True, help="Run directory.")
 @WORKERS
 def demo(out: Path, workers: int | None) -> None:
     """Simulate a small survey, run everything, print where to look."""
@@ -185,7 +186,7 @@ def demo(out: Path, workers: int | None) -> None:
 
 @cli.command()
 @click.argument("conf", type=PATH)
-@click.option("--out", type=PATH, required=True, help="Directory for strips/ and reference/.")
+@click.option("--out", type=OUTPUT, required=True, help="Directory for strips/ and reference/.")
 @SET
 @WORKERS
 def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | None) -> None:

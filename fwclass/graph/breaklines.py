@@ -17,7 +17,7 @@ from fwclass.read.polygons import open_polygons, read_lines, reproject
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
 from fwclass.survey.shape_files import read_as, source_of
-from fwclass.water.along import knots_along
+from fwclass.water.along import knots_along, lines_outside
 
 BREAKLINES = "breaklines"
 FILE = "knots"
@@ -47,7 +47,8 @@ def read_breaklines(
         shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
     knots = knots_along(shapes.x, shapes.y, z, shapes.ring_start, step, near)
     write_arrays(here.directory / FILE, {n: quantise(v) for n, v in zip("xyz", knots, strict=True)})
-    return {"lines": shapes.parts, "knots": len(knots[0])}
+    outside = lines_outside(shapes.x, shapes.y, shapes.ring_start, near)
+    return {"lines": shapes.parts, "outside": outside, "knots": len(knots[0])}
 
 
 def breaklines_in(here: StageInputs, box: Box) -> list[Points]:
@@ -85,6 +86,16 @@ def breakline_remarks(blocks: Iterable[Mapping[str, int]]) -> list[str]:
     ]
 
 
+def outside_remarks(files: Iterable[Mapping[str, int]]) -> list[str]:
+    """That some lines lie far from the survey: most files of lines cover more, and some are in another system."""
+    return [
+        f"{f['outside']:,} of {f['lines']:,} breaklines lie away from the survey, and change nothing: if they should "
+        "not, check their coordinates"
+        for f in files
+        if f["outside"]
+    ]
+
+
 def _is_wanted(plan: Plan) -> bool:
     return plan.config.breaklines.file is not None
 
@@ -96,7 +107,7 @@ def breaklines_needed(plan: Plan) -> list[Name]:
 
 READ_BREAKLINES = Stage(
     BREAKLINES,
-    1,
+    2,
     "survey",
     "part",
     read_breaklines,

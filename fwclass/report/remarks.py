@@ -15,7 +15,7 @@ from fwclass.conf import Config
 from fwclass.errors import first_few, visible
 from fwclass.features.dense import Crowd
 from fwclass.formats.echo_labels import written_by_fwclass
-from fwclass.graph.breaklines import breakline_remarks
+from fwclass.graph.breaklines import BREAKLINES, breakline_remarks, outside_remarks
 from fwclass.graph.contours import DELIVER_CONTOURS
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
@@ -108,6 +108,7 @@ def remarks_of_parts(runner: Runner) -> list[str]:
         line for stage in stages for receipt in receipts_of_run(runner, stage) for line in receipt.meta["remarks"]
     ]
     blocks = [r.meta["breaklines"] for r in receipts_of_run(runner, TERRAIN.name) if "breaklines" in r.meta]
+    remarks += outside_remarks(r.meta for r in receipts_of_run(runner, BREAKLINES))
     remarks += breakline_remarks(blocks)
     remarks += [*_of_strips(runner), *_of_ranges(runner), *_of_own_stages(runner)]
     remarks += line_remarks(r.meta for r in receipts_of_run(runner, CLASSIFY.name))

@@ -263,6 +263,7 @@ META: dict[str, Shape] = {
         "dtm_worst": FIGURE,
         "across?": {"width": NUMBER, "echoes": COUNT, "flags_differ": COUNT},
     },
+    "breaklines": dict.fromkeys(("lines", "outside", "knots"), COUNT),
     "water-levels": {
         "bodies": [
             {

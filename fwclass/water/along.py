@@ -116,6 +116,14 @@ def _shares_in(x: Ends, y: Ends, box: Bounds) -> tuple[NDArray[np.float64], NDAr
     return enter, leave
 
 
+def lines_outside(x: NDArray[np.float64], y: NDArray[np.float64], ring_start: NDArray[np.int64], box: Bounds) -> int:
+    """How many lines have no place in `box` [m]; `x`, `y` (points,) [m] and `ring_start` as `check_lines` has them."""
+    at = edges(ring_start, len(x))
+    enter, leave = _shares_in((x[at], x[at + 1]), (y[at], y[at + 1]), box)
+    line = np.searchsorted(ring_start, at[enter <= leave], side="right")
+    return len(ring_start) - 1 - len(np.unique(line))
+
+
 def knots_along(
     x: NDArray[np.float64],
     y: NDArray[np.float64],

@@ -174,6 +174,31 @@ def test_errors_write_control_characters_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "words",
+    [
+        ("run", "demo", "--out"),
+        ("plan", "demo", "--out"),
+        ("train", "demo", "--out"),
+        ("status",),
+        ("history",),
+        ("demo", "--out"),
+        ("ground", "a.las"),
+        ("ground", "a.las", "--dtm"),
+        ("street", "simulate", "--out"),
+    ],
+)
+def test_a_name_to_write_to_that_forges_lines_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = "o\nground          99 %\x1b]0;title\x07.tif"
+    for place in (name, f"{name}/x"):
+        ended = fwclass(*words, place)
+        assert ended.returncode == 2 and not any(tmp_path.iterdir())
+        assert not controls(ended.stderr) and "\nground" not in ended.stderr and "cannot be seen" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
     [("ground",), ("normalize", "--method", "smrf"), ("features", "--features", "zc,echo_ratio_r100"), ("info",)],
 )
 def test_names_of_files_forge_no_line(tmp_path: Path, words: tuple[str, ...]) -> None:
@@ -181,7 +206,7 @@ def test_names_of_files_forge_no_line(tmp_path: Path, words: tuple[str, ...]) ->
     name = "a\nground          99 %\x1b]0;title\x07\r\x9b31m\u202e"
     x, y = np.random.default_rng(0).uniform(0, 60, (2, 3000))
     path = write_las(tmp_path / f"{name}.las", np.c_[x, y, x * 0.1], point_format=6)
-    output = () if words == ("info",) else (tmp_path / f"o{name}{'.parquet' if words[0] == 'features' else '.las'}",)
+    output = () if words == ("info",) else (tmp_path / ("o.parquet" if words[0] == "features" else "o.las"),)
     ended = fwclass(words[0], path, *output, *words[1:])
     assert ended.returncode == 0, ended.stderr
     shown = ended.stdout + ended.stderr
