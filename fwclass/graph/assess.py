@@ -23,7 +23,8 @@ from fwclass.graph.corrections import CORRECTIONS, corrections_around, correctio
 from fwclass.graph.kept import deciding_column, kept_argument
 from fwclass.graph.label_places import by_place, draw_tested, merge_tested, offset_of_tested
 from fwclass.graph.objects import judged_objects, objects_of_tiles, write_cells
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.model import ClassDef, class_index, code_index
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays

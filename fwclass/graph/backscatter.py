@@ -25,7 +25,8 @@ from fwclass.graph.sources import (
     waveforms_of,
 )
 from fwclass.graph.stacking import chunks_near
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.stage import TERRAIN

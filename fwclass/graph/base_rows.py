@@ -11,7 +11,8 @@ from fwclass.classify.context import with_context
 from fwclass.graph.base_model import base_has_context, base_layer, base_remarks
 from fwclass.graph.context_layer import ContextLayer, context_layer
 from fwclass.graph.learn import forest_learns
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.training_rows import BASE_ROWS, SAMPLE, learning_arguments, survey_sample
 from fwclass.model import ClassDef, Contextual
 from fwclass.store.arrays import write_arrays

@@ -10,7 +10,8 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.water import Points, near_echoes
 from fwclass.grid import Box, quantise
 from fwclass.read.polygons import open_polygons, read_lines, reproject

@@ -12,7 +12,8 @@ from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names,
 from fwclass.graph.overview import DELIVER_OVERVIEW, cloud_arguments, cloud_columns, overview_parts, overviews_of
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.vectors import vector_layers
 from fwclass.grid import Box, TileGrid
 from fwclass.publish.files import whole

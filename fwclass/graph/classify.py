@@ -15,7 +15,8 @@ from fwclass.graph.context_layer import context_layer
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.loaded_models import used_model
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.thin import thins
 from fwclass.model import sample_matrix
 from fwclass.model.ranges import RangeCounter

@@ -23,7 +23,8 @@ from fwclass.graph.classify import (
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.loaded_models import used_model
-from fwclass.graph.stage import Result, Stage, StageInputs
+from fwclass.graph.stage import Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.model import Contextual, sample_matrix
 from fwclass.model.ranges import RangeCounter
 from fwclass.schema import Table

@@ -24,7 +24,8 @@ from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of, t
 from fwclass.graph.context_trial import Trial, Verdict, verdict
 from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
 from fwclass.graph.loaded_models import MODEL, model_at, used_model
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.training_rows import (
     BASE_ROWS,
     NOT_OF_THE_SAMPLE,

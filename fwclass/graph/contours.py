@@ -18,7 +18,8 @@ from fwclass.errors import first_few
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import crs_of_wkt
 from fwclass.graph.rasters import Mosaic
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.contour_file import Contours, write_contours

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from fwclass.conf.sections import AreasSection
 from fwclass.formats.echo_labels import FIELD, EchoLabels, read_echo_labels
 from fwclass.graph.areas import rows_to_test
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import TileGrid
 from fwclass.label.corrections import COLUMNS, last_of_each, match_labels, outside, reference_codes
 from fwclass.model import ClassDef

@@ -9,7 +9,8 @@ from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.names import Asked, is_feature
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features, without_noise
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.thin import features_of_some, sampled_columns
 from fwclass.schema import Table
 

@@ -15,7 +15,8 @@ from fwclass.graph.breaklines import BREAKLINES, beside_ground, breaklines_in, b
 from fwclass.graph.check_points import has_check_points
 from fwclass.graph.ground_auto import AUTO, halo_of, parameters_at, parts_for
 from fwclass.graph.rasters import write_rasters
-from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs, always
+from fwclass.graph.stage import Names, Plan, Stage, always
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.filters import Flags

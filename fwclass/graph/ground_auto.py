@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Tile, TileGrid
 from fwclass.ground.auto import Points, adapt_square, lowest_points
 from fwclass.ground.measure import WIDEST

@@ -13,7 +13,8 @@ from fwclass.conf import Config
 from fwclass.conf.sections import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
 from fwclass.graph.kept import kept_argument
-from fwclass.graph.stage import Result, Stage, StageInputs
+from fwclass.graph.stage import Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.schema import Table
 
 CODES = (UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE)

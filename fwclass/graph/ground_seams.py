@@ -15,7 +15,8 @@ from fwclass.graph.breaklines import BREAKLINES, breaklines_needed
 from fwclass.graph.ground import STACK, knots_in, stacked_ground, surroundings, terrain_blocks
 from fwclass.graph.ground_auto import AUTO, adapts, settled, square_edge, squares
 from fwclass.graph.rasters import Mosaic
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, draw_order
 from fwclass.ground.params import GroundParams

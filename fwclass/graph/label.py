@@ -18,7 +18,8 @@ from fwclass.graph.corrections import (
     labels_of,
     reach_here,
 )
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.label.cloud_offset import HALO, compare_heights
 from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, from_polygons

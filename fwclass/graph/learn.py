@@ -14,7 +14,8 @@ from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.loaded_models import MODEL
 from fwclass.graph.machine_search import MACHINE_SEARCH, folds_of_squares, gather_trials, judge, searches, trials
 from fwclass.graph.model_fit import feature_parameters
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.training_rows import (
     BASE_ROWS,
     base_rows_part,

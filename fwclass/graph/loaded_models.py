@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fwclass.errors import InputError
-from fwclass.graph.stage import StageInputs
+from fwclass.graph.stage_work import StageInputs
 from fwclass.model import Model
 from fwclass.store.models import load_model, model_digest
 

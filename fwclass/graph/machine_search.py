@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.stage import Plan, Result, StageInputs
+from fwclass.graph.stage import Plan
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.run.inputs import PartInputs
 from fwclass.select.folds import spatial_folds
 from fwclass.train.baselines.params import RbfSvmParams

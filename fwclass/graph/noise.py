@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fwclass.graph.ground import around_block, filters_ground, gathers
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.ground.methods.noise import noise
 from fwclass.ground.methods.params import NoiseParams
 from fwclass.schema import Table

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fwclass.assess.objects import COUNTED, ObjectCells, cells_across, count_objects, object_classes, object_figures
 from fwclass.assess.params import ObjectParams
-from fwclass.graph.stage import Plan, StageInputs
+from fwclass.graph.stage import Plan
+from fwclass.graph.stage_work import StageInputs
 from fwclass.grid import Tile, TileGrid
 from fwclass.model import ClassDef
 from fwclass.schema import Table

@@ -18,7 +18,8 @@ from fwclass.graph.classify import classes_written
 from fwclass.graph.kept import check_written, deciding_column, kept_argument, other_names
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of, water_columns
-from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.tiling import source_codes, tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
 from fwclass.publish.geoparquet import about_delivery, round_floats, write_geoparquet

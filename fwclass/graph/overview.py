@@ -17,7 +17,8 @@ from fwclass.graph.outputs import (
     repeated_columns,
 )
 from fwclass.graph.sites import WHOLE
-from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.publish.copc import copc_columns, write_tile_copc
 from fwclass.publish.laz import NEEDED, without

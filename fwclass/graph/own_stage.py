@@ -20,7 +20,8 @@ from fwclass.features.names import MAX_REACH
 from fwclass.graph.classify import CLASSIFY_ECHOES
 from fwclass.graph.ground import FILTER_GROUND, around_block, flags_of_block
 from fwclass.graph.key_values import plain_values
-from fwclass.graph.stage import Result, Stage, StageInputs, always
+from fwclass.graph.stage import Stage, always
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.ground.filters import Flags
 from fwclass.schema import Column, Table, column
 

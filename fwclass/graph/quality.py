@@ -20,7 +20,8 @@ from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Result, Stage, StageInputs
+from fwclass.graph.stage import Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole

@@ -12,7 +12,8 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.graph.stage import Flown, Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Flown, Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.radiometry.calibration import Calibration, calibrate
 from fwclass.radiometry.overlap import Overlap, overlap
 from fwclass.radiometry.params import RadiometryParams

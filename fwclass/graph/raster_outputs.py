@@ -16,7 +16,8 @@ from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Result, Stage, StageInputs
+from fwclass.graph.stage import Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.ground.terrain.terrain import NO_TERRAIN

@@ -25,7 +25,8 @@ from fwclass.graph.fine_layer import FineLayer, fine_layer
 from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
 from fwclass.graph.loaded_models import MODEL, used_model
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.training_rows import (
     NOT_OF_THE_SAMPLE,
     SAMPLE,

@@ -21,7 +21,8 @@ from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import exempt_argument, exempt_columns
 from fwclass.graph.loaded_models import model_at
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box
 from fwclass.schema import Table
 from fwclass.store.remote_file import local

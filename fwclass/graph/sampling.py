@@ -20,7 +20,8 @@ from fwclass.graph.corrections import (
     reach_around,
     untaught_rows,
 )
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.training_rows import SAMPLE, trains
 from fwclass.label.counts import count_labelled, count_training, lacking, total
 from fwclass.model import ClassDef

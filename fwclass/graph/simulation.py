@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.run.runner import Runner
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.url import Url

@@ -23,7 +23,8 @@ from fwclass.decompose.stage import DECOMPOSE, LINK_COLUMNS, PLACES, PULSE, deco
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import water_counts
 from fwclass.decompose.width_walk import width_walk
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.read.beams import sensor_height
 from fwclass.read.params import ReadParams
 from fwclass.read.return_counts import count_returns

@@ -17,7 +17,8 @@ from fwclass.graph.ground import around_block, survey_blocks, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.sources import placement_of, pulse_of, strip_of, waveforms_of
-from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.tiling import SPLIT_ECHOES
 from fwclass.graph.water import LEVELS, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window

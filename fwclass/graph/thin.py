@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import features
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
 from fwclass.thin.params import ThinParams

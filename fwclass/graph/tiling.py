@@ -12,7 +12,8 @@ import numpy as np
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.kept import kept_noise
 from fwclass.graph.sources import chunk_name, spans_of, strip_of, water_columns
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import TileGrid, quantise
 from fwclass.read.stage import read_cloud
 from fwclass.run.inputs import TABLE

@@ -13,7 +13,8 @@ from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corrections_here, corrections_of, reach_here
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
 from fwclass.label.offset import measure_offset

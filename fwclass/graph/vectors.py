@@ -15,7 +15,8 @@ from fwclass.formats.wkb import point_wkb, polygon_wkb
 from fwclass.graph.ground import survey_blocks
 from fwclass.graph.outputs import NO_BYTE, class_names, crs_of_wkt
 from fwclass.graph.rasters import owned
-from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, Window
 from fwclass.ground.stage import last_of
 from fwclass.publish.geoparquet import write_shape_parquet

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import first_few
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Window, joint_box, millimetres
 from fwclass.ground.stage import TERRAIN
 from fwclass.label.polygons import Polygons, owners

@@ -15,7 +15,8 @@ from fwclass.errors import FwclassError
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
 from fwclass.graph.noise import FILTER_NOISE, GATHER_NOISE, NOISE_READS
-from fwclass.graph.stage import Plan, Result, Stage, StageInputs, Work, always, names_under
+from fwclass.graph.stage import Plan, Stage, always, names_under
+from fwclass.graph.stage_work import Result, StageInputs, Work
 from fwclass.grid import Box, TileGrid
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.run.in_memory import Held, PartsInMemory

@@ -16,7 +16,8 @@ from typing import Any
 
 from fwclass.errors import ConfigError, FwclassError, InputError, StoreError
 from fwclass.graph.own_stage import Adapter
-from fwclass.graph.stage import Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.stages import STAGES
 from fwclass.paths import open_regular
 from fwclass.walk.workflow import Workflow

@@ -18,7 +18,7 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.graph.raster_outputs import deliver_rasters
-from fwclass.graph.stage import StageInputs
+from fwclass.graph.stage_work import StageInputs
 from fwclass.grid import Box, TileGrid, Window
 from fwclass.store.run_store import peak_mib
 

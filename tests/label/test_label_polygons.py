@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fwclass.errors import InputError
 from fwclass.formats.wkb import shapes
 from fwclass.graph import label
-from fwclass.graph.stage import StageInputs
+from fwclass.graph.stage_work import StageInputs
 from fwclass.grid import Box, Tile
 from fwclass.label import polygons as room
 from fwclass.label.polygons import AMBIGUOUS, NONE, WIDEST, Polygons, from_polygons, owners

@@ -6,7 +6,7 @@ import numpy as np
 from defaults import BASE as DEFAULTS
 
 from fwclass.graph import learn
-from fwclass.graph.stage import StageInputs
+from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.training_rows import SAMPLE
 from fwclass.model import ClassDef
 from fwclass.store.arrays import arrays_at, read_arrays, write_arrays

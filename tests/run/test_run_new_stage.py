@@ -15,7 +15,8 @@ RECORD = '''"""How many echoes of a tile stand high."""
 
 from __future__ import annotations
 
-from fwclass.graph.stage import Result, Stage, StageInputs
+from fwclass.graph.stage import Stage
+from fwclass.graph.stage_work import Result, StageInputs
 
 
 def count_high(here: StageInputs, least: float) -> Result:

@@ -13,7 +13,7 @@ import rasterio
 from fwclass import conf
 from fwclass.graph.raster_outputs import deliver_rasters
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
-from fwclass.graph.stage import StageInputs
+from fwclass.graph.stage_work import StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.figures import class_map
 from fwclass.publish.shade import hillshade, slope

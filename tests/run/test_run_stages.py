@@ -14,7 +14,8 @@ from fwclass.graph.assess import ASSESS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
 from fwclass.graph.key_values import plain_values
-from fwclass.graph.stage import Plan, StageInputs, Work
+from fwclass.graph.stage import Plan
+from fwclass.graph.stage_work import StageInputs, Work
 from fwclass.graph.stages import OF_NOISE, OF_STRIPS, STAGES, TO_TILES, graph_of, providers
 from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.publish.stage_graph import drop_implied, stage_graph

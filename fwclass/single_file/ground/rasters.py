@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
-from fwclass.graph.stage import Result, StageInputs
+from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Window
 from fwclass.ground.filters import Flags
 from fwclass.ground.raster.lattice import window_over
