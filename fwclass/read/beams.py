@@ -18,7 +18,8 @@ from pyproj import CRS
 from fwclass.errors import InputError
 from fwclass.formats.projected import project_beams
 from fwclass.read.beam_source import turn_beams
-from fwclass.read.packets import References, judge
+from fwclass.read.packet_references import References
+from fwclass.read.packets import judge
 from fwclass.read.pls_waves import Samplings, find, read_records
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.pulsewaves import RETURNING

@@ -17,7 +17,8 @@ from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.grid import quantise
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.las import LasSource
-from fwclass.read.packets import FAULTS, References, judge
+from fwclass.read.packet_references import References
+from fwclass.read.packets import FAULTS, judge
 from fwclass.read.points import BLOCK, PointReader, coordinates, flags_of, gps_times, scan_angles
 from fwclass.read.return_counts import count_pairs
 from fwclass.read.source import las_of, open_source

@@ -25,7 +25,8 @@ from fwclass.read.beams import beam_fault
 from fwclass.read.cloud import first_beams
 from fwclass.read.echo_labels_info import describe_echo_labels, echo_labels_info
 from fwclass.read.las import LasSource
-from fwclass.read.packets import FAULTS, REPEATED, References, looked_into
+from fwclass.read.packet_references import References
+from fwclass.read.packets import FAULTS, REPEATED, looked_into
 from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import PARQUET, is_polygon_file

@@ -8,16 +8,8 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.formats.las_header import packet_endings
 from fwclass.read.las import LasSource
-from fwclass.read.packets import (
-    DAMAGED,
-    FAULTS,
-    VECTOR_RANGE,
-    Packets,
-    References,
-    gather_packets,
-    looked_into,
-    pulses_of,
-)
+from fwclass.read.packet_references import References, pulses_of
+from fwclass.read.packets import DAMAGED, FAULTS, VECTOR_RANGE, Packets, gather_packets, looked_into
 from fwclass.read.params import ReadParams
 from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, flags_of, gps_times, scan_angles
 from fwclass.read.segments import Rows, segment_links

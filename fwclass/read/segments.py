@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from fwclass.read.las import LasSource
 from fwclass.read.layout import SLACK
-from fwclass.read.packets import OWN, References, judge, packet_keys, repeats
+from fwclass.read.packet_references import OWN, References, packet_keys
+from fwclass.read.packets import judge, repeats
 from fwclass.read.points import coordinates, gps_times
 from fwclass.units import METRES_PER_NS
 

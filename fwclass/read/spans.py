@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.read.las import LasSource
 from fwclass.read.packet_kernels import crowded_keys, cut_spans, join_heads, pulse_heads
-from fwclass.read.packets import MAX_RETURNS, OWN, sound_links
+from fwclass.read.packet_references import MAX_RETURNS, OWN, sound_links
 from fwclass.read.points import LINK_FIELDS, PointReader
 from fwclass.read.segments import Rows, segment_links
 

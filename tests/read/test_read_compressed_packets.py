@@ -13,7 +13,7 @@ from fwclass.errors import InputError
 from fwclass.publish.strips import write_strip_laz
 from fwclass.read.compressed_packets import decompress
 from fwclass.read.info import info
-from fwclass.read.packets import References
+from fwclass.read.packet_references import References
 from fwclass.read.params import ReadParams
 from fwclass.read.points import PointReader
 from fwclass.read.source import open_source

@@ -12,7 +12,7 @@ from lasmaker import survey, write_las
 
 from fwclass.errors import InputError
 from fwclass.read.packet_kernels import cut_spans, number_pulses, pulse_heads
-from fwclass.read.packets import OWN
+from fwclass.read.packet_references import OWN
 from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
 from fwclass.read.stage import index_source, read_span

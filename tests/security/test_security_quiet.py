@@ -19,7 +19,7 @@ from fwclass.errors import InputError
 from fwclass.formats import geoparquet
 from fwclass.publish import files
 from fwclass.publish.files import whole
-from fwclass.read.packets import References
+from fwclass.read.packet_references import References
 from fwclass.read.polygons import open_polygons, values_of
 
 TRACKER = """

@@ -229,7 +229,8 @@ def _short_pulses(source: PulseSource) -> str:
 
 def _short_packets(source: LasSource, points: Any) -> list[str]:
     """A complaint about packets of the last points that lie behind the end of the file that holds them."""
-    from fwclass.read.packets import FAULTS, References, judge
+    from fwclass.read.packet_references import References
+    from fwclass.read.packets import FAULTS, judge
 
     fault = judge(source, References.of(points))
     short = sum(FAULTS[code] in ("packet past the end", "packet cut short") for code in fault)
