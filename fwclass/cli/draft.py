@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from fwclass.cli.base import OUTPUT, OVERWRITE, PATH, cli
-from fwclass.errors import ConfigError
 
 
 @cli.command()
@@ -22,17 +21,19 @@ def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: 
     What the files do not tell is marked TO DO in it, and said here.
     """
     from fwclass.operate.draft.survey import draft
+    from fwclass.publish.files import check_free, whole
     from fwclass.read.info import files_in
 
-    if to is not None and to.exists() and not overwrite:
-        raise ConfigError("the survey file exists", where=to, do="another --to, or --overwrite")
+    if to is not None:
+        check_free(to, overwrite)
     named = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
     directory = files[0] if len(files) == 1 and files[0].is_dir() else None
     draft_of_files = draft(named, to.parent if to is not None else Path(), name, directory)
     if to is None:
         click.echo(draft_of_files.text, nl=False)
     else:
-        to.write_text(draft_of_files.text, encoding="utf-8")
+        with whole(to) as beside:
+            beside.write_text(draft_of_files.text, encoding="utf-8")
     for note in draft_of_files.notes:
         click.echo(f"note: {note}", err=True)
     if not draft_of_files.notes and to is not None and sys.stderr.isatty():

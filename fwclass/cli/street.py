@@ -154,15 +154,15 @@ def classify(
     from fwclass.single_file.street.batch import Work, check
     from fwclass.single_file.street.batch import classify as work
     from fwclass.single_file.street.online import describe_batch
-    from fwclass.single_file.street.output import prepare
+    from fwclass.single_file.street.output import working_in
     from fwclass.temporary import temporary_directory
 
     config = _config(conf, settings, model)
     count = config.run.workers if options["workers"] is None else options["workers"]
     job = Work(recording.resolve(), model.resolve(), config.street, TrajectoryFiles.of(config))
     check(job)
-    prepare(output, options["overwrite"])
     with (
+        working_in(output, options["overwrite"]),
         temporary_directory("street", output.parent) as beside,
         open_runner(beside, int(count), options["scheduler"], config.run) as runner,
     ):

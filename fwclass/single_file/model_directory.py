@@ -71,9 +71,14 @@ def deliver(
         for path in files_below(beside):
             sync(path)
         load_model(beside)
-        if target.exists():
+        check_target(target, overwrite)  # another command may have put one there meanwhile
+        if overwrite and target.exists():
             target.rename(old)
-        beside.rename(target)
+        try:
+            beside.rename(target)
+        except OSError:
+            check_target(target, overwrite)
+            raise
         sync(target.parent)
     finally:
         shutil.rmtree(beside, ignore_errors=True)

@@ -10,7 +10,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import LasRecording, TrajectoryFiles, open_on_trajectory
 from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.info import describe, info
-from fwclass.single_file.street.output import OURS, SUMMARY, prepare
+from fwclass.single_file.street.output import OURS, SUMMARY
 from fwclass.street.frames import Track
 
 FRAMES = 60
@@ -115,7 +115,7 @@ def test_online_and_whole_give_the_same_bytes(tmp_path, made):
     path, way = written(tmp_path, *made)
     model, params = directory() / "model", config("street.speed=null").street
     summary = online.run(online.Run(str(path), model, tmp_path / "on", False, False, way), params, print)
-    prepare(tmp_path / "off", False)
+    (tmp_path / "off").mkdir()
     with open_runner(tmp_path / "store", 0, None, config().run) as runner:
         work = batch.Work(path, model, params.model_copy(update={"chunk": 23}), way)
         batch.classify(work, tmp_path / "off", runner, 1.0)

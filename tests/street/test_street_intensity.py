@@ -13,7 +13,6 @@ from fwclass.graph.street import model_remarks, params_of
 from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.info import info
-from fwclass.single_file.street.output import prepare
 from fwclass.single_file.street.train import train
 from fwclass.store.models import load_model
 from fwclass.street.answers import ANSWERS
@@ -51,7 +50,7 @@ def test_a_model_learns_by_intensities_and_decides_alike_on_line_and_whole(tmp_p
     online.run(
         online.Run(str(place / "drive.parquet"), place / "model", tmp_path / "on", False, False), made.street, print
     )
-    prepare(tmp_path / "whole", False)
+    (tmp_path / "whole").mkdir()
     with open_runner(tmp_path / ".whole", 0, None, made.run) as runner:
         work = batch.Work(place / "drive.parquet", place / "model", made.street.model_copy(update={"chunk": 37}))
         batch.classify(work, tmp_path / "whole", runner, 1.0)

@@ -19,7 +19,7 @@ from streetmaker import config, directory, drive
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, InputError
 from fwclass.single_file.street import batch, online
-from fwclass.single_file.street.output import prepare
+from fwclass.single_file.street.output import working_in
 from fwclass.street.answers import ANSWERS, read_answers
 from fwclass.street.stream import HEAD, MAGIC, Decoder, encode_frame
 
@@ -34,7 +34,7 @@ def run_online(tmp_path, source=None, name="on", **changed):
 
 def run_batch(tmp_path, workers, name, **changed):
     made = config(*(f"street.{k}={v}" for k, v in changed.items()))
-    prepare(tmp_path / name, False)
+    (tmp_path / name).mkdir()
     with open_runner(tmp_path / f".{name}", workers, None, made.run) as runner:
         work = batch.Work(directory() / "drive.parquet", directory() / "model", made.street)
         return batch.classify(work, tmp_path / name, runner, 1.0), tmp_path / name
@@ -233,10 +233,20 @@ def test_standard_input_by_the_command_line(tmp_path, once):
 
 def test_an_output_is_not_overwritten(tmp_path, once):
     with pytest.raises(ConfigError, match="output already"):
-        prepare(once[1], False)
+        working_in(once[1], False).__enter__()
     (tmp_path / "mine").write_text("x")
     with pytest.raises(ConfigError, match="something else"):
-        prepare(tmp_path, True)
+        working_in(tmp_path, True).__enter__()
+
+
+def test_two_commands_do_not_write_to_one_directory(tmp_path):
+    with working_in(tmp_path / "o", False):
+        for overwrite in (False, True):
+            with pytest.raises(ConfigError, match="another command is writing"):
+                working_in(tmp_path / "o", overwrite).__enter__()
+        (tmp_path / "o" / ANSWERS).write_bytes(b"1")
+    with working_in(tmp_path / "o", True):
+        assert not any((tmp_path / "o").iterdir())
 
 
 def test_a_model_of_airborne_features_is_refused(tmp_path):

@@ -100,8 +100,8 @@ def compare(
     }
     pictures = _pictures(cloud, shown, {**flags, MAJORITY: majority}, votes, plain, settings, tell)
     target.mkdir(parents=True, exist_ok=True)
-    write_json(target / "comparison.json", plain)
     page = render_comparison(plain, pictures, target / "comparison.html")
+    write_json(target / "comparison.json", plain)
     return {**plain, "page": page["path"]}
 
 

@@ -16,7 +16,7 @@ from fwclass.graph.ground_trial import Trial, halves, ranges_of, search_halves, 
 from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.search import Setting, most_runs
 from fwclass.ground.tuning_params import GroundSearchParams, Values
-from fwclass.publish.files import whole
+from fwclass.publish.files import check_free, whole
 from fwclass.publish.parameter_curves import draw_curves
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
@@ -132,6 +132,8 @@ def check_directory(out: Path, names: tuple[str, ...], overwrite: bool) -> None:
         raise ConfigError(
             "the output exists", where=out, got=", ".join(there), do="choose another --out, or add --overwrite"
         )
+    for name in names:
+        check_free(out / name, overwrite)
 
 
 def _write(out: Path, result: dict[str, Any]) -> None:

@@ -25,7 +25,7 @@ from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, impl
 from fwclass.model import Model
 from fwclass.model.ranges import RangeCounter
 from fwclass.report.drift import drift
-from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
+from fwclass.single_file.street.output import CSV, HEAD, finish, working_in
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
@@ -157,7 +157,14 @@ def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str,
         place_of(job.source)
     elif job.source != "-":
         open_on_trajectory(Path(job.source), params, job.trajectory)
-    prepare(job.target, job.overwrite)
+    with working_in(job.target, job.overwrite):
+        return _answer(job, model, params, remarks, say)
+
+
+def _answer(
+    job: Run, model: Model, params: StreetParams, remarks: list[str], say: Callable[[str], None]
+) -> dict[str, Any]:
+    """As `run`, into a directory that is held."""
     warm(model, params)
     with interruptible() as ended, ExitStack() as stack, without_garbage():
         faults: Counter[str] = Counter()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
-import shutil
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +23,51 @@ OURS = (ANSWERS, SUMMARY, CSV, MAP, PICTURE)
 HEAD = ",".join(Segment.names()) + "\n"
 
 
-def prepare(target: Path, overwrite: bool) -> None:
-    """Make the directory; `ConfigError` where something is there that is not to be replaced."""
-    if target.exists():
-        if not target.is_dir() or any(p.name not in OURS for p in target.iterdir()):
+@contextmanager
+def working_in(target: Path, overwrite: bool) -> Iterator[None]:
+    """Make the directory, without outputs of earlier, and hold it until the block ends.
+
+    Raises
+    ------
+    ConfigError
+        Something is there that is not to be replaced, or another command is writing there.
+    """
+    if target.exists() and not target.is_dir():
+        raise _something_else(target)
+    target.mkdir(parents=True, exist_ok=True)
+    handle = os.open(target, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
             raise ConfigError(
-                "something else is there",
-                where=target,
-                expected="a new directory, or one of this command",
-                do="name another; it is not replaced",
-            )
-        if any(target.iterdir()) and not overwrite:
-            raise ConfigError("there is an output already", where=target, do="name another, or add --overwrite")
-        shutil.rmtree(target)
-    target.mkdir(parents=True)
+                "another command is writing to this directory", where=target, do="name another, or wait for it to end"
+            ) from None
+        except OSError:  # there are file systems without locks
+            pass
+        _prepare(target, overwrite)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _prepare(target: Path, overwrite: bool) -> None:
+    there = list(target.iterdir())
+    if any(p.name not in OURS or not p.is_file() for p in there):
+        raise _something_else(target)
+    if there and not overwrite:
+        raise ConfigError("there is an output already", where=target, do="name another, or add --overwrite")
+    for path in there:
+        path.unlink()
+
+
+def _something_else(target: Path) -> ConfigError:
+    return ConfigError(
+        "something else is there",
+        where=target,
+        expected="a new directory, or one of this command",
+        do="name another; it is not replaced",
+    )
 
 
 def finish(target: Path, segments: Iterable[Segment] | None, summary: dict[str, Any]) -> dict[str, Any]:
