@@ -139,6 +139,35 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"{_part(some, 'returns_without_echo', 'returns', 'returns')} have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
         )
+    lines += _sample_remarks(strips)
+    if some := [s for s in strips if (s["unlike_share"] or 0.0) > DOUBTFUL and s["unlike"] >= DOUBTED]:
+        lines.append(
+            f"{_part(some, 'unlike', 'compared', 'neighbouring returns')} are the other way round in strength than "
+            f"their echoes: {MIXED} ({_names(some)})"
+        )
+    if some := [s for s in strips if (s["misplaced_share"] or 0.0) > TOLD_FROM]:
+        lines.append(
+            f"{_part(some, 'misplaced', 'paired', 'neighbouring returns of one pulse')} do not lie as far apart as "
+            f"light goes between their locations: {UNITS} ({_names(some)})"
+        )
+    if some := [s for s in strips if s["off_earth"]]:
+        lines.append(
+            f"{_part(some, 'off_earth', 'fitted', 'echoes')} lie below {LAND[0]:g} m or above {LAND[1]:g} m, "
+            f"where no land is: are times in nanoseconds, and directions in metres? ({_names(some)})"
+        )
+    if some := [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]:
+        lines.append(
+            f"{_part(some, 'poor', 'fitted', 'echoes')} are poorly fitted, misfit above "
+            f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
+        )
+    lines += pulse_remarks(strips)
+    lines += _noise_remarks(strips, params)
+    return [*filter(None, lines), *place_remarks(strips)]
+
+
+def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Of packets that cannot be read, and of samples that no receiver records; empty ones among them."""
+    lines = []
     if some := [s for s in strips if (s["unreadable_share"] or 0.0) > TOLD_FROM]:
         lines += [
             _unreadable_words([s for s in some if s["returns"]], "returns"),
@@ -164,27 +193,12 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"{_part(some, 'swapped', 'waveforms', 'waveforms')} are smooth only with the two bytes of every sample "
             f"exchanged: {SWAP} ({_names(some)})"
         )
-    if some := [s for s in strips if (s["unlike_share"] or 0.0) > DOUBTFUL and s["unlike"] >= DOUBTED]:
-        lines.append(
-            f"{_part(some, 'unlike', 'compared', 'neighbouring returns')} are the other way round in strength than "
-            f"their echoes: {MIXED} ({_names(some)})"
-        )
-    if some := [s for s in strips if (s["misplaced_share"] or 0.0) > TOLD_FROM]:
-        lines.append(
-            f"{_part(some, 'misplaced', 'paired', 'neighbouring returns of one pulse')} do not lie as far apart as "
-            f"light goes between their locations: {UNITS} ({_names(some)})"
-        )
-    if some := [s for s in strips if s["off_earth"]]:
-        lines.append(
-            f"{_part(some, 'off_earth', 'fitted', 'echoes')} lie below {LAND[0]:g} m or above {LAND[1]:g} m, "
-            f"where no land is: are times in nanoseconds, and directions in metres? ({_names(some)})"
-        )
-    if some := [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]:
-        lines.append(
-            f"{_part(some, 'poor', 'fitted', 'echoes')} are poorly fitted, misfit above "
-            f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
-        )
-    lines += pulse_remarks(strips)
+    return lines
+
+
+def _noise_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
+    """Of noise that is correlated, or comes back."""
+    lines = []
     if some := [s for s in strips if (s["lag1"] or 0.0) > params.white_noise and s["inflation"] >= INFLATED]:
         worst = max(some, key=lambda s: s["lag1"])
         lines.append(
@@ -199,7 +213,7 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"{worst['noise_period']} samples, as what a receiver picks up: "
             f"errors of echoes are larger than they say ({_names(some)})"
         )
-    return [*filter(None, lines), *place_remarks(strips)]
+    return lines
 
 
 def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
