@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 NO_CLASS = 0
 
-
 STRIPE = 64
 """Rows of a raster that are written together, counted from the north."""
 
@@ -99,29 +98,8 @@ def cog(
     known = dict(sorted((names or {}).items()))
     if codes and known and colormap is None:
         colormap = colours({"name": name, "code": code} for code, name in known.items())
-    raw_profile = {
-        "driver": "GTiff",
-        "width": window.ncols,
-        "height": window.nrows,
-        "count": 1,
-        "dtype": dtype,
-        "nodata": nodata,
-        "transform": north_up(window, unit),
-        "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
-        "blockysize": STRIPE,
-        "sparse_ok": True,
-        "bigtiff": "IF_SAFER",
-    }
-    cog_profile = {
-        "driver": "COG",
-        "compress": params.cog_compression,
-        "blocksize": params.cog_block,
-        "num_threads": 1,
-        "predictor": _predictor(dtype, codes),
-        "bigtiff": "IF_SAFER",
-        "overview_resampling": "MODE" if codes else "AVERAGE",
-        "statistics": "YES",  # or QGIS reckons them, and leaves a file beside
-    }
+    raw_profile = _raw_profile(dtype, window, crs, nodata, unit)
+    cog_profile = _cog_profile(dtype, params, codes)
     with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache << 20):
         raw = beside.with_name(f"{beside.name}.raw")
         try:
@@ -151,6 +129,39 @@ def cog(
             raw.unlink(missing_ok=True)
     if known:
         _write_names(path, known)
+
+
+def _raw_profile(dtype: np.dtype, window: Window, crs: pyproj.CRS | None, nodata: float, unit: float) -> dict[str, Any]:
+    """Of the file that the stripes are laid into."""
+    import rasterio
+
+    return {
+        "driver": "GTiff",
+        "width": window.ncols,
+        "height": window.nrows,
+        "count": 1,
+        "dtype": dtype,
+        "nodata": nodata,
+        "transform": north_up(window, unit),
+        "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
+        "blockysize": STRIPE,
+        "sparse_ok": True,
+        "bigtiff": "IF_SAFER",
+    }
+
+
+def _cog_profile(dtype: np.dtype, params: PublishParams, codes: bool) -> dict[str, Any]:
+    """Of the file that is delivered; `codes`: its values are classes."""
+    return {
+        "driver": "COG",
+        "compress": params.cog_compression,
+        "blocksize": params.cog_block,
+        "num_threads": 1,
+        "predictor": _predictor(dtype, codes),
+        "bigtiff": "IF_SAFER",
+        "overview_resampling": "MODE" if codes else "AVERAGE",
+        "statistics": "YES",  # or QGIS reckons them, and leaves a file beside
+    }
 
 
 @cache
