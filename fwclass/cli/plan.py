@@ -49,12 +49,12 @@ def plan(
     from fwclass.errors import visible
     from fwclass.graph.outputs import DELIVER_STRIP, check_class_codes
     from fwclass.operate.configured import configured
+    from fwclass.operate.estimate.forecast import as_json as plain
+    from fwclass.operate.estimate.forecast import make_forecast
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
     from fwclass.operate.estimate.output import check_free, deliver
     from fwclass.operate.estimate.text import describe
-    from fwclass.operate.estimate.whole import as_json as plain
-    from fwclass.operate.estimate.whole import make_plan
     from fwclass.survey.gather import check_areas
     from fwclass.workflows import workflow_of
 
@@ -80,29 +80,29 @@ def plan(
     check_areas(config, facts.box)
     if copied:
         check_class_codes({s.path.name: s.point_format for s in facts.sources}, begun.config)
-    estimate = make_plan(begun, facts, number, room_at(root), stages=chosen.stages)
+    forecast = make_forecast(begun, facts, number, room_at(root), stages=chosen.stages)
     if count is not None:
-        estimate = _dry_run(estimate, count, root, chosen.stages)
-    paths = deliver(estimate, root)
+        forecast = _dry_run(forecast, count, root, chosen.stages)
+    paths = deliver(forecast, root)
     written = "\n".join(f"written     {visible(p)}" for p in paths)
-    click.echo(f"{describe(estimate)}\n\n{written}", err=as_json)
+    click.echo(f"{describe(forecast)}\n\n{written}", err=as_json)
     if as_json:
-        click.echo(json.dumps(plain(estimate, paths), indent=1))
-    refuse(list(estimate.limits), config.path)
+        click.echo(json.dumps(plain(forecast, paths), indent=1))
+    refuse(list(forecast.limits), config.path)
 
 
-def _dry_run(estimate: Any, count: int, root: Path, stages: Any) -> Any:
-    """The plan again, by what the fullest tiles took."""
+def _dry_run(forecast: Any, count: int, root: Path, stages: Any) -> Any:
+    """The forecast again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
+    from fwclass.operate.estimate.forecast import make_forecast
     from fwclass.operate.estimate.trial import run_trial, trial_of
-    from fwclass.operate.estimate.whole import make_plan
     from fwclass.temporary import temporary_directory
 
-    trial_ = trial_of(estimate, count, root)
+    trial_ = trial_of(forecast, count, root)
     (root / "plan").mkdir(parents=True, exist_ok=True)
     with temporary_directory("trial", root / "plan") as scratch:
-        with open_runner(scratch, estimate.workers, None, estimate.config.run) as runner:
-            keys = run_trial(trial_, runner, count, estimate.halo)
+        with open_runner(scratch, forecast.workers, None, forecast.config.run) as runner:
+            keys = run_trial(trial_, runner, count, forecast.halo)
             failures, store = runner.failures, runner.store
         if failures:
             first = failures[0]
@@ -112,7 +112,7 @@ def _dry_run(estimate: Any, count: int, root: Path, stages: Any) -> Any:
                 do="mend the cause; the run would fail too",
             )
         click.echo(f"dry run     tiles {', '.join(keys)} from {trial_.files:,} files", err=True)
-        return make_plan(estimate.begun, estimate.facts, estimate.workers, estimate.room, store, stages)
+        return make_forecast(forecast.begun, forecast.facts, forecast.workers, forecast.room, store, stages)
 
 
 def _tell_unknown(config: Any, chosen: Any) -> None:

@@ -11,10 +11,10 @@ from pyproj import CRS
 
 from fwclass import conf
 from fwclass.grid import Box
+from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import SourceFacts, SurveyFacts
 from fwclass.operate.estimate.limits import Room
 from fwclass.operate.estimate.output import deliver
-from fwclass.operate.estimate.whole import make_plan
 from fwclass.store.run_store import peak_mib
 from fwclass.workflows import workflow_of
 
@@ -46,7 +46,7 @@ def main(directory: Path) -> None:
     settings = "tile.size=316", "areas.train=[[450000, 5350000, 450100, 5350100]]", "run.part_hours=36"
     config = conf.load("city-1200m", settings)
     facts = SurveyFacts(headers(), (), CRS.from_epsg(25832).to_wkt(), None)
-    plan = make_plan(begin(config), facts, 64, Room(64 * 16_000.0, 1e15))
+    plan = make_forecast(begin(config), facts, 64, Room(64 * 16_000.0, 1e15))
     paths = deliver(plan, directory)
     told = {
         "cpu_seconds": time.process_time(),

@@ -14,10 +14,10 @@ from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.graph.sites import in_sites
 from fwclass.grid import Box, Tile, TileGrid, Window, groups
+from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import Room
 from fwclass.operate.estimate.text import describe
-from fwclass.operate.estimate.whole import make_plan
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -112,7 +112,7 @@ def test_a_stray_point_leaves_the_delivery_whole_and_is_named(far, tmp_path, cap
 
 def test_a_plan_counts_the_places_that_a_run_makes(far, tmp_path):
     config = conf.load(far / "S.yaml", SETTINGS)
-    plan = make_plan(begin(config), survey_facts(config, tmp_path), 0, Room(16_000.0, 1e12))
+    plan = make_forecast(begin(config), survey_facts(config, tmp_path), 0, Room(16_000.0, 1e12))
     stages = {s.name: s.amount for s in plan.estimate.stages}
     assert plan.tiles.number == 2
     assert stages["publish-rasters"].parts == 2

@@ -21,12 +21,12 @@ from fwclass.grid import Box, TileGrid
 from fwclass.operate.estimate.amounts import amounts
 from fwclass.operate.estimate.costs import costs_of_survey
 from fwclass.operate.estimate.estimate import choices, estimate_run, propose_size
+from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import facts_of, sample_points, survey_facts
 from fwclass.operate.estimate.limits import Room, limits, refuse, room_at
 from fwclass.operate.estimate.measured import WHOLE, measure_costs
 from fwclass.operate.estimate.output import deliver
 from fwclass.operate.estimate.spread import Spread
-from fwclass.operate.estimate.whole import make_plan
 from fwclass.read.source import las_of, open_source
 from fwclass.store.run_store import Store
 from fwclass.workflows import workflow_of
@@ -64,7 +64,7 @@ def test_echoes_fewer_than_tiles_lie_in_as_many_as_chance_gives_them(number: int
     survey = tmp_path / "few.yaml"
     survey.write_text("survey: {name: few, sources: [few.las], crs: 'EPSG:2154'}")
     begun = workflow_of("ground").begin(conf.load(survey, classifies=False))
-    plan = make_plan(begun, survey_facts(begun.config, tmp_path), 1, room_at(tmp_path))
+    plan = make_forecast(begun, survey_facts(begun.config, tmp_path), 1, room_at(tmp_path))
     assert min(choice.tiles for choice in plan.choices) > 0
     assert all(path.exists() for path in deliver(plan, tmp_path / "plan"))
 
@@ -147,7 +147,7 @@ def walked(survey: Path, finished: tuple[Path, dict]):
     """The small survey's plan by the receipts of its whole run, the run's store and its report."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}"))
     root, report = finished
-    return make_plan(begin(config), survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
+    return make_forecast(begin(config), survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
 
 
 @pytest.mark.slow
@@ -285,7 +285,7 @@ def test_what_cannot_fit_is_refused_with_the_numbers(walked, survey, room, setti
         first = facts.box
         wide = Box(first.xmin, first.ymin, first.xmin + 1000.0, first.ymin + 1000.0)
         facts = replace(facts, sources=tuple(replace(s, bounds=wide) for s in facts.sources))
-    plan = make_plan(begin(config), facts, workers, room)
+    plan = make_forecast(begin(config), facts, workers, room)
     with pytest.raises(ConfigError, match="does not fit") as fault:
         refuse(list(plan.limits), config.path)
     assert told in fault.value.got and "needed" in fault.value.got and fault.value.exit_code == 2

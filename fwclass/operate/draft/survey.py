@@ -21,9 +21,9 @@ from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, several, visible
 from fwclass.features.names import Asked, is_feature
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
+from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at
-from fwclass.operate.estimate.whole import make_plan
 from fwclass.read.info import info
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
@@ -316,12 +316,12 @@ def _tile_lines(text: str, beside: Path) -> str:
     try:
         config = conf.load_text(text, beside / "survey.yaml")
         begun = workflow_of("classification").begin(config)
-        plan = make_plan(begun, survey_facts(config, beside), config.run.workers, room_at(beside))
+        forecast = make_forecast(begun, survey_facts(config, beside), config.run.workers, room_at(beside))
     except FwclassError:
         return ""  # what is missing stands in the notes; `fwclass plan` says the rest
-    if plan.best is None or plan.best.size == config.tile.size:
+    if forecast.best is None or forecast.best.size == config.tile.size:
         return ""
-    return f"\ntile:\n  size: {plan.best.size:g}    # m, by `fwclass plan`\n"
+    return f"\ntile:\n  size: {forecast.best.size:g}    # m, by `fwclass plan`\n"
 
 
 def _lacks(holdings: Holdings, classes: Sequence[Meaning]) -> Iterator[str]:

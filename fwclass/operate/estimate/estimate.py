@@ -23,7 +23,7 @@ Costs = Mapping[str, StageCost]
 
 
 @dataclass(frozen=True)
-class StagePlan:
+class StageEstimate:
     """What a stage will take.
 
     Attributes
@@ -49,7 +49,7 @@ class Estimate:
 
     size: float
     workers: int
-    stages: tuple[StagePlan, ...]
+    stages: tuple[StageEstimate, ...]
     compile_seconds: float
     unknown: tuple[str, ...]
 
@@ -69,7 +69,7 @@ class Estimate:
         return sum(s.bytes for s in self.stages)
 
     @property
-    def largest(self) -> StagePlan:
+    def largest(self) -> StageEstimate:
         """The stage that needs most memory."""
         return max(self.stages, key=lambda s: s.memory_mib)
 
@@ -93,8 +93,8 @@ def estimate_run(
     return Estimate(size, max(1, workers), tuple(works), plan.config.plan.compile_seconds, tuple(unknown))
 
 
-def _stage(name: str, unit: str, amount: Amount, cost: StageCost, waves: float, base_mib: float) -> StagePlan:
-    return StagePlan(
+def _stage(name: str, unit: str, amount: Amount, cost: StageCost, waves: float, base_mib: float) -> StageEstimate:
+    return StageEstimate(
         name,
         unit,
         amount,

@@ -1,4 +1,4 @@
-"""Where a plan is written: ``plan/`` in the run directory, with tiles, halos and blocks as polygons."""
+"""Where a forecast is written: ``plan/`` in the run directory, with tiles, halos and blocks as polygons."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from fwclass.errors import ConfigError
 from fwclass.formats.geopackage import rectangles, write_layer
 from fwclass.graph.ground_auto import halo_of
 from fwclass.operate.estimate.estimate import MIB
+from fwclass.operate.estimate.forecast import Forecast, as_json
 from fwclass.operate.estimate.picture import plan_picture
 from fwclass.operate.estimate.spread import Spread, spread_of
-from fwclass.operate.estimate.whole import Plan, as_json
 from fwclass.paths import below
 from fwclass.store.atomic import move_into_place, write_json
 from fwclass.temporary import temporary_directory
@@ -22,7 +22,7 @@ NAMES = ("tiles.gpkg", "plan.png", "plan.json")
 
 
 def check_free(root: Path, overwrite: bool) -> None:
-    """`ConfigError` where an earlier plan lies and may not be replaced."""
+    """`ConfigError` where an earlier forecast lies and may not be replaced."""
     there = [root / "plan" / n for n in NAMES if (root / "plan" / n).exists()]
     if there and not overwrite:
         raise ConfigError(
@@ -33,48 +33,48 @@ def check_free(root: Path, overwrite: bool) -> None:
         )
 
 
-def deliver(plan: Plan, root: Path) -> tuple[Path, ...]:
+def deliver(forecast: Forecast, root: Path) -> tuple[Path, ...]:
     """Write the polygons, the picture and the numbers; each appears whole. Return their paths."""
     target = below(root, f"plan/{NAMES[0]}").parent
     paths = tuple(target / n for n in NAMES)
     target.mkdir(parents=True, exist_ok=True)
     with temporary_directory("plan", target) as directory:
-        write_gpkg(plan, directory / NAMES[0])
-        (directory / NAMES[1]).write_bytes(plan_picture(plan))
-        write_json(directory / NAMES[2], as_json(plan, paths))
+        write_gpkg(forecast, directory / NAMES[0])
+        (directory / NAMES[1]).write_bytes(plan_picture(forecast))
+        write_json(directory / NAMES[2], as_json(forecast, paths))
         for path in paths:
             move_into_place(directory / path.name, path)
     return paths
 
 
-def write_gpkg(plan: Plan, path: Path) -> None:
+def write_gpkg(forecast: Forecast, path: Path) -> None:
     """Layers ``tiles``, ``halos`` (the same, grown by what their stages read around them) and ``blocks``.
 
     ``echoes`` are those that evenly spread files give, ``memory_mib`` what a worker needs for the tile's features in
     the fullest case.
     """
-    tiles, config = plan.tiles, plan.config
+    tiles, config = forecast.tiles, forecast.config
     at = np.nonzero(tiles.occupied)
     held = config.plan.stages["features"].held if "features" in config.plan.stages else 0.0
-    around = tiles.grown(plan.halo)[at]
+    around = tiles.grown(forecast.halo)[at]
     fields = {
         "tile": keys(tiles, at),
         "echoes": np.rint(tiles.counts[at]).astype(np.int64),
         "echoes_with_halo": np.rint(around).astype(np.int64),
-        "memory_mib": np.round(config.plan.base_mib + around * plan.crowding * held / MIB, 1),
+        "memory_mib": np.round(config.plan.base_mib + around * forecast.crowding * held / MIB, 1),
     }
-    write_layer(path, "tiles", "Polygon", squares(tiles, at, 0.0), fields, plan.facts.crs)
-    halo = {"tile": fields["tile"], "halo_m": np.full(len(around), plan.halo)}
-    write_layer(path, "halos", "Polygon", squares(tiles, at, plan.halo), halo, plan.facts.crs)
-    blocks = spread_of(plan.counts.pieces(plan.facts), config.ground.block)
-    at, reach = np.nonzero(blocks.occupied), halo_of(plan.begun)
+    write_layer(path, "tiles", "Polygon", squares(tiles, at, 0.0), fields, forecast.facts.crs)
+    halo = {"tile": fields["tile"], "halo_m": np.full(len(around), forecast.halo)}
+    write_layer(path, "halos", "Polygon", squares(tiles, at, forecast.halo), halo, forecast.facts.crs)
+    blocks = spread_of(forecast.counts.pieces(forecast.facts), config.ground.block)
+    at, reach = np.nonzero(blocks.occupied), halo_of(forecast.begun)
     fields = {
         "block": keys(blocks, at),
         "echoes": np.rint(blocks.counts[at]).astype(np.int64),
         "echoes_with_halo": np.rint(blocks.grown(reach)[at]).astype(np.int64),
         "halo_m": np.full(len(at[0]), reach),
     }
-    write_layer(path, "blocks", "Polygon", squares(blocks, at, 0.0), fields, plan.facts.crs)
+    write_layer(path, "blocks", "Polygon", squares(blocks, at, 0.0), fields, forecast.facts.crs)
 
 
 def keys(spread: Spread, at: tuple[NDArray, ...]) -> NDArray:

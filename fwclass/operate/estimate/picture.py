@@ -1,4 +1,4 @@
-"""A map of the plan: echoes of every tile, the training and test areas, and the fullest tile with what it reads."""
+"""A map of the forecast: echoes of every tile, the training and test areas, and the fullest tile with what it reads."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from fwclass.grid import Box
+from fwclass.operate.estimate.forecast import Forecast
 from fwclass.operate.estimate.spread import Spread
-from fwclass.operate.estimate.whole import Plan
 from fwclass.publish.drawing import INK, View, draw, frame, legend, outline, png
 
 STEPS = ((226, 238, 229), (168, 209, 186), (105, 172, 153), (56, 124, 122), (27, 75, 90))
@@ -20,9 +20,9 @@ MOST_PIXELS = 500
 """Tiles along an edge that are drawn singly; of more, squares of several: a square of the map is two pixels wide."""
 
 
-def plan_picture(plan: Plan) -> bytes:
+def plan_picture(forecast: Forecast) -> bytes:
     """PNG."""
-    tiles = plan.tiles
+    tiles = forecast.tiles
     col, row = int(tiles.cols[0]), int(tiles.rows[0])
     shape = int(tiles.cols[-1]) - col + 1, int(tiles.rows[-1]) - row + 1
     step = max(1, -(-max(shape) // MOST_PIXELS))
@@ -36,14 +36,14 @@ def plan_picture(plan: Plan) -> bytes:
     figure, axes = frame(view)
     draw(axes, image, view)
     west, south = col * tiles.size, row * tiles.size
-    areas = plan.config.areas.shown(Box(west, south, west + shape[0] * tiles.size, south + shape[1] * tiles.size))
+    areas = forecast.config.areas.shown(Box(west, south, west + shape[0] * tiles.size, south + shape[1] * tiles.size))
     handles: list[Patch | Line2D] = [
         Patch(facecolor=tuple(c / 255 for c in STEPS[k]), edgecolor=INK, linewidth=0.4, label=_range(edges, k))
         for k in range(len(edges) + 1)
     ]
     handles += outline(axes, areas, view)
-    handles += _fullest(plan, axes)
-    name = f"echoes per tile\nof {plan.tiles.size:g} m" if step == 1 else f"echoes per {size:g} m"
+    handles += _fullest(forecast, axes)
+    name = f"echoes per tile\nof {forecast.tiles.size:g} m" if step == 1 else f"echoes per {size:g} m"
     legend(axes, handles, name)
     return png(figure)
 
@@ -71,13 +71,13 @@ def _range(edges: NDArray[np.float64], k: int) -> str:
     return f"{edges[k - 1]:,.0f} and more" if k == len(edges) else f"{edges[k - 1]:,.0f} to {edges[k]:,.0f}"
 
 
-def _fullest(plan: Plan, axes: object) -> list[Line2D]:
+def _fullest(forecast: Forecast, axes: object) -> list[Line2D]:
     """The fullest tile and its halo, outlined; legend entries."""
-    tile = plan.tiles.heaviest(1)[0]
+    tile = forecast.tiles.heaviest(1)[0]
     handles = []
     for box, style, label in (
         (tile.box, "solid", "fullest tile"),
-        (tile.box.grown(plan.halo), "dotted", f"and what it reads\n({plan.halo:g} m around it)"),
+        (tile.box.grown(forecast.halo), "dotted", f"and what it reads\n({forecast.halo:g} m around it)"),
     ):
         axes.add_patch(  # type: ignore[attr-defined]
             Rectangle(

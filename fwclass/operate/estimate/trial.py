@@ -12,7 +12,7 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.stages import STAGES
 from fwclass.grid import Box
-from fwclass.operate.estimate.whole import Plan
+from fwclass.operate.estimate.forecast import Forecast
 from fwclass.read.source import open_source
 from fwclass.run.runner import Runner
 from fwclass.store.remote_file import local
@@ -42,7 +42,7 @@ class Trial:
     files: int
 
 
-def trial_of(plan: Plan, count: int, root: Path) -> Trial:
+def trial_of(forecast: Forecast, count: int, root: Path) -> Trial:
     """The files that hold the `count` fullest tiles with all that is read around them, and the training areas.
 
     Raises
@@ -50,16 +50,16 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
     ConfigError
         The survey is not simulated yet: there is no file to run.
     """
-    if plan.facts.simulated:
+    if forecast.facts.simulated:
         raise ConfigError(
             "a dry run needs the survey's files, and they are still to be simulated",
             where="--dry-run",
             do="fwclass simulate CONF --out DIR, then plan with --set survey.directory=DIR",
         )
-    config = plan.config
-    boxes = tuple(t.box for t in plan.tiles.heaviest(count))
-    wanted = [b.grown(reach(plan)) for b in (*boxes, *(_training(config)))]
-    sources = plan.facts.sources
+    config = forecast.config
+    boxes = tuple(t.box for t in forecast.tiles.heaviest(count))
+    wanted = [b.grown(reach(forecast)) for b in (*boxes, *(_training(config)))]
+    sources = forecast.facts.sources
     touching = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
     left = tuple(s.bounds for s in sources if s not in touching)
     directory = directory_of(config, root)
@@ -83,10 +83,11 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
     return Trial(cut, boxes, left, len(touching))
 
 
-def reach(plan: Plan) -> float:
+def reach(forecast: Forecast) -> float:
     """The furthest that the road to a tile's classes reads around it [m]: its own halo, and its blocks with theirs."""
-    blocks = (s.edge(plan.begun) + s.reach(plan.begun) for s in STAGES if s.edge is not None and s.unit == "echo")
-    return plan.halo + max(blocks)
+    begun = forecast.begun
+    blocks = (s.edge(begun) + s.reach(begun) for s in STAGES if s.edge is not None and s.unit == "echo")
+    return forecast.halo + max(blocks)
 
 
 def whole_tiles(keys: Sequence[str], boxes: Sequence[Box], left: Sequence[Box], halo: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""The whole plan of a survey: what it holds, what it will take, whether it fits, and which tiles suit it."""
+"""The forecast of a run: what the survey holds, what it will take, whether it fits, and which tiles suit it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.graph import stage
+from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
 from fwclass.operate.estimate.costs import costs_of_survey, too_dense
@@ -21,11 +21,11 @@ from fwclass.store.run_store import Store
 
 
 @dataclass(frozen=True)
-class Plan:
+class Forecast:
     """See the modules of its parts. `begun` is what the stages are planned by before any file is read; `workers` 0 is
     the plain loop; `halo` is the widest around a tile [m]."""
 
-    begun: stage.Plan
+    begun: Plan
     facts: SurveyFacts
     counts: Counts
     tiles: Spread
@@ -50,16 +50,16 @@ class Plan:
         return all(limit.fits for limit in self.limits)
 
 
-def make_plan(
-    begun: stage.Plan,
+def make_forecast(
+    begun: Plan,
     facts: SurveyFacts,
     workers: int,
     room: Room,
     trial: Store | None = None,
-    stages: Sequence[stage.Stage] = STAGES,
-) -> Plan:
-    """The plan of `stages`, which are planned by `begun` (`Workflow.begin`), by the costs of section `plan`, or, as far
-    as it goes, by receipts of a dry run, `trial`."""
+    stages: Sequence[Stage] = STAGES,
+) -> Forecast:
+    """What `stages` will take, which are planned by `begun` (`Workflow.begin`), by the costs of section `plan`, or, as
+    far as it goes, by receipts of a dry run, `trial`."""
     config, of_waveforms = begun.config, facts
     begun, facts = with_returns(begun, facts)
     size, counts = config.tile.size, Counts.of(config, facts)
@@ -73,7 +73,7 @@ def make_plan(
         estimate = estimate_run(begun, facts, size, workers, costs, stages)
     compared = tuple(choices(begun, facts, workers, costs, allowed_mib(config, workers, room), stages))
     best = propose_size(config, list(compared))
-    return Plan(
+    return Forecast(
         begun,
         of_waveforms,
         counts,
@@ -90,18 +90,18 @@ def make_plan(
     )
 
 
-def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
+def as_json(forecast: Forecast, written: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Plain data: sizes in metres, times in seconds, memory in MiB, disk in bytes."""
-    facts, estimate, sample = plan.facts, plan.estimate, plan.facts.sample
-    tiles = plan.tiles
+    facts, estimate, sample = forecast.facts, forecast.estimate, forecast.facts.sample
+    tiles = forecast.tiles
     return {
-        "survey": plan.config.survey.name,
+        "survey": forecast.config.survey.name,
         "files": len(facts.sources),
         "simulated": facts.simulated,
         "box": list(facts.box.bounds),
-        "points": round(float(plan.counts.points.sum())),
-        "pulses": round(float(plan.counts.pulses.sum())),
-        "echoes": round(float(plan.counts.echoes.sum())),
+        "points": round(float(forecast.counts.points.sum())),
+        "pulses": round(float(forecast.counts.pulses.sum())),
+        "echoes": round(float(forecast.counts.echoes.sum())),
         "reference_points": facts.reference_points,
         "sample": None
         if sample is None
@@ -111,27 +111,27 @@ def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
             "density": sample.density,
             "even": sample.even,
             "returns_per_pulse": sample.returns_per_pulse,
-            "too_dense": too_dense(plan.config, facts),
+            "too_dense": too_dense(forecast.config, facts),
         },
         "tiles": {
             "size": tiles.size,
             "number": tiles.number,
-            "halo": plan.halo,
+            "halo": forecast.halo,
             "mean_echoes": float(tiles.counts.sum()) / max(1, tiles.number),
-            "most_echoes": float(tiles.counts.max()) * plan.crowding,
-            "crowding": plan.crowding,
+            "most_echoes": float(tiles.counts.max()) * forecast.crowding,
+            "crowding": forecast.crowding,
         },
-        "workers": plan.workers,
+        "workers": forecast.workers,
         "memory_mib": estimate.largest.memory_mib,
         "memory_stage": estimate.largest.name,
         "disk_bytes": round(estimate.bytes),
-        "free_bytes": round(plan.room.free),
+        "free_bytes": round(forecast.room.free),
         "seconds": estimate.seconds,
         "wall_seconds": estimate.wall,
         "compile_seconds": estimate.compile_seconds,
-        "stages": [_stage(plan, k) for k in range(len(estimate.stages))],
+        "stages": [_stage(forecast, k) for k in range(len(estimate.stages))],
         "without_cost": list(estimate.unknown),
-        "proposed": None if plan.best is None else plan.best.size,
+        "proposed": None if forecast.best is None else forecast.best.size,
         "choices": [
             {
                 "size": c.size,
@@ -141,28 +141,28 @@ def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
                 "enough": c.enough,
                 "fits": c.fits,
             }
-            for c in plan.choices
+            for c in forecast.choices
         ],
         "limits": [
             {"what": m.what, "needed": m.needed, "allowed": m.allowed, "unit": m.unit, "fits": m.fits}
-            for m in plan.limits
+            for m in forecast.limits
         ],
-        "fits": plan.fits,
+        "fits": forecast.fits,
         "dry_run": None
-        if plan.measured is None
+        if forecast.measured is None
         else {
-            "stages": list(plan.measured.stages),
-            "parts": plan.measured.parts,
-            "seconds": plan.measured.seconds,
-            "peak_mib": plan.measured.peak_mib,
+            "stages": list(forecast.measured.stages),
+            "parts": forecast.measured.parts,
+            "seconds": forecast.measured.seconds,
+            "peak_mib": forecast.measured.peak_mib,
         },
         "outputs": [str(p) for p in written],
     }
 
 
-def _stage(plan: Plan, k: int) -> dict[str, Any]:
-    stage = plan.estimate.stages[k]
-    real = plan.measured is not None and stage.name in plan.measured.stages
+def _stage(forecast: Forecast, k: int) -> dict[str, Any]:
+    stage = forecast.estimate.stages[k]
+    real = forecast.measured is not None and stage.name in forecast.measured.stages
     return {
         "name": stage.name,
         "parts": stage.amount.parts,
