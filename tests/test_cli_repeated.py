@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import laspy
 import numpy as np
@@ -12,8 +13,9 @@ import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
 
+from fwclass.report.repeated import repeated_facts
 from fwclass.schema import Table
-from fwclass.tile.stage import repeats, twice_measured
+from fwclass.tile.stage import count_times, repeats, twice_measured
 
 CUT, RIM = 500_040.0, 2.0
 
@@ -181,6 +183,33 @@ def test_coarse_times_tell_nothing(tmp_path: Path, step: float) -> None:
         part.write(tmp_path / name)
     ended, report = measure(path)
     assert ended.returncode == 0 and (report["repeated"] or {"share": 0.0})["share"] < 0.01, report["repeated"]
+
+
+@pytest.mark.parametrize("edge", [1e9, 40.0, 2.0, 0.5])
+def test_whether_times_are_coarse_is_asked_of_the_whole_strip(edge: float) -> None:
+    """A strip's seconds, each of ten pulses: a tile that holds few of them must not take these for its pulses' own."""
+    along = np.arange(0.25, 200.0, 0.5)
+    lines = [[(x + off, 0.25, z, 7.0 + x // 5.0, k) for x in along] for k, off, z in ((0, 0.0, 1.0), (1, 0.02, 1.5))]
+    strips = [table(line).with_columns({"echo_number": np.ones(len(line), np.uint8)}) for line in lines]
+    whole = Table.concat(strips)
+    tiles = [whole.take(np.flatnonzero(whole["x"] // edge == k)) for k in np.unique(whole["x"] // edge)]
+    metas = [{"rows": t.rows, "repeated": repeats(t), "moved": twice_measured(t)} for t in tiles]
+    assert sum(n for meta in metas for *_, n, _ in meta["moved"]) == len(along)
+    names = [SimpleNamespace(number=k, path=Path(f"{k}.las")) for k in (0, 1)]
+    counted = [[len(along), len(along)] if fine else count_times(s) for fine in (False, True) for s in strips]
+    for k, expected in ((0, None), (2, len(along))):
+        read = [
+            SimpleNamespace(part=f"{i:05d}-00000", meta={"echoes": len(along), "times": counted[k + i]}) for i in (0, 1)
+        ]
+        facts = repeated_facts(metas, cast(Any, names), cast(Any, read))
+        assert (facts and facts["echoes"]) == expected
+
+
+def test_times_of_first_echoes_by_hand() -> None:
+    times = [7.0, 7.0, 8.0, np.nan, 0.0, 9.0]
+    numbered = table([(1.0, 2, 3, t, 5) for t in times])
+    numbered = numbered.with_columns({"echo_number": np.array([1, 1, 1, 1, 1, 2], np.uint8)})
+    assert count_times(numbered) == [3, 2] and count_times(numbered.take(np.array([3, 4, 5]))) == [0, 0]
 
 
 def test_moved_echoes_by_hand() -> None:

@@ -329,4 +329,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=12)
 PLACES = Computation(name="places", version=5)
-DECOMPOSE = Computation(name="decompose", version=16, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=17, writes=ECHO_COLUMNS)

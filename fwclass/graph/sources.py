@@ -39,6 +39,7 @@ from fwclass.store.atomic import read_json, write_json
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
 from fwclass.survey.layout import FileDigests, Strip
+from fwclass.tile.stage import count_times
 from fwclass.waveforms import BATHYMETRY_COLUMNS, PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 RETURNS = "returns.parquet"
@@ -290,6 +291,7 @@ def _write_echoes(here: StageInputs, result: tuple[Table, Table, Mapping[str, in
         "fitted": int((origin == 0).sum()),
         "kept_returns": int((origin == 1).sum()),
         "read_as_echoes": int((origin == 2).sum()),
+        "times": count_times(echoes),
         "without_width": int(np.isnan(echoes["width"]).sum()),
         **({"water": water_counts(echoes)} if "water" in echoes else {}),
     }

@@ -16,6 +16,10 @@ from fwclass.survey.layout import Strip
 SAID_FROM = 0.001
 """Share of the echoes: between files of centimetres, without times, chance alone reaches a tenth of it at 10/m2."""
 
+OWN_TIMES = 0.25
+"""Times over first echoes of a strip, below which its times are coarse and tell no echo from another: 1 of sound ones,
+a half where two channels fire at once."""
+
 NAMED = 3
 """Pairs of files that are named."""
 
@@ -45,11 +49,14 @@ def repeated_facts(
     `decomposed`: the parts that made the strips' echoes.
     """
     exact, moved, lifted, rows = Counter[tuple[int, int]](), Counter[tuple[int, int]](), Counter[tuple[int, int]](), 0
+    decomposed = list(decomposed)
+    coarse = _coarsely_timed(decomposed)
     for meta in tiles:
         rows += meta["rows"]
         exact.update({(a, b): n for a, b, n in meta["repeated"]})
-        moved.update({(a, b): n for a, b, n, _ in meta.get("moved", ())})
-        lifted.update({(a, b): up for a, b, _, up in meta.get("moved", ())})
+        finely = [pair for pair in meta.get("moved", ()) if not coarse.intersection(pair[:2])]
+        moved.update({(a, b): n for a, b, n, _ in finely})
+        lifted.update({(a, b): up for a, b, _, up in finely})
     counts = exact + moved
     if not counts:
         return None
@@ -87,6 +94,16 @@ def repeated_facts(
             "delivered twice, or files with a common rim that were adjusted or converted apart"
         )
     return {"echoes": total, "share": share, "files": files, "pairs": pairs, "remarks": remarks}
+
+
+def _coarsely_timed(decomposed: Iterable[Receipt]) -> set[int]:
+    """The strips most of whose pulses share their time with others, by what `tile.stage.count_times` counted."""
+    firsts, times = Counter[int](), Counter[int]()
+    for receipt in decomposed:
+        echoes, different = receipt.meta.get("times", (0, 0))
+        firsts[strip_of(receipt.part)] += echoes
+        times[strip_of(receipt.part)] += different
+    return {strip for strip, n in firsts.items() if times[strip] < OWN_TIMES * n}
 
 
 def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) -> None:

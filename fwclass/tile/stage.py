@@ -23,10 +23,6 @@ adjustments of strips move it, few of which lose it at a cell's edge."""
 TICK = 1e-6
 """s, in which times are compared: standard GPS time is stored to 2.4e-7 s, pulses follow at 5e-7 s at least."""
 
-OWN_TIMES = 0.25
-"""Times over first echoes of a strip in a tile, below which its times are coarse: 1 of sound ones, a half where two
-channels fire at once."""
-
 WEEK, ADJUSTMENT = 604_800.0, 1e9
 """s"""
 
@@ -141,7 +137,8 @@ def twice_measured(table: Table) -> list[list[int]]:
     Parameters
     ----------
     table : x, y, z [m], gps_time [s] (NaN and 0: not known), echo_number and strip. Echoes that share all of this with
-        one of their own strip tell nothing, nor do strips whose times are coarse (`OWN_TIMES`).
+        one of their own strip tell nothing. Nor do strips whose times are coarse, which
+        no tile can tell: see `count_times`.
 
     Returns
     -------
@@ -150,7 +147,7 @@ def twice_measured(table: Table) -> list[list[int]]:
     if table.rows == 0 or (table["strip"] == table["strip"][0]).all():
         return []
     time, strips = table["gps_time"], table["strip"].astype(np.int64)
-    rows = _finely_timed(time, strips, table["echo_number"])
+    rows = np.flatnonzero(_is_timed(time))
     x, y, z = (millimetres(table[n][rows]).astype(np.int64) for n in "xyz")
     number, ticks = table["echo_number"][rows].astype(np.int64), _week_ticks(time[rows])
     key = np.zeros(len(rows), np.uint64)
@@ -175,15 +172,14 @@ def twice_measured(table: Table) -> list[list[int]]:
     return [[*map(int, ab), int(n), int(up)] for ab, n, up in zip(kinds.tolist(), counts, lifted, strict=True)]
 
 
-def _finely_timed(time: NDArray[np.float64], strips: NDArray[np.int64], number: NDArray) -> NDArray[np.int64]:
-    """Rows with a time of strips whose pulses have times of their own."""
-    known = np.isfinite(time) & (time != 0)
-    for strip in np.unique(strips).tolist():
-        own = known & (strips == strip)
-        first = time[own & (number == number[own].min(initial=255))]
-        if len(np.unique(first)) < OWN_TIMES * len(first):
-            known &= ~own
-    return np.flatnonzero(known)
+def count_times(table: Table) -> list[int]:
+    """[first echoes of pulses that have a gps_time [s] (NaN and 0: not known), how many different times these have]."""
+    times = table["gps_time"][_is_timed(table["gps_time"]) & (table["echo_number"] == 1)]
+    return [len(times), len(np.unique(times))]
+
+
+def _is_timed(time: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(time) & (time != 0))
 
 
 def _week_ticks(time: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -195,5 +191,5 @@ def _week_ticks(time: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 SPLIT = Computation("split", 1)
-TILE = Computation("tile", 4)
+TILE = Computation("tile", 5)
 REFERENCE = Computation("reference", 1)
