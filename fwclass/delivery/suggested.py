@@ -20,7 +20,7 @@ from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
 from fwclass.grid import Box, millimetres, whole_millimetres
 from fwclass.label.params import SuggestParams
-from fwclass.label.places import Place, PlaceCounts
+from fwclass.label.places import PlaceCounts, SuggestedPlace
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.store.corrections import add_corrections, place_of, read_corrections
 from fwclass.store.run_location import RunLocation
@@ -67,7 +67,7 @@ def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool
     return _summary(useful, places, counts.size, path)
 
 
-def _settled(delivery: Delivery, size: float) -> Callable[[Place], bool]:
+def _settled(delivery: Delivery, size: float) -> Callable[[SuggestedPlace], bool]:
     """Whether labels of a place would teach nothing: it meets an area that is tested or trains already, or half of its
     echoes are corrected."""
     config = delivery.report["config"]
@@ -82,14 +82,14 @@ def _settled(delivery: Delivery, size: float) -> Callable[[Place], bool]:
     keys, counts = np.unique(squares, axis=0, return_counts=True)
     corrected = dict(zip(map(tuple, keys.tolist()), counts.tolist(), strict=True))
 
-    def settled(place: Place) -> bool:
+    def settled(place: SuggestedPlace) -> bool:
         square = round(place.box.xmin / size), round(place.box.ymin / size)
         return 2 * corrected.get(square, 0) >= place.echoes or any(b.touches(place.box) for b in boxes)
 
     return settled
 
 
-def _summary(useful: int, places: Sequence[Place], size: float, path: Path) -> str:
+def _summary(useful: int, places: Sequence[SuggestedPlace], size: float, path: Path) -> str:
     if not places:
         none = f"no place of {size:g} m teaches more: the model is sure of it, or it is labelled or tested already"
         return f"{none}; {path} is empty"

@@ -27,9 +27,9 @@ from fwclass.delivery.viewed_corrections import ShownClasses
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.delivery.viewed_open import OpenRun, OpenTile
 from fwclass.delivery.viewed_pair import tiles_of
-from fwclass.delivery.viewed_span import Span, finite, span_of
+from fwclass.delivery.viewed_span import ColourSpan, finite, span_of
 from fwclass.errors import FwclassError, InputError
-from fwclass.view.blocks import DRAWN, NO_VALUE, Scale
+from fwclass.view.blocks import DRAWN, NO_VALUE, ByteScale
 from fwclass.view.pyramid import Node
 
 ENOUGH = 1000
@@ -101,7 +101,7 @@ class ColourColumns:
             known = sorted({int(f["strip"]) for f in self._delivery.report["input"]["files"]})
             return np.asarray(np.searchsorted(known, values) % NO_VALUE, np.uint8)
         span = self._span(name)
-        return Scale(span.low, span.high).bytes_of(values)
+        return ByteScale(span.low, span.high).bytes_of(values)
 
     def _accepted(self, opened: OpenTile, key: str) -> NDArray[np.uint8]:
         return compare_corrections(opened.columns["classification"], *self._classes.of(opened, key))
@@ -129,18 +129,18 @@ class ColourColumns:
             raise InputError("no such column", where=self._delivery.path, got=name)
         return known[name]
 
-    def _span(self, name: str) -> Span:
+    def _span(self, name: str) -> ColourSpan:
         return self._open.cache.get(("span", name), lambda: self._measured(name), lambda _: 64)
 
-    def _measured(self, name: str) -> Span:
+    def _measured(self, name: str) -> ColourSpan:
         """Of what blocks have, by the coarse echoes, which are of all tiles. Of other columns, whose bytes are made
         here, of both runs where two are compared: the same colour is the same value in either."""
         if name in DRAWN and self._open.pyramid.own:
             values = finite(self._open.coarse().columns[name])
             if len(values) >= ENOUGH:
-                return Span.over(values)
+                return ColourSpan.over(values)
         others = [self._other] if self._other is not None and name not in DRAWN else []
-        return Span.joined([span_of(d, name) for d in (self._delivery, *others)])
+        return ColourSpan.joined([span_of(d, name) for d in (self._delivery, *others)])
 
 
 def plain_value(value: Any) -> Any:

@@ -41,7 +41,7 @@ class Change:
     left: int
 
 
-class Rows:
+class CorrectionRows:
     """The rows of the file, and which lie in and around a tile.
 
     Attributes
@@ -99,16 +99,16 @@ class Corrections:
         self.who = _user()
         self._stamp: object = None
         self._ask_again = 0.0
-        self._rows = Rows(EchoLabels.none(), self._size, self.reach)
+        self._rows = CorrectionRows(EchoLabels.none(), self._size, self.reach)
         self._lock = Lock()
 
-    def rows(self) -> Rows:
+    def rows(self) -> CorrectionRows:
         """What the file says now; `InputError` where it is damaged."""
         with self._lock:
             stamp = self._version()
             if stamp != self._stamp:
                 every = read_corrections(self._delivery.root)
-                self._rows, self._stamp = Rows(every, self._size, self.reach), stamp
+                self._rows, self._stamp = CorrectionRows(every, self._size, self.reach), stamp
             return self._rows
 
     def _version(self) -> object:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery
-from fwclass.delivery.viewed_corrections import Change, Corrections, Rows, in_place
+from fwclass.delivery.viewed_corrections import Change, CorrectionRows, Corrections, in_place
 from fwclass.errors import InputError
 from fwclass.formats.echo_labels import TAKEN_BACK
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -159,7 +159,9 @@ class Relabelling:
                 raise InputError("this selection is not kept any more", where="the page's request", do="draw it again")
             return self._selected[number]
 
-    def _inside(self, key: str, selection: Selection, corrections: Rows) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    def _inside(
+        self, key: str, selection: Selection, corrections: CorrectionRows
+    ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Rows of a tile that are selected, and their classes, corrections in place."""
         labels = corrections.of(key)
         columns = self._read(key, (*(PLACE if labels.rows else "xyz"), *SEARCHED))

@@ -20,7 +20,7 @@ SAMPLED = 8
 
 
 @dataclass(frozen=True)
-class Span:
+class ColourSpan:
     """From `low` to `high` colours tell values apart; `least` and `most` are the ends of what was looked at.
 
     All are NaN where there is no value.
@@ -32,7 +32,7 @@ class Span:
     most: float
 
     @classmethod
-    def over(cls, values: NDArray) -> Span:
+    def over(cls, values: NDArray) -> ColourSpan:
         """Of finite values; from end to end where nearly all are one, as flags are."""
         if not len(values):
             return cls(math.nan, math.nan, math.nan, math.nan)
@@ -41,7 +41,7 @@ class Span:
         return cls(low, high, least, most) if low < high else cls(least, most, least, most)
 
     @classmethod
-    def joined(cls, spans: Sequence[Span]) -> Span:
+    def joined(cls, spans: Sequence[ColourSpan]) -> ColourSpan:
         """The narrowest that holds all."""
         least, most = (
             [float(end.reduce([getattr(s, name) for s in spans])) for name in names]
@@ -55,14 +55,14 @@ def finite(values: NDArray) -> NDArray[np.float64]:
     return np.asarray(values[np.isfinite(values)], np.float64)
 
 
-def span_of(delivery: Delivery, name: str) -> Span:
+def span_of(delivery: Delivery, name: str) -> ColourSpan:
     """Of a column in some tiles, in the first with any value where those have none."""
     keys = [str(t["tile"]) for t in delivery.tiles]
     values = np.concatenate([_finite(delivery, key, name) for key in keys[:: max(1, len(keys) // SAMPLED)]])
     for key in keys if not len(values) else ():
         if len(values := _finite(delivery, key, name)):
             break
-    return Span.over(values)
+    return ColourSpan.over(values)
 
 
 def _finite(delivery: Delivery, key: str, name: str) -> NDArray[np.float64]:

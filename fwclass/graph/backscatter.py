@@ -36,7 +36,7 @@ from fwclass.publish.params import PublishParams
 from fwclass.run.inputs import TABLE
 from fwclass.run.part import Name
 from fwclass.schema import Table, canonical_key
-from fwclass.store.arrays import Grid, write_arrays, write_grids
+from fwclass.store.arrays import SurveyArray, write_arrays, write_grids
 from fwclass.store.tables import write_groups
 from fwclass.tile.stage import split
 from fwclass.voxels import profiles, voxels
@@ -134,7 +134,7 @@ def deliver_voxels(here: StageInputs, size: float, block: float, crs: str | None
     for name, (unit, what) in voxels.ARRAYS.items():
         kind = "u4" if name in ("hits", "passes", "occluded") else "f4"
         about = {"units": unit, "long_name": what, "grid_mapping": "crs"}
-        grids[name] = Grid(shape, chunks, kind, 0.0, ("z", "y", "x"), about)
+        grids[name] = SurveyArray(shape, chunks, kind, 0.0, ("z", "y", "x"), about)
 
     def pieces() -> Iterator[Mapping[str, tuple[tuple[slice, ...], NDArray]]]:
         yield _coordinates({"z": (low, high - low), "y": (whole.row, whole.nrows), "x": (whole.col, whole.ncols)}, size)
@@ -157,17 +157,17 @@ def deliver_profiles(here: StageInputs, params: ProfileParams, block: float, crs
     across = {"y": (whole.row, y), "x": (whole.col, x)}
     grids = _axes(across)
     heights = params.lowest + params.bin * (np.arange(params.bins) + 0.5)
-    grids["height"] = Grid(
+    grids["height"] = SurveyArray(
         (params.bins,), (params.bins,), "f8", 0.0, ("height",), {"units": "m", "long_name": "above ground"}
     )
     percent = np.array(profiles.SHARES, np.float64)
-    grids["percent"] = Grid((len(percent),), (len(percent),), "f8", 0.0, ("percent",), {"units": "%"})
+    grids["percent"] = SurveyArray((len(percent),), (len(percent),), "f8", 0.0, ("percent",), {"units": "%"})
     for name, (unit, what) in profiles.ARRAYS.items():
         axis = shapes.get(name)
         first = ((axis[1],), (axis[0],)) if axis else ((), ())
         kind, fill = ("u4", 0.0) if name == "pulses" else ("f4", math.nan)
         about = {"units": unit, "long_name": what, "grid_mapping": "crs"}
-        grids[name] = Grid((*first[0], y, x), (*first[0], edge, edge), kind, fill, (*first[1], "y", "x"), about)
+        grids[name] = SurveyArray((*first[0], y, x), (*first[0], edge, edge), kind, fill, (*first[1], "y", "x"), about)
 
     def pieces() -> Iterator[Mapping[str, tuple[tuple[slice, ...], NDArray]]]:
         yield {
@@ -191,10 +191,10 @@ def _whole(windows: Any) -> Window:
     return Window(some[0].cell, col, row, right - col, top - row)
 
 
-def _axes(axes: Mapping[str, tuple[int, int]]) -> dict[str, Grid]:
+def _axes(axes: Mapping[str, tuple[int, int]]) -> dict[str, SurveyArray]:
     named = {"x": "projection_x_coordinate", "y": "projection_y_coordinate", "z": "height"}
     return {
-        n: Grid(
+        n: SurveyArray(
             (k,), (k,), "f8", 0.0, (n,), {"units": "m", "standard_name": named[n], "long_name": "middle of the cell"}
         )
         for n, (_, k) in axes.items()

@@ -21,7 +21,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of, tries
-from fwclass.graph.context_trial import Trial, Verdict, verdict
+from fwclass.graph.context_trial import LayerTrial, Verdict, verdict
 from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
 from fwclass.graph.loaded_models import MODEL, model_at, used_model
 from fwclass.graph.stage import Plan, Stage
@@ -204,7 +204,7 @@ def try_context(
     first = asked.X[:, len(names) : len(names) + len(classes)].astype(np.float64)
     both = first + answer(asked.X, fit_layer(rest, params, compare, classes, block, gap, on_trial=True))[1]
     square = asked.place // whole_millimetres(edge, "select.block")
-    trial = Trial.of(square, asked.y, first.argmax(axis=1), both.argmax(axis=1), len(classes))
+    trial = LayerTrial.of(square, asked.y, first.argmax(axis=1), both.argmax(axis=1), len(classes))
     write_arrays(here.directory / SQUARES, vars(trial))
     return {"rows": asked.rows}
 
@@ -249,8 +249,8 @@ def train_context(
 def _judged(here: StageInputs, sample: Sample, classes: tuple[ClassDef, ...], folds: int) -> Verdict:
     """Whether the second layer pays, by what the folds tried."""
     tried = [str(k) for k in range(folds) if here.inputs.meta(TRIED, str(k))["rows"]]
-    trials = (Trial(**here.inputs.arrays(TRIED, part, SQUARES)[0]) for part in tried)
-    return verdict(Trial.joined(trials, len(classes)), sample.eligible, tuple(c.name for c in classes))
+    trials = (LayerTrial(**here.inputs.arrays(TRIED, part, SQUARES)[0]) for part in tried)
+    return verdict(LayerTrial.joined(trials, len(classes)), sample.eligible, tuple(c.name for c in classes))
 
 
 def _in_words(judged: Verdict, alone: bool) -> str:

@@ -21,7 +21,7 @@ _FIGURES = {"overall_accuracy": "overall accuracy", "mean_iou": "mean IoU"}
 
 
 @dataclass(frozen=True)
-class Trial:
+class LayerTrial:
     """What both layers say of rows that neither has learned from, by square.
 
     Attributes
@@ -36,7 +36,7 @@ class Trial:
     both: NDArray[np.int64]
 
     @classmethod
-    def of(cls, square: NDArray[np.int64], truth: NDArray, first: NDArray, both: NDArray, classes: int) -> Trial:
+    def of(cls, square: NDArray[np.int64], truth: NDArray, first: NDArray, both: NDArray, classes: int) -> LayerTrial:
         """The trial of rows, each with its `square` (rows, 2), class and answers (rows,)."""
         squares, at = np.unique(square, axis=0, return_inverse=True)
         pair = (at.reshape(-1) * classes + truth) * classes
@@ -47,7 +47,7 @@ class Trial:
         return cls(squares, *counts)
 
     @classmethod
-    def joined(cls, trials: Iterable[Trial], classes: int) -> Trial:
+    def joined(cls, trials: Iterable[LayerTrial], classes: int) -> LayerTrial:
         """Trials of different squares as one, `MOST_SQUARES` at most."""
         parts = [*trials]
         none = np.empty((0, classes, classes), np.int64)
@@ -79,7 +79,7 @@ class Verdict:
         return not self.why
 
 
-def verdict(trial: Trial, eligible: NDArray[np.int64], names: tuple[str, ...]) -> Verdict:
+def verdict(trial: LayerTrial, eligible: NDArray[np.int64], names: tuple[str, ...]) -> Verdict:
     """Both layers pay where overall accuracy and mean IoU rise, the 95 % interval of one of the two gains lies above 0,
     and no class loses IoU by an interval that lies below 0.
 

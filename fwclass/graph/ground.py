@@ -37,7 +37,7 @@ STORED = ("dtm", "dsm", "mask", "distance", "roughness")
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class BlockEchoes:
     """Echoes of a block and its halo, tile after tile.
 
     Attributes
@@ -60,7 +60,7 @@ class Surroundings:
 
 def surroundings(
     inputs: PartInputs, block: Tile, halo: float, tile_size: float, columns: Mapping[str, str], present: tuple[str, ...]
-) -> Surroundings:
+) -> BlockEchoes:
     """Echoes of `block` grown by `halo` [m] from the tiles that are there."""
     box, here = block.box.grown(halo), set(present)
     wanted = {**dict.fromkeys(("x", "y"), "tile"), **columns}
@@ -75,11 +75,11 @@ def surroundings(
         if own.any():
             pieces.append((tile.key, int(own.sum())))
     if not tables:
-        return Surroundings(Table.empty(wanted), np.zeros(0, bool), ())
-    return Surroundings(Table.concat(tables), np.concatenate(owned), tuple(pieces))
+        return BlockEchoes(Table.empty(wanted), np.zeros(0, bool), ())
+    return BlockEchoes(Table.concat(tables), np.concatenate(owned), tuple(pieces))
 
 
-def around_block(here: StageInputs, halo: float | None = None) -> Surroundings:
+def around_block(here: StageInputs, halo: float | None = None) -> BlockEchoes:
     """The declared columns of a block's echoes and of those in its halo, or no further than `halo` [m]."""
     reach = here.halo if halo is None else halo
     return surroundings(here.inputs, here.tile, reach, here.tile_size, here.columns, here.present)
@@ -92,7 +92,7 @@ def filter_block(here: StageInputs, params: GroundParams) -> Result:
     return flags_of_block(around, filter_ground(around.table, params))
 
 
-def flags_of_block(around: Surroundings, flags: Flags) -> Result:
+def flags_of_block(around: BlockEchoes, flags: Flags) -> Result:
     """What a filter says of all echoes around a block, as the block's part: of its own ones alone."""
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
     seen = around.own & ((around.table["fit_flags"] & IMPLAUSIBLE) == 0)

@@ -53,7 +53,7 @@ def matrix_of(truth: NDArray[np.int8], ground: NDArray[np.bool_], rows: NDArray[
     return np.bincount(index, minlength=4).reshape(2, 2)
 
 
-class Trial:
+class FilterTrial:
     """Confusion matrices of a filter's settings on a labelled cloud, each computed once."""
 
     def __init__(
@@ -99,7 +99,7 @@ class Trial:
         return -1.0 if value is None else float(value)
 
 
-def search_halves(trial: Trial, start: Setting, limits: GroundSearchParams) -> dict[str, Any]:
+def search_halves(trial: FilterTrial, start: Setting, limits: GroundSearchParams) -> dict[str, Any]:
     """The searches on all points and on either half, and what they found: ``start``, ``best``, ``held_out`` (each half
     by what the other chose) with parameters and figures, ``curves`` of kappa around the best; plain data."""
     ranges = trial.ranges

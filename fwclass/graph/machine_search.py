@@ -20,7 +20,7 @@ MACHINE_SEARCH = "machine-search"
 
 
 @dataclass(frozen=True)
-class Trial:
+class MachineTrial:
     """One (C, gamma, fold); `key` names its part."""
 
     key: str
@@ -29,10 +29,10 @@ class Trial:
     fold: int
 
 
-def trials(plan: Plan) -> list[Trial]:
+def trials(plan: Plan) -> list[MachineTrial]:
     """All trials of the settings, fold by fold of every pair."""
     svm = plan.config.compare.rbf_svm
-    return [Trial(f"{c:g}-{g:g}-{f:02d}", c, g, f) for c, g in pairs_of(svm) for f in range(svm.folds)]
+    return [MachineTrial(f"{c:g}-{g:g}-{f:02d}", c, g, f) for c, g in pairs_of(svm) for f in range(svm.folds)]
 
 
 def searches(plan: Plan) -> bool:

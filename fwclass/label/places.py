@@ -21,7 +21,7 @@ PARTS = 1_000_000
 
 
 @dataclass(frozen=True)
-class Place:
+class SuggestedPlace:
     """Attributes
     ----------
     box : the square.
@@ -86,26 +86,26 @@ class PlaceCounts:
         first = self._first()
         return float(np.median(np.add.reduceat(self._sums[:, 0], first))) if len(first) else 0.0
 
-    def places(self) -> list[Place]:
+    def places(self) -> list[SuggestedPlace]:
         """All squares with classified echoes, by column and row."""
         first, classes = self._first(), len(np.unique(self._keys[:, 2]))
         return [self._place(a, b, classes) for a, b in pairwise([*first.tolist(), len(self._keys)])]
 
-    def useful(self, params: SuggestParams) -> list[Place]:
+    def useful(self, params: SuggestParams) -> list[SuggestedPlace]:
         """The mixed places with enough echoes."""
         least = params.least * self.middling
         return [p for p in self.places() if p.echoes >= least and p.score > 0]
 
-    def suggest(self, params: SuggestParams, without: Callable[[Place], bool]) -> list[Place]:
+    def suggest(self, params: SuggestParams, without: Callable[[SuggestedPlace], bool]) -> list[SuggestedPlace]:
         """The places that teach most, the best first; none `without` labels to give.
 
         One that touches another is put off until the best of the others has less than `params.apart` of its score.
         """
         ranked = sorted(self.useful(params), key=lambda p: (-p.score, p.box.bounds))
         free = deque(p for p in ranked if not without(p))
-        touching: deque[Place] = deque()
+        touching: deque[SuggestedPlace] = deque()
         taken: set[tuple[int, int]] = set()
-        chosen: list[Place] = []
+        chosen: list[SuggestedPlace] = []
         while len(chosen) < params.places and (free or touching):
             while free and self._around(free[0]) & taken:
                 touching.append(free.popleft())
@@ -123,14 +123,14 @@ class PlaceCounts:
         squares = self._keys[:, :2]
         return np.flatnonzero(np.append(True, (squares[1:] != squares[:-1]).any(axis=1))[: len(squares)])
 
-    def _square(self, place: Place) -> tuple[int, int]:
+    def _square(self, place: SuggestedPlace) -> tuple[int, int]:
         return round(place.box.xmin / self.size), round(place.box.ymin / self.size)
 
-    def _around(self, place: Place) -> set[tuple[int, int]]:
+    def _around(self, place: SuggestedPlace) -> set[tuple[int, int]]:
         i, j = self._square(place)
         return {(i + a, j + b) for a in (-1, 0, 1) for b in (-1, 0, 1)}
 
-    def _place(self, start: int, end: int, classes: int) -> Place:
+    def _place(self, start: int, end: int, classes: int) -> SuggestedPlace:
         i, j = self._keys[start, :2].tolist()
         echoes, codes = self._sums[start:end, 0], self._keys[start:end, 2]
         n, parts, height = self._sums[start:end].sum(axis=0).tolist()
@@ -139,7 +139,7 @@ class PlaceCounts:
         ordered = sorted(zip(codes.tolist(), echoes.tolist(), strict=True), key=lambda c: (-c[1], c[0]))
         edge = self._edge / 1000
         box = Box(i * edge, j * edge, (i + 1) * edge, (j + 1) * edge)
-        return Place(box, n, height / n / 1000, parts / n / PARTS, max(0.0, mixture), tuple(ordered))
+        return SuggestedPlace(box, n, height / n / 1000, parts / n / PARTS, max(0.0, mixture), tuple(ordered))
 
 
 def _summed(keys: NDArray[np.int64], values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.quality.pieces import Strip
+from fwclass.quality.pieces import PlacedStrip
 from fwclass.units import SIGMA_PER_MAD
 
 ROUNDS = 30
@@ -61,7 +61,7 @@ class Adjusted:
     left: float
 
 
-def adjust(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Adjusted:
+def adjust(strips: Sequence[PlacedStrip], pairs: Pairs, max_tilt_error: float) -> Adjusted:
     """The residuals that explain `pairs` best, those with the least tilts of all that do so equally well.
 
     Each strip is lifted by ``h + r u + p v``, u and v its places across and along the line, -1 to 1 from edge to edge.
@@ -94,7 +94,7 @@ def adjust(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Adju
 class _Design:
     """The equations: sorted by the pair of strips, so that each pair's are one block."""
 
-    def __init__(self, strips: Sequence[Strip], pairs: Pairs) -> None:
+    def __init__(self, strips: Sequence[PlacedStrip], pairs: Pairs) -> None:
         order = np.lexsort((pairs.dz, pairs.y, pairs.x, pairs.second, pairs.first))
         self.dz, self.weight = pairs.dz[order], pairs.weight[order]
         both = np.stack([pairs.first[order], pairs.second[order]], axis=1)

@@ -65,7 +65,7 @@ def pieces_of(
 
 
 @dataclass(frozen=True)
-class Strip:
+class PlacedStrip:
     """A strip and where it lies.
 
     Attributes
@@ -117,7 +117,7 @@ def lines(file: NDArray[np.int64], span: NDArray[np.int64]) -> NDArray[np.int64]
 
 def strips_of(
     blocks: Sequence[Pieces], corners: Sequence[tuple[float, float]], number: Sequence[NDArray[np.int64]], gap: float
-) -> list[Strip]:
+) -> list[PlacedStrip]:
     """The strips, in order of the `number`, int64 (pieces,), that each block's pieces have.
 
     `corners`: (x, y) of every block [m]. `gap`: what a span of time lasts [s].
@@ -177,7 +177,7 @@ def _strip(
     spans: tuple[int, int] | None,
     middle: NDArray[np.float64],
     gap: float,
-) -> Strip:
+) -> PlacedStrip:
     n = sums[0]
     x, y, t = sums[1:4] / n
     xx, xy, yy, xt, yt, tt = sums[4:] / n - np.array([x * x, x * y, y * y, x * t, y * t, t * t])
@@ -194,7 +194,7 @@ def _strip(
     half = tuple(max(np.sqrt(3 * s), LEAST_LENGTH) for s in spread)
     times = None if spans is None else (spans[0] * gap, (spans[1] + 1) * gap)
     centre = float(middle[0] + x), float(middle[1] + y)
-    return Strip(
+    return PlacedStrip(
         files, int(n), times, centre, (float(along[0]), float(along[1])), timed, (float(half[0]), float(half[1]))
     )
 

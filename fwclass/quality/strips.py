@@ -14,7 +14,7 @@ from fwclass.hashing import hash_keys
 from fwclass.quality.adjust import Adjusted, Pairs, adjust
 from fwclass.quality.offsets import Offsets, SlopePairs
 from fwclass.quality.params import PlaneParams
-from fwclass.quality.pieces import Pieces, Strip, groups_of, lines
+from fwclass.quality.pieces import Pieces, PlacedStrip, groups_of, lines
 from fwclass.quality.planes import PlanePairs
 from fwclass.units import finite_or_none
 
@@ -113,7 +113,7 @@ class Comparison:
         x, y = ((v[sampled].astype(np.float64) + 0.5) * self.params.cell for v in (col, row))
         self._sample.append(Pairs(first[sampled], second[sampled], x, y, dz[sampled], weight[sampled]))
 
-    def facts(self, strips: Sequence[Strip], files: Mapping[int, str], by: By) -> dict[str, Any]:
+    def facts(self, strips: Sequence[PlacedStrip], files: Mapping[int, str], by: By) -> dict[str, Any]:
         """What `report.json` tells of the strips (docs/quality.md); `files`: names of the source files by number."""
         sample = Pairs(*(np.concatenate([getattr(s, n) for s in self._sample]) for n in Pairs.__dataclass_fields__))
         adjustment = adjust(strips, sample, self.params.max_tilt_error)
@@ -202,7 +202,7 @@ def _draw(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDArr
 
 
 def _strip(
-    number: int, strip: Strip, files: Mapping[int, str], by: By, adjustment: Adjusted, group: int
+    number: int, strip: PlacedStrip, files: Mapping[int, str], by: By, adjustment: Adjusted, group: int
 ) -> dict[str, Any]:
     names = sorted(files.get(f, str(f)) for f in strip.files)
     facts = {

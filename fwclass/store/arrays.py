@@ -130,7 +130,7 @@ def _write_group(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
 
 
 @dataclass(frozen=True)
-class Grid:
+class SurveyArray:
     """An array of a whole survey that is written piece by piece.
 
     Attributes
@@ -151,7 +151,7 @@ class Grid:
 
 def write_grids(
     path: Path,
-    grids: Mapping[str, Grid],
+    grids: Mapping[str, SurveyArray],
     attributes: Mapping[str, Any],
     pieces: Iterable[Mapping[str, tuple[tuple[slice, ...], NDArray]]],
 ) -> None:

@@ -35,7 +35,7 @@ DRAWN = ("x", "y", "z", "classification", "confidence", "height_above_ground", "
 
 
 @dataclass(frozen=True)
-class Scale:
+class ByteScale:
     """What the bytes of a column stand for: 0 for `low`, 254 for `high`, linear between, 255 for no value."""
 
     low: float

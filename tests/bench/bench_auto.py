@@ -14,7 +14,7 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.assess.confusion import figures
-from fwclass.graph.ground_trial import NAMES, Trial, halves, matrix_of, ranges_of, start_of
+from fwclass.graph.ground_trial import NAMES, FilterTrial, halves, matrix_of, ranges_of, start_of
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.filters import ground_points
 from fwclass.ground.measure import measure
@@ -49,7 +49,7 @@ def one(path, optimum):
         shown = shown_points(cloud)
         seen = shown & ~filter_cloud(cloud, shown, base).noise
         half = halves(cloud.x, cloud.y, cloud.usable)
-        trial = Trial((cloud.x, cloud.y, cloud.z), cloud.last, seen, half, truth, base, ranges)
+        trial = FilterTrial((cloud.x, cloud.y, cloud.z), cloud.last, seen, half, truth, base, ranges)
 
         def right(setting):
             pair = trial.matrices(setting)

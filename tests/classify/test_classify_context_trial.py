@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from fwclass.graph.context_trial import MOST_SQUARES, Trial, verdict
+from fwclass.graph.context_trial import MOST_SQUARES, LayerTrial, verdict
 
 NAMES = ("ground", "roof", "water")
 EVEN = np.array([1000, 1000, 1000])
@@ -17,7 +17,7 @@ def trial_of(first, both, squares=12, rows=200, seed=1):
     truth = r.integers(0, 3, squares * rows)
     place = np.stack([np.repeat(np.arange(squares), rows), np.zeros(squares * rows, int)], axis=1)
     told = [np.where(r.random(len(truth)) < np.array(right)[truth], truth, (truth + 1) % 3) for right in (first, both)]
-    return Trial.of(place, truth, *told, 3)
+    return LayerTrial.of(place, truth, *told, 3)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_it_pays_where_one_figure_gains_for_sure_and_none_falls(first, both, why
 def test_rows_of_one_class_have_no_kappa():
     place = np.stack([np.repeat(np.arange(12), 50), np.zeros(600, int)], axis=1)
     none = np.zeros(600, int)
-    judged = verdict(Trial.of(place, none, none, none, 3), EVEN, NAMES)
+    judged = verdict(LayerTrial.of(place, none, none, none, 3), EVEN, NAMES)
     assert not judged.pays and judged.facts["reached"]["kappa"] is None
     assert json.loads(json.dumps(judged.facts, allow_nan=False))["reached"]["overall_accuracy"] == 1.0
 
@@ -57,13 +57,13 @@ def test_classes_weigh_as_in_the_survey():
 def test_few_squares_tell_nothing():
     judged = verdict(trial_of((0.8, 0.8, 0.8), (0.9, 0.9, 0.9), squares=4), EVEN, NAMES)
     assert not judged.pays and "4 squares" in judged.sentence and "5 squares" in judged.why[0]
-    none = verdict(Trial.joined([], 3), EVEN, NAMES)
+    none = verdict(LayerTrial.joined([], 3), EVEN, NAMES)
     assert not none.pays and none.facts["rows"] == 0
 
 
 def test_the_order_of_folds_changes_nothing_and_squares_are_no_more_than_can_be_drawn():
     parts = [trial_of((0.8, 0.8, 0.8), (0.9, 0.9, 0.9), squares=700, rows=3, seed=s) for s in (1, 2)]
-    parts[1] = Trial(parts[1].square + np.array([-900, 5]), parts[1].first, parts[1].both)
-    whole, turned = Trial.joined(parts, 3), Trial.joined(parts[::-1], 3)
+    parts[1] = LayerTrial(parts[1].square + np.array([-900, 5]), parts[1].first, parts[1].both)
+    whole, turned = LayerTrial.joined(parts, 3), LayerTrial.joined(parts[::-1], 3)
     assert len(whole.square) == 700 <= MOST_SQUARES and whole.first.sum() == 4200
     assert verdict(whole, EVEN, NAMES) == verdict(turned, EVEN, NAMES)

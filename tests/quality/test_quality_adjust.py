@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from fwclass.quality.adjust import Pairs, adjust
-from fwclass.quality.pieces import Strip
+from fwclass.quality.pieces import PlacedStrip
 
 NOISE = 0.02
 
 
-def strip(x: float, y: float, along: tuple[float, float], half: tuple[float, float]) -> Strip:
-    return Strip((0,), 1000, None, (x, y), along, True, half)
+def strip(x: float, y: float, along: tuple[float, float], half: tuple[float, float]) -> PlacedStrip:
+    return PlacedStrip((0,), 1000, None, (x, y), along, True, half)
 
 
-def network(cross: bool) -> list[Strip]:
+def network(cross: bool) -> list[PlacedStrip]:
     """Three lines side by side, 800 m wide and 4 km long, every second one flown back, and perhaps one across."""
     lines = [strip(560.0 * k, 2000.0, (0.0, 1.0 - 2 * (k % 2)), (400.0, 2000.0)) for k in range(3)]
     return [*lines, strip(560.0, 2000.0, (1.0, 0.0), (400.0, 960.0))] if cross else lines
 
 
-def pairs_of(strips: list[Strip], truth: np.ndarray, noise: float, rng: np.random.Generator) -> Pairs:
+def pairs_of(strips: list[PlacedStrip], truth: np.ndarray, noise: float, rng: np.random.Generator) -> Pairs:
     """Pairs wherever two strips overlap, lifted by `truth` (strips, 3)."""
     rows = []
     for a in range(len(strips)):
@@ -37,7 +37,7 @@ def pairs_of(strips: list[Strip], truth: np.ndarray, noise: float, rng: np.rando
     return Pairs(*(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 
-def seen_part(strips: list[Strip], pairs: Pairs, truth: np.ndarray) -> np.ndarray:
+def seen_part(strips: list[PlacedStrip], pairs: Pairs, truth: np.ndarray) -> np.ndarray:
     """What the pairs say of `truth`: of all that explain them as well that of the least tilts, then of the least lifts,
     by numpy's pseudo-inverse."""
     design = np.zeros((len(pairs.dz), 3 * len(strips)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fwclass.quality.pieces import NO_TIME, Strip, groups_of, lines, pieces_of, strips_of
+from fwclass.quality.pieces import NO_TIME, PlacedStrip, groups_of, lines, pieces_of, strips_of
 
 GAP = 10.0
 EAST, NORTH = 500_000.0, 5_400_000.0
@@ -23,7 +23,9 @@ def line(
     return np.round(x, 3), np.round(y, 3), time
 
 
-def strips(x: np.ndarray, y: np.ndarray, t: np.ndarray, file: np.ndarray, edge: float, times: bool) -> list[Strip]:
+def strips(
+    x: np.ndarray, y: np.ndarray, t: np.ndarray, file: np.ndarray, edge: float, times: bool
+) -> list[PlacedStrip]:
     column, row = np.floor(x / edge), np.floor(y / edge)
     places = sorted(set(zip(column.tolist(), row.tolist(), strict=True)))
     blocks = []

@@ -17,7 +17,7 @@ from plzmaker import compress, wild_records
 
 from fwclass.errors import InputError
 from fwclass.operate.schedule.inbox import fault_of
-from fwclass.operate.schedule.places import WAVES
+from fwclass.operate.schedule.source_directories import WAVES
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read import pls_compressed, pls_read
 from fwclass.read.info import describe, files_in, info

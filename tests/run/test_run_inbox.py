@@ -15,7 +15,7 @@ from fwclass import conf
 from fwclass.errors import ConfigError
 from fwclass.operate.schedule.delivery import take
 from fwclass.operate.schedule.inbox import Inbox
-from fwclass.operate.schedule.places import Places, places_of
+from fwclass.operate.schedule.source_directories import SourceDirectories, source_directories_of
 from fwclass.operate.schedule.ticks import Now
 from fwclass.paths import path_matches
 
@@ -32,7 +32,7 @@ class Post:
     def __post_init__(self) -> None:
         (self.root / "inbox").mkdir()
         patterns = tuple(str(self.root / "survey" / "strips" / f"*{end}") for end in (".las", ".laz", ".pls"))
-        self.inbox = Inbox(self.root / "inbox", Places(patterns, None), self.params)
+        self.inbox = Inbox(self.root / "inbox", SourceDirectories(patterns, None), self.params)
 
     @property
     def strips(self) -> Path:
@@ -47,7 +47,7 @@ class Post:
         return found
 
     def take(self, look, keep: int = 3):
-        return [take(d, self.inbox.directory, self.inbox.places, keep) for d in look.complete]
+        return [take(d, self.inbox.directory, self.inbox.sources, keep) for d in look.complete]
 
 
 @pytest.fixture
@@ -124,7 +124,9 @@ def test_waveforms_that_end_in_zeros_are_whole_where_a_marker_says_so(post):
 
 def test_the_name_of_an_upload_waits_for_another(tmp_path):
     (tmp_path / "inbox").mkdir()
-    box = Inbox(tmp_path / "inbox", Places((str(tmp_path / "survey" / "*"),), None), conf.section("schedule"))
+    box = Inbox(
+        tmp_path / "inbox", SourceDirectories((str(tmp_path / "survey" / "*"),), None), conf.section("schedule")
+    )
     whole(tmp_path / "inbox", "a.las.part", point_format=6)
     for steady in (0.0, 100.0):
         look = box.look(Now(0.0, steady))
@@ -247,17 +249,17 @@ def test_a_delivery_again_keeps_the_older_one_and_says_so(post):
 
 
 def test_a_delivery_again_replaces_the_older_one_where_that_lies(tmp_path):
-    inbox = Inbox(tmp_path / "inbox", Places((str(tmp_path / "survey" / "**" / "*.las"),), None), None)
+    inbox = Inbox(tmp_path / "inbox", SourceDirectories((str(tmp_path / "survey" / "**" / "*.las"),), None), None)
     inbox.directory.mkdir()
     for name in ("day1/a.las", "day1/b.las", "day2/b.las"):
         path = tmp_path / "survey" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     whole_place = tmp_path / "survey"
-    assert inbox.places.home("a.laz", whole_place) == tmp_path / "survey" / "day1"
-    assert inbox.places.home("A.las", whole_place) == tmp_path / "survey" / "day1"
-    assert inbox.places.home("b.las", whole_place) == whole_place  # which of the two is for a person to say
-    assert inbox.places.home("c.las", whole_place) == whole_place
+    assert inbox.sources.home("a.laz", whole_place) == tmp_path / "survey" / "day1"
+    assert inbox.sources.home("A.las", whole_place) == tmp_path / "survey" / "day1"
+    assert inbox.sources.home("b.las", whole_place) == whole_place  # which of the two is for a person to say
+    assert inbox.sources.home("c.las", whole_place) == whole_place
 
 
 def test_links_below_replaced_are_not_followed(post, tmp_path):
@@ -319,7 +321,7 @@ def test_to_another_file_system_files_are_copied_whole(post, tmp_path):
     box = post()
     place = other / f"fwclass-test-{os.getpid()}"
     try:
-        box.inbox.places = Places((str(place / "*.las"),), None)
+        box.inbox.sources = SourceDirectories((str(place / "*.las"),), None)
         content = whole(box.inbox.directory)
         box.later(0.0)
         box.take(box.later(10.0))
@@ -380,26 +382,26 @@ def config_of(tmp_path: Path, sources: str, *settings: str):
     ],
 )
 def test_files_go_where_the_survey_finds_them(tmp_path, sources, name, place):
-    found = places_of(config_of(tmp_path, sources), tmp_path / "in").of(name)
+    found = source_directories_of(config_of(tmp_path, sources), tmp_path / "in").of(name)
     assert found == (None if place is None else tmp_path / "data" / place)
 
 
 def test_a_place_may_be_named_and_must_be_one_of_the_survey(tmp_path):
     config = config_of(tmp_path, '["*/*.las"]', "schedule.into=new")
-    assert places_of(config, tmp_path / "in").of("a.las") == tmp_path / "data" / "new"
+    assert source_directories_of(config, tmp_path / "in").of("a.las") == tmp_path / "data" / "new"
     config = config_of(tmp_path, '["strips/*.las"]', "schedule.into=new")
-    assert places_of(config, tmp_path / "in").of("a.las") is None
+    assert source_directories_of(config, tmp_path / "in").of("a.las") is None
 
 
 def test_an_inbox_where_the_survey_looks_is_refused(tmp_path):
     for sources, inbox in (('["strips/*.las"]', "strips"), ('["**/*.las"]', "in"), ('["*/*.las"]', "in")):
         with pytest.raises(ConfigError, match="where the survey looks"):
-            places_of(config_of(tmp_path, sources), tmp_path / "data" / inbox)
+            source_directories_of(config_of(tmp_path, sources), tmp_path / "data" / inbox)
     for sources in ('["*/*/*.las"]', '["in/replaced/*/a.las"]', '["in/*/*/*.las"]'):  # nor what it keeps of older files
         with pytest.raises(ConfigError, match="or an older version"):
-            places_of(config_of(tmp_path, sources, "schedule.into=y/f"), tmp_path / "data" / "in")
+            source_directories_of(config_of(tmp_path, sources, "schedule.into=y/f"), tmp_path / "data" / "in")
     with pytest.raises(ConfigError, match="simulated"):
-        places_of(conf.load("demo"), tmp_path)
+        source_directories_of(conf.load("demo"), tmp_path)
 
 
 def test_patterns_match_as_glob_does(tmp_path):

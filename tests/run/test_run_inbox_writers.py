@@ -19,8 +19,8 @@ from fwclass.errors import InputError
 from fwclass.operate.schedule import delivery, watch
 from fwclass.operate.schedule.inbox import Inbox
 from fwclass.operate.schedule.intake import Intake
-from fwclass.operate.schedule.places import Places
-from fwclass.operate.schedule.state import State
+from fwclass.operate.schedule.source_directories import SourceDirectories
+from fwclass.operate.schedule.state import ScheduleState
 from fwclass.operate.schedule.ticks import Now
 from fwclass.read.cloud import read_point_cloud
 from fwclass.read.pls_waves import read_records
@@ -34,9 +34,9 @@ def intake(tmp_path: Path) -> Intake:
     for name in ("in", "data", "r"):
         (tmp_path / name).mkdir()
     params = conf.section("schedule", ("schedule.settle=10",))
-    inbox = Inbox(tmp_path / "in", Places((str(tmp_path / "data" / "*.las"),), None), params)
+    inbox = Inbox(tmp_path / "in", SourceDirectories((str(tmp_path / "data" / "*.las"),), None), params)
     said: list[str] = []
-    state = State(tmp_path / "r", {}, 30.0, 5.0, said.append)
+    state = ScheduleState(tmp_path / "r", {}, 30.0, 5.0, said.append)
     return Intake(inbox, tmp_path / "r", state, said.append)
 
 

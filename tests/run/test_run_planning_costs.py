@@ -10,7 +10,7 @@ import pytest
 from fwclass import conf
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.operate.estimate.costs import costs_of_survey, density_known, too_dense
-from fwclass.operate.estimate.headers import Sample, SurveyFacts, simulated_facts
+from fwclass.operate.estimate.headers import PointSample, SurveyFacts, simulated_facts
 from fwclass.workflows import workflow_of
 
 SIX = ("height_range_r100", "height_std_r100", "height_std_c200", "planarity_r100", "planarity_k20", "echo_ratio_r100")
@@ -19,7 +19,7 @@ begin = workflow_of("classification").begin
 
 
 def facts_at(config: conf.Config, density: float, even: float = 1.0) -> SurveyFacts:
-    return replace(simulated_facts(config), sample=Sample(Path("a.las"), 1000, density, even, 1.2))
+    return replace(simulated_facts(config), sample=PointSample(Path("a.las"), 1000, density, even, 1.2))
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 
-from fwclass.view.blocks import BYTES, DRAWN, HEAD, STEP, Scale, block, column_block, nothing
+from fwclass.view.blocks import BYTES, DRAWN, HEAD, STEP, ByteScale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.pyramid import Pyramid, levels_of, order_blocks, sorted_rows
 
@@ -117,8 +117,8 @@ def test_nothing_has_no_blocks() -> None:
 
 def test_columns_keep_what_has_no_value() -> None:
     values = np.array([np.nan, 0.0, 5.0, 10.0, -3.0, 99.0, np.inf])
-    assert Scale(0.0, 10.0).bytes_of(values).tolist() == [255, 0, 127, 254, 0, 254, 255]
-    assert Scale(0.0, 0.0).bytes_of(np.full(3, np.nan)).tolist() == [255, 255, 255]
+    assert ByteScale(0.0, 10.0).bytes_of(values).tolist() == [255, 0, 127, 254, 0, 254, 255]
+    assert ByteScale(0.0, 0.0).bytes_of(np.full(3, np.nan)).tolist() == [255, 255, 255]
     assert len(column_block((0, 0, 0), np.zeros(9, np.uint8))) > HEAD.size
     assert decoded(nothing((3, 1, 1)))["place"].shape == (0, 3)
 

@@ -22,7 +22,7 @@ from fwclass.cli import cli
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_command import LastCommand
-from fwclass.delivery.viewed_corrections import Rows
+from fwclass.delivery.viewed_corrections import CorrectionRows
 from fwclass.errors import InputError, StoreError
 from fwclass.formats.echo_labels import TAKEN_BACK
 from fwclass.store.corrections import CORRECTIONS, read_corrections
@@ -197,7 +197,7 @@ def test_two_pages_that_write_at_once_lose_nothing(small_run: Path) -> None:
 
 def test_rows_of_tiles_are_those_near_them(scene: ViewedRun, small_run: Path) -> None:
     scene.relabel.correct(scene.relabel.select(Selection.of(drawn(SPOT)))["selection"], 5)
-    rows = Rows(read_corrections(small_run), scene.pyramid.size, scene.relabel.corrections.reach)
+    rows = CorrectionRows(read_corrections(small_run), scene.pyramid.size, scene.relabel.corrections.reach)
     for key in scene.tiles:
         i, j = map(int, key.split("_"))
         x, y = rows.labels["x"] / scene.pyramid.size - i, rows.labels["y"] / scene.pyramid.size - j

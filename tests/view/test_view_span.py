@@ -14,28 +14,28 @@ from viewedpage import opened, served, text
 from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_span import Span
+from fwclass.delivery.viewed_span import ColourSpan
 
 
 def test_a_stray_value_flattens_no_colour_and_the_ends_know_of_it() -> None:
     values = np.linspace(100.0, 140.0, 4001)
-    plain, strayed = Span.over(values), Span.over(np.append(values, [-9000.0, 9000.0]))
+    plain, strayed = ColourSpan.over(values), ColourSpan.over(np.append(values, [-9000.0, 9000.0]))
     assert plain.low == pytest.approx(100.4, abs=0.02) and plain.high == pytest.approx(139.6, abs=0.02)
     assert [strayed.low, strayed.high] == pytest.approx([plain.low, plain.high], abs=0.05)
     assert (strayed.least, strayed.most) == (-9000, 9000)
 
 
 def test_few_values_flags_and_none_span_what_they_have() -> None:
-    assert Span.over(np.array([3.0, 1.0, 2.0])) == Span(1, 3, 1, 3)
-    assert Span.over(np.r_[np.zeros(9999), 1.0]) == Span(0, 1, 0, 1)  # a flag that one in 10 000 has
-    assert Span.over(np.full(5, 7.0)) == Span(7, 7, 7, 7)
-    assert all(map(math.isnan, vars(Span.over(np.empty(0))).values()))
+    assert ColourSpan.over(np.array([3.0, 1.0, 2.0])) == ColourSpan(1, 3, 1, 3)
+    assert ColourSpan.over(np.r_[np.zeros(9999), 1.0]) == ColourSpan(0, 1, 0, 1)  # a flag that one in 10 000 has
+    assert ColourSpan.over(np.full(5, 7.0)) == ColourSpan(7, 7, 7, 7)
+    assert all(map(math.isnan, vars(ColourSpan.over(np.empty(0))).values()))
 
 
 def test_two_runs_span_what_either_has_and_none_counts_for_nothing() -> None:
-    none = Span.over(np.empty(0))
-    assert Span.joined([Span(1, 5, 0, 9), Span(2, 6, -1, 6), none]) == Span(1, 6, -1, 9)
-    assert math.isnan(Span.joined([none, none]).low)
+    none = ColourSpan.over(np.empty(0))
+    assert ColourSpan.joined([ColourSpan(1, 5, 0, 9), ColourSpan(2, 6, -1, 6), none]) == ColourSpan(1, 6, -1, 9)
+    assert math.isnan(ColourSpan.joined([none, none]).low)
 
 
 @pytest.mark.parametrize("together", [1000, 400_000], ids=["few coarse echoes", "all of them"])

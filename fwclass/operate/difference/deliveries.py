@@ -30,7 +30,7 @@ FIGURES = ("overall_accuracy", "kappa", "mean_iou")
 
 
 @dataclass(frozen=True)
-class Delivery:
+class ComparedDelivery:
     """A generation of the run `run` and what its report says."""
 
     run: Path
@@ -48,7 +48,7 @@ class Delivery:
         return {int(c["code"]): str(c["name"]) for c in self.report["classes"]}
 
 
-def deliveries(run: Path, others: Sequence[str]) -> tuple[Delivery, Delivery]:
+def deliveries(run: Path, others: Sequence[str]) -> tuple[ComparedDelivery, ComparedDelivery]:
     """The two deliveries that are meant: `others` are up to two numbers of generations of `run`, or another run.
 
     Without any: the one before the current one, and the current one. With one number: that one and the current one.
@@ -82,7 +82,7 @@ def deliveries(run: Path, others: Sequence[str]) -> tuple[Delivery, Delivery]:
     return _delivery(run, earlier[-1]), last
 
 
-def _delivery(run: Path, number: int | None) -> Delivery:
+def _delivery(run: Path, number: int | None) -> ComparedDelivery:
     """Generation `number` of a run, the current one for None."""
     generations = Store(run, read_only=True).generations
     if number is None:
@@ -118,10 +118,10 @@ def _delivery(run: Path, number: int | None) -> Delivery:
                 got="others",
                 do="run the survey again with --verify: what is damaged is made anew",
             )
-    return Delivery(run, chosen, held(read_json(report), REPORT, report))
+    return ComparedDelivery(run, chosen, held(read_json(report), REPORT, report))
 
 
-def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], ClassChanges]:
+def difference(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[str, Any], ClassChanges]:
     """What changed from `first` to `second` as plain data, and the echoes' classes.
 
     ``settings``, ``libraries``: by key, before and after, null where it was not there. ``files``: ``added``,
@@ -162,16 +162,16 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
     }, changes
 
 
-def _facts(delivery: Delivery) -> dict[str, Any]:
+def _facts(delivery: ComparedDelivery) -> dict[str, Any]:
     when = read_json(delivery.generation.path / "generation.json").get("made")
     return {"run": str(delivery.run), "generation": delivery.generation.number, "made": when}
 
 
-def _tiles(delivery: Delivery) -> Path:
+def _tiles(delivery: ComparedDelivery) -> Path:
     return delivery.generation.path / "parquet"
 
 
-def _sizes(first: Delivery, second: Delivery) -> tuple[float, float]:
+def _sizes(first: ComparedDelivery, second: ComparedDelivery) -> tuple[float, float]:
     return float(first.report["config"]["tile"]["size"]), float(second.report["config"]["tile"]["size"])
 
 
@@ -188,7 +188,7 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, l
     return {k: [before.get(k), after.get(k)] for k in keys if before.get(k) != after.get(k)}
 
 
-def _files(first: Delivery, second: Delivery) -> dict[str, list[str]]:
+def _files(first: ComparedDelivery, second: ComparedDelivery) -> dict[str, list[str]]:
     a, b = ({f["path"]: f for f in d.report["input"]["files"]} for d in (first, second))
     return {
         "added": sorted(b.keys() - a.keys()),
@@ -197,17 +197,17 @@ def _files(first: Delivery, second: Delivery) -> dict[str, list[str]]:
     }
 
 
-def _figure(delivery: Delivery, key: str) -> float | None:
+def _figure(delivery: ComparedDelivery, key: str) -> float | None:
     accuracy = delivery.report.get("accuracy") or {}
     return accuracy.get(key)
 
 
-def _tested(delivery: Delivery) -> int:
+def _tested(delivery: ComparedDelivery) -> int:
     confusion = (delivery.report.get("accuracy") or {}).get("confusion") or []
     return sum(sum(row) for row in confusion)
 
 
-def _paired(first: Delivery, second: Delivery) -> tuple[dict[str, Any] | None, str | None]:
+def _paired(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[str, Any] | None, str | None]:
     """Differences with intervals, and why there are none: an earlier generation of one run has no counts by block."""
     if first.run.resolve() == second.run.resolve():
         return None, "counts by block of an earlier generation are not kept: run into two directories to have intervals"
@@ -217,7 +217,7 @@ def _paired(first: Delivery, second: Delivery) -> tuple[dict[str, Any] | None, s
         return None, fault.what
 
 
-def crs_of(delivery: Delivery) -> str | None:
+def crs_of(delivery: ComparedDelivery) -> str | None:
     """The system of a delivery as WKT, None for none."""
     tile = next(_tiles(delivery).glob("*.parquet"), None)
     crs = header(tile)["crs"] if tile is not None else None

@@ -69,7 +69,7 @@ class Amount:
 
 
 @dataclass(frozen=True)
-class Counts:
+class SurveyCounts:
     """Points, pulses and echoes of every file, (files,) each; `waves` where a file has waveforms."""
 
     points: NDArray[np.float64]
@@ -78,7 +78,7 @@ class Counts:
     waves: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, config: Config, facts: SurveyFacts) -> Counts:
+    def of(cls, config: Config, facts: SurveyFacts) -> SurveyCounts:
         """Returns become pulses and echoes as the sample, or `plan`, has them; without waveforms each is a pulse."""
         sample, plan = facts.sample, config.plan
         each = sample.returns_per_pulse if sample else plan.returns_per_pulse
@@ -123,13 +123,13 @@ class _Quantities:
 
     config: Config
     facts: SurveyFacts
-    counts: Counts
+    counts: SurveyCounts
     tiles: Spread
     crowd: float
 
     @classmethod
     def of(cls, config: Config, facts: SurveyFacts, size: float) -> _Quantities:
-        counts = Counts.of(config, facts)
+        counts = SurveyCounts.of(config, facts)
         return cls(config, facts, counts, spread_of(counts.pieces(facts), size), crowding(config, facts))
 
     def amount(self, stage: Stage, plan: Plan) -> Amount | None:
@@ -245,7 +245,7 @@ class _Quantities:
         return Amount(parts, units, each, each if parts > 1 else 0.0)
 
 
-def raster_boxes(config: Config, facts: SurveyFacts, counts: Counts) -> list[Box]:
+def raster_boxes(config: Config, facts: SurveyFacts, counts: SurveyCounts) -> list[Box]:
     """Where rasters are made: the survey's box, or those of its places where most of it is empty (`graph.sites`)."""
     cell, edge = min(config.terrain.cell, config.publish.class_cell), config.terrain.block
     blocks = spread_of(counts.pieces(facts), edge)

@@ -10,7 +10,7 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import STAGES
-from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
+from fwclass.operate.estimate.amounts import SurveyCounts, amounts, crowding, tile_halo
 from fwclass.operate.estimate.costs import costs_of_survey, too_dense
 from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimate_run, propose_size
 from fwclass.operate.estimate.headers import SurveyFacts, with_returns
@@ -27,7 +27,7 @@ class Forecast:
 
     begun: Plan
     facts: SurveyFacts
-    counts: Counts
+    counts: SurveyCounts
     tiles: Spread
     halo: float
     crowding: float
@@ -62,7 +62,7 @@ def make_forecast(
     far as it goes, by receipts of a dry run, `trial`."""
     config, of_waveforms = begun.config, facts
     begun, facts = with_returns(begun, facts)
-    size, counts = config.tile.size, Counts.of(config, facts)
+    size, counts = config.tile.size, SurveyCounts.of(config, facts)
     observed = measure_costs(trial, config.plan.stages, amounts(begun, facts, size, stages)) if trial else None
     costs = observed.costs if observed else costs_of_survey(begun, facts)
     estimate = estimate_run(begun, facts, size, workers, costs, stages)

@@ -73,7 +73,7 @@ class SourceFacts:
 
 
 @dataclass(frozen=True)
-class Sample:
+class PointSample:
     """One part of one file, read.
 
     Attributes
@@ -104,7 +104,7 @@ class SurveyFacts:
     sources: tuple[SourceFacts, ...]
     reference: tuple[int, ...]
     crs: str | None
-    sample: Sample | None
+    sample: PointSample | None
     simulated: bool = False
 
     @property
@@ -201,7 +201,7 @@ def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
     return replace(facts, places=tuple((joint_box(boxes), float(n)) for boxes, n in places))
 
 
-def sample_points(source: LasSource, points: int, facts: SourceFacts | None = None) -> Sample:
+def sample_points(source: LasSource, points: int, facts: SourceFacts | None = None) -> PointSample:
     """The middle `points` of a file."""
     first = max(0, (source.n_points - points) // 2)
     with PointReader(source) as reader:
@@ -212,7 +212,7 @@ def sample_points(source: LasSource, points: int, facts: SourceFacts | None = No
     _, counts = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)
     others = float((counts * (counts - 1)).sum()) / len(x)  # as points meet it: rims count little, chance nothing
     returns = np.maximum(1, np.asarray(read["number_of_returns"], np.int64))
-    return Sample(source.path, len(x), others / edge**2, even, len(x) / float((1.0 / returns).sum()))
+    return PointSample(source.path, len(x), others / edge**2, even, len(x) / float((1.0 / returns).sum()))
 
 
 def simulated_facts(config: Config) -> SurveyFacts:

@@ -25,7 +25,7 @@ from fwclass.workflows import workflow_of
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrialSurvey:
     """A survey cut down to what a dry run needs.
 
     Attributes
@@ -42,7 +42,7 @@ class Trial:
     files: int
 
 
-def trial_of(forecast: Forecast, count: int, root: Path) -> Trial:
+def trial_of(forecast: Forecast, count: int, root: Path) -> TrialSurvey:
     """The files that hold the `count` fullest tiles with all that is read around them, and the training areas.
 
     Raises
@@ -80,7 +80,7 @@ def trial_of(forecast: Forecast, count: int, root: Path) -> Trial:
         simulate=None,
         areas=config.areas.model_copy(update={"test": ()}),  # they may lie in files left out, and nothing is assessed
     )
-    return Trial(cut, boxes, left, len(touching))
+    return TrialSurvey(cut, boxes, left, len(touching))
 
 
 def reach(forecast: Forecast) -> float:
@@ -109,7 +109,7 @@ def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str
     return tuple(glob.escape(str(p)) for p in near or files)
 
 
-def run_trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
+def run_trial(job: TrialSurvey, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
     config: Config = job.config
     plan = until_tiles(plan_with_features(config), runner)

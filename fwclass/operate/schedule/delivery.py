@@ -10,14 +10,14 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from fwclass.operate.schedule.inbox import Delivery
-from fwclass.operate.schedule.places import REPLACED, WAVES, Places
+from fwclass.operate.schedule.inbox import InboxDelivery
+from fwclass.operate.schedule.source_directories import REPLACED, WAVES, SourceDirectories
 from fwclass.operate.schedule.watch import mark_of
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.store.atomic import sync
 
 
-def take(delivery: Delivery, inbox: Path, places: Places, keep: int) -> dict[str, Any]:
+def take(delivery: InboxDelivery, inbox: Path, sources: SourceDirectories, keep: int) -> dict[str, Any]:
     """Move a delivery into the survey; the facts of it. Who calls holds the run directory, so that no run reads it.
 
     Files of the strip that are there already go to ``<inbox>/replaced/<time>/`` first; of each name the newest `keep`
@@ -25,7 +25,7 @@ def take(delivery: Delivery, inbox: Path, places: Places, keep: int) -> dict[str
     last, and the survey has no strip without them. `OSError` where a file cannot be moved.
     """
     delivery.target.mkdir(parents=True, exist_ok=True)
-    old = [p for p in _there(delivery, places) if p.name not in _ahead(delivery, places)]
+    old = [p for p in _there(delivery, sources) if p.name not in _ahead(delivery, sources)]
     moved = []
     if old:
         _check_no_link(inbox / REPLACED)
@@ -43,18 +43,18 @@ def take(delivery: Delivery, inbox: Path, places: Places, keep: int) -> dict[str
     return {"name": delivery.name, "bytes": size, "to": str(delivery.target), "replaced": moved}
 
 
-def _there(delivery: Delivery, places: Places) -> list[Path]:
+def _there(delivery: InboxDelivery, sources: SourceDirectories) -> list[Path]:
     """The strip's files in the survey: sources of the same stem, points first, and their waveforms."""
     head = delivery.files[-1]
     same = [p for p in sorted(delivery.target.iterdir()) if p.is_file() and p.stem.lower() == head.stem.lower()]
-    heads = [p for p in same if p.suffix.lower() in WAVEFORM_ENDINGS and (places.finds(p) or p.name == head.name)]
+    heads = [p for p in same if p.suffix.lower() in WAVEFORM_ENDINGS and (sources.finds(p) or p.name == head.name)]
     return heads + [p for p in same if p.suffix.lower() in WAVES]
 
 
-def _ahead(delivery: Delivery, places: Places) -> set[str]:
+def _ahead(delivery: InboxDelivery, sources: SourceDirectories) -> set[str]:
     """Waveforms that lie in the survey without points: they came by a move that was cut off, and belong to the delivery
     where it has none itself."""
-    there = _there(delivery, places)
+    there = _there(delivery, sources)
     if any(p.suffix.lower() in WAVEFORM_ENDINGS for p in there) or len(delivery.files) > 1:
         return set()
     return {p.name for p in there}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.errors import InputError
 from fwclass.formats.las_header import Header
-from fwclass.operate.schedule.places import WAVES, Places
+from fwclass.operate.schedule.source_directories import WAVES, SourceDirectories
 from fwclass.operate.schedule.ticks import Now
 from fwclass.operate.schedule.watch import writers
 from fwclass.paths import WAVEFORM_ENDINGS, name_fault
@@ -35,7 +35,7 @@ Mark = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Delivery:
+class InboxDelivery:
     """A complete file and the waveforms that go with it. `files`: in the order in which they are moved."""
 
     name: str
@@ -57,7 +57,7 @@ class WaitingFile:
 class InboxState:
     """Files of the inbox that can be moved, and those that cannot."""
 
-    complete: tuple[Delivery, ...]
+    complete: tuple[InboxDelivery, ...]
     waiting: tuple[WaitingFile, ...]
 
 
@@ -69,7 +69,7 @@ class Inbox:
     """
 
     directory: Path
-    places: Places
+    sources: SourceDirectories
     params: ScheduleSection
     _since: dict[Path, tuple[Mark, float]] = field(default_factory=dict)
     _judged: dict[Path, tuple[tuple[Mark, ...], str]] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class Inbox:
         marks = _marks(self.directory)
         self._since = {p: self._first_seen(p, mark, now) for p, mark in marks.items()}
         self._judged = {p: known for p, known in self._judged.items() if p in marks}
-        complete: list[Delivery] = []
+        complete: list[InboxDelivery] = []
         waiting: list[WaitingFile] = []
         for path in sorted(marks):
             if path.suffix in self.params.markers:
@@ -90,7 +90,7 @@ class Inbox:
                     waiting.append(WaitingFile(path.name, "its file of points or pulses is not there"))
                 continue
             file = self._judge(path, marks, now)
-            if isinstance(file, Delivery):
+            if isinstance(file, InboxDelivery):
                 complete.append(file)
             else:
                 waiting.append(file)
@@ -99,7 +99,7 @@ class Inbox:
         waiting += [WaitingFile(n, f"process {pid} has it open for writing", changing=True) for n, pid in busy.items()]
         return InboxState(tuple(d for d in complete if d.name not in busy), tuple(waiting))
 
-    def ready(self, look: InboxState, now: Now) -> tuple[Delivery, ...]:
+    def ready(self, look: InboxState, now: Now) -> tuple[InboxDelivery, ...]:
         """The complete ones, once no other is on its way, or after `hold` seconds at most."""
         if not look.complete:
             self._waiting_since = None
@@ -113,10 +113,10 @@ class Inbox:
         known = self._since.get(path)
         return known if known is not None and known[0] == mark else (mark, now.steady)
 
-    def _judge(self, head: Path, marks: dict[Path, Mark], now: Now) -> Delivery | WaitingFile:
+    def _judge(self, head: Path, marks: dict[Path, Mark], now: Now) -> InboxDelivery | WaitingFile:
         if head.suffix.lower() in self.params.partial:
             return WaitingFile(head.name, "it has the name of an upload that goes on (schedule.partial)")
-        target = self.places.of(head.name)
+        target = self.sources.of(head.name)
         if target is None:
             return WaitingFile(head.name, "survey.sources finds no file of this name; it stays here")
         if fault := name_fault(head.stem):  # every run after it would be refused
@@ -137,7 +137,7 @@ class Inbox:
         fault = self._judged[head][1]
         if fault:
             return WaitingFile(head.name, fault)
-        return Delivery(head.name, files, markers, self.places.home(head.name, target))
+        return InboxDelivery(head.name, files, markers, self.sources.home(head.name, target))
 
 
 def _marks(directory: Path) -> dict[Path, Mark]:

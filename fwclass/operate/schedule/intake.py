@@ -9,8 +9,8 @@ from typing import Any
 
 from fwclass.errors import LockedError
 from fwclass.operate.schedule.delivery import take
-from fwclass.operate.schedule.inbox import Delivery, Inbox
-from fwclass.operate.schedule.state import State
+from fwclass.operate.schedule.inbox import Inbox, InboxDelivery
+from fwclass.operate.schedule.state import ScheduleState
 from fwclass.operate.schedule.ticks import Now, now
 from fwclass.operate.schedule.watch import Watch
 from fwclass.store.lock import writer
@@ -22,7 +22,7 @@ class Intake:
 
     inbox: Inbox
     root: Path
-    state: State
+    state: ScheduleState
     say: Callable[[str], None]
     _reasons: dict[str, str] = field(default_factory=dict)
     _trouble: str = ""
@@ -40,7 +40,7 @@ class Intake:
             self.say(f"{', '.join(names)}: changed after the move into the survey: run again")
             self.state.owed = sorted({*self.state.owed, *names})
 
-    def deliveries(self, moment: Now) -> tuple[Delivery, ...]:
+    def deliveries(self, moment: Now) -> tuple[InboxDelivery, ...]:
         """Those that are complete and wait for no other."""
         try:
             look = self.inbox.look(moment)
@@ -57,7 +57,7 @@ class Intake:
         self._reasons = reasons
         return self.inbox.ready(look, moment)
 
-    def deliver(self, deliveries: tuple[Delivery, ...]) -> list[dict[str, Any]]:
+    def deliver(self, deliveries: tuple[InboxDelivery, ...]) -> list[dict[str, Any]]:
         """Move files into the survey while no run reads it, and owe their run; the facts of those that were moved.
 
         What cannot be moved stays and is told: the next look tries again.
@@ -87,8 +87,8 @@ class Intake:
         self._tell_trouble("; ".join(f"{name}: {why}" for name, why in stuck.items()))
         return moved
 
-    def _take(self, delivery: Delivery) -> dict[str, Any]:
-        facts = take(delivery, self.inbox.directory, self.inbox.places, self.inbox.params.keep_replaced)
+    def _take(self, delivery: InboxDelivery) -> dict[str, Any]:
+        facts = take(delivery, self.inbox.directory, self.inbox.sources, self.inbox.params.keep_replaced)
         self._watch.begin(delivery.target / path.name for path in delivery.files)
         replaced = ""
         if facts["replaced"]:

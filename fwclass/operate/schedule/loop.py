@@ -18,10 +18,10 @@ from fwclass.operate.history import REFUSED, Entry, past_run, utc, why_not, word
 from fwclass.operate.request import Request
 from fwclass.operate.schedule import notify, state
 from fwclass.operate.schedule.child import Child, Signals
-from fwclass.operate.schedule.inbox import Delivery, Inbox
+from fwclass.operate.schedule.inbox import Inbox, InboxDelivery
 from fwclass.operate.schedule.intake import Intake
-from fwclass.operate.schedule.places import places_of
-from fwclass.operate.schedule.state import State
+from fwclass.operate.schedule.source_directories import source_directories_of
+from fwclass.operate.schedule.state import ScheduleState
 from fwclass.operate.schedule.ticks import Cron, Interval, Now, Ticks, now
 from fwclass.store import history
 from fwclass.store.lock import SCHEDULE
@@ -42,7 +42,7 @@ class Order:
     """A run that is due: why, and what is delivered before it begins."""
 
     trigger: str
-    deliveries: tuple[Delivery, ...] = ()
+    deliveries: tuple[InboxDelivery, ...] = ()
     tick: str | None = None
 
 
@@ -93,7 +93,7 @@ class Schedule:
             )
         with locked(self.location, self._say, SCHEDULE) as (location, self._held), self.signals:
             params = self.config.schedule
-            self._state = State(location, rules(self.config), params.heartbeat, params.look, self._say)
+            self._state = ScheduleState(location, rules(self.config), params.heartbeat, params.look, self._say)
             self._state.resume()
             if inbox is not None and isinstance(location, Path):
                 self._intake = Intake(inbox, location, self._state, self._say)
@@ -140,7 +140,7 @@ class Schedule:
         look = self.config.schedule.look
         return look if self._ticks is None else min(look, self._ticks.wait(moment))
 
-    def _deliveries(self, moment: Now) -> tuple[Delivery, ...]:
+    def _deliveries(self, moment: Now) -> tuple[InboxDelivery, ...]:
         return () if self._intake is None else self._intake.deliveries(moment)
 
     def _due(self, moment: Now) -> Order | None:
@@ -267,7 +267,7 @@ def inbox_of(config: Config, location: RunLocation) -> Inbox | None:
     directory = (config.path.parent / params.inbox).resolve()
     if not directory.is_dir():
         raise ConfigError("the inbox is no directory", where="schedule.inbox", got=directory, do="make it first")
-    return Inbox(directory, places_of(config, directory), params)
+    return Inbox(directory, source_directories_of(config, directory), params)
 
 
 def ticks_of(config: Config, last: float | None, moment: Now) -> Ticks | None:

@@ -27,7 +27,7 @@ WAITING, RUNNING, STOPPED = "waiting", "running", "stopped"
 
 
 @dataclass
-class State:
+class ScheduleState:
     """What is written; replaced as a whole, so that a reader sees one state or the next.
 
     Attributes

@@ -22,7 +22,7 @@ def differs(stored: NDArray, now: NDArray) -> NDArray[np.bool_]:
 
 
 @dataclass
-class Column:
+class ColumnDifference:
     """Differences of one column: how many, how many of these with a value on one side only, and the worst."""
 
     differ: int = 0
@@ -58,7 +58,7 @@ class Seam:
     listed: int
     rows: int = 0
     differ: int = 0
-    columns: dict[str, Column] = field(default_factory=dict)
+    columns: dict[str, ColumnDifference] = field(default_factory=dict)
     at: dict[str, tuple[int, int]] = field(default_factory=dict)
     examples: list[dict[str, Any]] = field(default_factory=list)
 
@@ -68,7 +68,7 @@ class Seam:
         wrong = np.zeros(rows, bool)
         for name, values in now.items():
             off = differs(stored[name], values)
-            self.columns.setdefault(name, Column()).add(stored[name], values, off)
+            self.columns.setdefault(name, ColumnDifference()).add(stored[name], values, off)
             wrong |= off
             self._list(part, name, stored[name], values, off, place)
         self.rows += rows

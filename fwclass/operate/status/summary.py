@@ -8,7 +8,7 @@ from typing import Any
 
 from fwclass.errors import first_few
 from fwclass.operate.request import Request
-from fwclass.operate.status.walk import STANDINGS, RunStatus, State
+from fwclass.operate.status.walk import STANDINGS, PartState, RunStatus
 from fwclass.run.libraries import by_libraries, text_of
 from fwclass.run.part import Name
 from fwclass.store.libraries import fingerprint
@@ -44,7 +44,7 @@ def as_data(looked: RunStatus, request: Request, writer: Mapping[str, Any] | Non
     }
 
 
-def _part(state: State, request: Request) -> dict[str, Any]:
+def _part(state: PartState, request: Request) -> dict[str, Any]:
     plain: dict[str, Any] = {"stage": state.stage, "part": state.part, "status": state.standing}
     if state.standing != "done":
         plain |= {"why": [r.text for r in state.reasons], "waits": state.waits, "message": state.message}
@@ -53,7 +53,7 @@ def _part(state: State, request: Request) -> dict[str, Any]:
     return plain
 
 
-def _counts(states: Mapping[Name, State]) -> dict[str, dict[str, int]]:
+def _counts(states: Mapping[Name, PartState]) -> dict[str, dict[str, int]]:
     counts: dict[str, dict[str, int]] = {}
     for state in states.values():
         row = counts.setdefault(state.stage, {"parts": 0, **dict.fromkeys(STANDINGS, 0)})
@@ -106,7 +106,7 @@ def as_text(looked: RunStatus, request: Request, writer: Mapping[str, Any] | Non
 
 def _grouped(looked: RunStatus) -> list[str]:
     """Parts of one stage that are not done for the same kinds of reasons, in one entry."""
-    groups: dict[tuple[str, ...], list[State]] = {}
+    groups: dict[tuple[str, ...], list[PartState]] = {}
     for s in looked.states.values():
         if s.standing not in ("done", "failed"):
             groups.setdefault((s.stage, s.standing, *(r.kind for r in s.reasons)), []).append(s)

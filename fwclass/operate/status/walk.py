@@ -27,7 +27,7 @@ STANDINGS: tuple[Standing, ...] = ("done", "stale", "missing", "running", "faile
 
 
 @dataclass(frozen=True)
-class State:
+class PartState:
     """How one part stands: `reasons` say why it is not done, `message` what it said when it failed."""
 
     stage: str
@@ -68,7 +68,7 @@ class StatusWalk(Runner):
     def __init__(self, location: RunLocation, accept_libraries: bool = False) -> None:
         store = open_store(location, read_only=True, lists=True)
         super().__init__(location, Loop(), Silent(), accept_libraries=accept_libraries, seen=store)
-        self.states: dict[Name, State] = {}
+        self.states: dict[Name, PartState] = {}
         self.tasks: dict[Name, Task] = {}
         self._waits: dict[Name, str] = {}  # what is not done, with its standing
         self.libraries: Counter[str] = Counter()  # receipts by their `libraries`
@@ -123,25 +123,25 @@ class StatusWalk(Runner):
     def finish(self, whole: bool) -> None:
         pass
 
-    def _state(self, task: Task) -> State:
+    def _state(self, task: Task) -> PartState:
         task = replace(task, any_libraries=self.accept_libraries)
         late = {n: self._waits[n] for n in task.needs if n in self._waits}
         inputs = None if late else input_digests(task, self.store)
         key = "" if inputs is None else key_of(task.stage, task.version, task.params, inputs)
         come = self._come(task)
         if key and not come and holds(task, self.store, key):
-            return State(*task.name, "done")
+            return PartState(*task.name, "done")
         failure, failed_at = self._failures.get(task.name, (None, 0.0))
         if self._begun.get(task.name, 0.0) > failed_at:
-            return State(*task.name, "running")
+            return PartState(*task.name, "running")
         if failure is not None and failure.key == key:
-            return State(*task.name, "failed", message=failure.message)
+            return PartState(*task.name, "failed", message=failure.message)
         receipt = self.store.receipt(*task.name)
         before = [] if failure is None else [same("it failed before, from other inputs or parameters")]
         if receipt is None:
-            return State(*task.name, "missing", tuple(waiting(late) + new_files(task) + before))
+            return PartState(*task.name, "missing", tuple(waiting(late) + new_files(task) + before))
         why = come if key and come else come + reasons(task, receipt, self.store, self._waits)
-        return State(*task.name, "stale", tuple(why + before))
+        return PartState(*task.name, "stale", tuple(why + before))
 
     def digest(self) -> str:
         """That of a delivery of the parts that are there."""
@@ -168,7 +168,7 @@ class RunStatus:
     digest of a delivery of all parts."""
 
     store: Store
-    states: dict[Name, State]
+    states: dict[Name, PartState]
     tasks: dict[Name, Task]
     ends: str | None
     libraries: Mapping[str, int]

@@ -12,7 +12,7 @@ import yaml
 
 from fwclass import __version__, conf
 from fwclass.errors import ConfigError
-from fwclass.graph.ground_trial import Trial, halves, ranges_of, search_halves, start_of
+from fwclass.graph.ground_trial import FilterTrial, halves, ranges_of, search_halves, start_of
 from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.search import Setting, most_runs
 from fwclass.ground.tuning_params import GroundSearchParams, Values
@@ -76,7 +76,7 @@ def optimize(
     truth, shown = labels_of(cloud, reference), shown_points(cloud)
     seen = shown & ~filter_cloud(cloud, shown, params).noise
     half = halves(cloud.x, cloud.y, cloud.usable)
-    trial = Trial((cloud.x, cloud.y, cloud.z), cloud.last, seen, half, truth, params, ranges)
+    trial = FilterTrial((cloud.x, cloud.y, cloud.z), cloud.last, seen, half, truth, params, ranges)
     start = start_of(params, ranges)
     runs = 3 * most_runs(ranges, limits)
     tell(f"{params.method}: how long a run takes")
@@ -97,7 +97,7 @@ def optimize(
     return plain
 
 
-def _search(trial: Trial, start: Setting, limits: GroundSearchParams) -> dict[str, Any]:
+def _search(trial: FilterTrial, start: Setting, limits: GroundSearchParams) -> dict[str, Any]:
     """What `search_halves` finds, and the words for whichever parameters are recommended."""
     searches = search_halves(trial, start, limits)
     better = (searches["held_out"]["kappa"] or -1.0) > (searches["start"]["kappa"] or -1.0)
@@ -178,7 +178,7 @@ def _ends(ranges: dict[str, Values]) -> tuple[Setting, Setting]:
     return tuple(v[0] for v in ranges.values()), tuple(v[-1] for v in ranges.values())
 
 
-def _time_run(trial: Trial, setting: Setting) -> float:
+def _time_run(trial: FilterTrial, setting: Setting) -> float:
     """Seconds of one run; the filter has run before, so that nothing is compiled."""
     began = time.perf_counter()
     trial.matrices(setting)

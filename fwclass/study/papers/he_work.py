@@ -11,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.graph.ground_trial import Places, Trial, halves, ranges_of, search_halves, start_of, truth_of, with_values
+from fwclass.graph.ground_trial import (
+    FilterTrial,
+    Places,
+    halves,
+    ranges_of,
+    search_halves,
+    start_of,
+    truth_of,
+    with_values,
+)
 from fwclass.grid import Window
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.measure import measure
@@ -46,7 +55,7 @@ def judge_filter(
     seen[rows] = ~ground_by_blocks(*_some(places, rows), cloud.last[rows], params).noise
     ranges = ranges_of(params, limits)
     start = start_of(params, ranges)
-    trial = Trial(places, cloud.last, seen, halves(cloud.x, cloud.y, cloud.usable), truth, params, ranges)
+    trial = FilterTrial(places, cloud.last, seen, halves(cloud.x, cloud.y, cloud.usable), truth, params, ranges)
     searches = search_halves(trial, start, limits)
     began = time.thread_time()
     ground_by_blocks(*_some(places, rows), cloud.last[rows], params)

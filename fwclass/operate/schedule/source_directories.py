@@ -18,7 +18,7 @@ WAVES = frozenset(ending for endings in WAVEFORM_ENDINGS.values() for ending in 
 
 
 @dataclass(frozen=True)
-class Places:
+class SourceDirectories:
     """Directories of a survey's sources.
 
     `patterns`: of survey.sources, absolute; `into`: the directory that was asked for, or None.
@@ -52,7 +52,7 @@ class Places:
         return any(path_matches(path.parts, PurePath(p).parts) for p in self.patterns)
 
 
-def places_of(config: Config, inbox: Path) -> Places:
+def source_directories_of(config: Config, inbox: Path) -> SourceDirectories:
     """Of the sources of `config`.
 
     Raises
@@ -81,7 +81,7 @@ def places_of(config: Config, inbox: Path) -> Places:
                 expected=f"a directory that {pattern} does not reach",
                 do="choose another inbox",
             )
-    return Places(patterns, into)
+    return SourceDirectories(patterns, into)
 
 
 def _wild(part: str) -> bool:
