@@ -35,6 +35,7 @@ MAX_NUMBER = 1 << 62
 
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""x, y, z [m] of echoes or of points of a cloud; NaN where one has no place."""
 
 
 @dataclass(frozen=True)

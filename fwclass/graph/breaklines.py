@@ -12,8 +12,9 @@ from pyproj import CRS
 
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
-from fwclass.graph.water import Points, near_echoes
+from fwclass.graph.water import near_echoes
 from fwclass.grid import Box, quantise
+from fwclass.neighbours import Points
 from fwclass.read.polygons import open_polygons, read_lines, reproject
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays

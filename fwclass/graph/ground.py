@@ -24,7 +24,8 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.raster.lattice import cells_of
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground, last_of
 from fwclass.ground.terrain.params import TerrainParams
-from fwclass.ground.terrain.terrain import FLATTENED, NO_TERRAIN, ON_BREAKLINE, Points, terrain
+from fwclass.ground.terrain.terrain import FLATTENED, NO_TERRAIN, ON_BREAKLINE, terrain
+from fwclass.neighbours import Points
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table, column

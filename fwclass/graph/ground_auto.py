@@ -10,11 +10,12 @@ import numpy as np
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Tile, TileGrid
-from fwclass.ground.auto import Points, adapt_square, lowest_points
+from fwclass.ground.auto import adapt_square, lowest_points
 from fwclass.ground.measure import WIDEST
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import last_of
 from fwclass.ground.tuning_params import GroundAutoParams, largest_halo, with_values
+from fwclass.neighbours import Points
 from fwclass.run.part import Name
 from fwclass.waveforms import IMPLAUSIBLE
 

@@ -22,7 +22,8 @@ from fwclass.grid import Box, Tile, TileGrid, Window, draw_order
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground
 from fwclass.ground.terrain.params import TerrainParams
-from fwclass.ground.terrain.terrain import Points, terrain
+from fwclass.ground.terrain.terrain import terrain
+from fwclass.neighbours import Points
 from fwclass.schema import Table
 from fwclass.waveforms import IMPLAUSIBLE
 

@@ -16,6 +16,7 @@ from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.search import Setting, curves, search
 from fwclass.ground.tuning_params import GroundSearchParams, Values
+from fwclass.neighbours import Points
 
 NAMES = ("ground", "other")
 """Classes of the confusion matrices."""
@@ -24,7 +25,6 @@ UNSCORED = (0, 7, 18, 65, 66)
 """Class codes that are no reference: never classified, noise, artefacts, synthetic points."""
 
 Matrix = NDArray[np.int64]
-Places = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def truth_of(classes: NDArray[np.uint8] | None, known: NDArray[np.bool_]) -> NDArray[np.int8]:
@@ -58,7 +58,7 @@ class FilterTrial:
 
     def __init__(
         self,
-        places: Places,
+        places: Points,
         last: NDArray[np.bool_],
         seen: NDArray[np.bool_],
         half: NDArray[np.int8],
@@ -70,7 +70,7 @@ class FilterTrial:
         which the search does not look for again, it does not), which `half` they lie in, and the `truth`."""
         rows = np.flatnonzero(seen)
         x, y, z = places
-        self.points: Places = x[rows], y[rows], z[rows]
+        self.points: Points = x[rows], y[rows], z[rows]
         self.last = last[rows]
         self.rows, self.truth, self.half = rows, truth, half
         quiet = params.noise.model_copy(update={"low": False, "high": False, "sigma_rule": False})

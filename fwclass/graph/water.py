@@ -15,6 +15,7 @@ from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Window, joint_box, millimetres
 from fwclass.ground.stage import TERRAIN
 from fwclass.label.polygons import Polygons, owners
+from fwclass.neighbours import Points
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
 from fwclass.survey.shape_files import read_as, read_shapes, source_of
@@ -29,9 +30,6 @@ NAMED = 5
 
 STANDING, WORTH = 2, 100
 """m above the level from which an echo stands on something, and echoes of a body from which their share is told."""
-
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-"""x, y, z [m]."""
 
 
 def bodies_at(polygons: Polygons, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -23,8 +23,7 @@ from fwclass.ground.methods.noise import noise
 from fwclass.ground.params import GroundParams
 from fwclass.ground.raster.lattice import cells_of, window_over
 from fwclass.ground.tuning_params import GroundAutoParams, with_values
-
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+from fwclass.neighbours import Points
 
 PRINCIPLES: dict[str, set[str]] = {
     "ptd": {"tin"},

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Box, Window, millimetres, whole_millimetres
+from fwclass.neighbours import Points
 
 CELL = 2.0
 """m, edge of the cells whose highest points are compared."""
@@ -44,9 +45,6 @@ class CloudOffset:
     edge: bool
     least: float
     unmoved: float
-
-
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def compare_heights(echoes: Points, cloud: Points, box: Box) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -15,6 +15,7 @@ from fwclass.assess.objects import ObjectCells, cells_across, count_objects, obj
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.grid import quantise
 from fwclass.model import ClassDef
+from fwclass.neighbours import Points
 from fwclass.read.cloud import FAR
 from fwclass.read.source import open_source
 from fwclass.read.stage import read_cloud
@@ -22,7 +23,7 @@ from fwclass.read.text import is_text, read_text
 from fwclass.schema import Table
 from fwclass.single_file import likeness
 from fwclass.single_file.likeness import SAID_FROM, Likeness
-from fwclass.single_file.pairing import Places, pairs
+from fwclass.single_file.pairing import pairs
 from fwclass.store.atomic import file_digest
 from fwclass.store.unchanged import unchanged
 
@@ -244,5 +245,5 @@ def _classes(
     return classes, own[answered]
 
 
-def _places(cloud: Table) -> Places:
+def _places(cloud: Table) -> Points:
     return cloud["x"], cloud["y"], cloud["z"]

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from fwclass.errors import first_few, refuse_unsound
 from fwclass.formats.crs import epsg_of
-from fwclass.single_file.pairing import Places
+from fwclass.neighbours import Points
 
 SHIFTED, ALIKE = 0.1, 0.05
 """m: two clouds are shifted against each other by more, if half of their pairs are as far apart, to this."""
@@ -57,7 +57,7 @@ class Likeness:
         cls,
         names: tuple[str, str],
         systems: tuple[Any, Any],
-        clouds: tuple[Places, Places],
+        clouds: tuple[Points, Points],
         rows: NDArray[np.int64],
         codes: NDArray[np.uint8],
         same: bool,
@@ -83,7 +83,7 @@ class Likeness:
         return self.alike >= 0.5 and float(np.linalg.norm(self.offset)) > SHIFTED
 
 
-def _ambiguous(cloud: Places, codes: NDArray[np.uint8]) -> int:
+def _ambiguous(cloud: Points, codes: NDArray[np.uint8]) -> int:
     order = np.lexsort((codes, *cloud))
     same = np.logical_and.reduce([np.diff(a[order]) == 0 for a in cloud])
     return int((same & (np.diff(codes[order].astype(np.int64)) != 0)).sum())

@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.neighbours import nearest_within
-
-Places = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-"""x, y, z [m] of a cloud; NaN where a point has no place."""
+from fwclass.neighbours import Points, nearest_within
 
 SAME_POINT = 0.002
 """Two clouds are in the same order if no pair of points is further apart than this [m]."""
 
 
-def pairs(mine: Places, others: Places, limit: float) -> NDArray[np.int64]:
+def pairs(mine: Points, others: Points, limit: float) -> NDArray[np.int64]:
     """Row of `others` for every row of `mine`, -1 if none; points without coordinates have none.
 
     Point by point where both are in the same order, otherwise the nearest point within `limit` [m].
@@ -30,7 +27,7 @@ def pairs(mine: Places, others: Places, limit: float) -> NDArray[np.int64]:
     return out
 
 
-def _of(places: Places, rows: NDArray[np.int64]) -> Places:
+def _of(places: Points, rows: NDArray[np.int64]) -> Points:
     x, y, z = places
     return x[rows], y[rows], z[rows]
 

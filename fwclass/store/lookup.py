@@ -20,6 +20,7 @@ from fwclass.store.objects import Mark, StoredObject
 from fwclass.store.receipts import Receipt
 
 Name = tuple[str, str]
+"""(stage, part)."""
 RECEIPT = "receipt.json"
 AT_A_TIME = 256
 """Receipts that are fetched together."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.neighbours import nearest_within
-
-Places = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+from fwclass.neighbours import Points, nearest_within
 
 DOUBLINGS = 5
 """The search begins at reach / 2^5 and doubles: most echoes are near to a sampled one, and a narrow search is quick."""
 
 
-def index_of_followed(points: Places, sampled: NDArray[np.bool_], reach: float) -> NDArray[np.int64]:
+def index_of_followed(points: Points, sampled: NDArray[np.bool_], reach: float) -> NDArray[np.int64]:
     """For each of `points` the place, among the sampled ones, of the one that it follows: a sampled one itself.
 
     -1 where none is within `reach` [m].
@@ -26,7 +24,7 @@ def index_of_followed(points: Places, sampled: NDArray[np.bool_], reach: float) 
     return places
 
 
-def follow(points: Places, sampled: Places, reach: float) -> NDArray[np.int64]:
+def follow(points: Points, sampled: Points, reach: float) -> NDArray[np.int64]:
     """For each of `points` (x, y, z) [m] the row of the nearest of `sampled` within `reach` [m], -1 if none.
 
     Exact; of equally near ones the one whose cell of the global grid comes first, then the lower row.

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.kernel import kernel
-from fwclass.neighbours import CROWDED, sort_by_cell
+from fwclass.neighbours import CROWDED, Points, sort_by_cell
 
 AT_A_TIME = 10_000
 """Points that one call looks from: between two calls an interrupt is heeded."""
 
 TIES = 8
 """So many of the nearest are looked at for those at one distance; where all of them are, for all."""
-
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def nearest_height(ground: Points, places: Points, window: Window, max_gap: float) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.roughness import roughness
 from fwclass.ground.terrain.thinning import thin_points
 from fwclass.ground.tin.tin import tin_of
+from fwclass.neighbours import Points
 
 MEASURED, INTERPOLATED, BEYOND = 0, 1, 2
 """Values of the raster `support`."""
@@ -29,9 +30,6 @@ NO_TERRAIN, ON_ECHOES, BETWEEN, CONTINUED, FLATTENED, ON_BREAKLINE = range(6)
 
 PYRAMID = 64
 """Cells of the coarse global grid that the membrane's pyramid hangs on."""
-
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-"""x, y, z [m]."""
 
 
 @dataclass(frozen=True)

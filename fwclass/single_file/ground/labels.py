@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.graph.ground_trial import truth_of
+from fwclass.neighbours import Points
 from fwclass.read.cloud import PointCloud, read_point_cloud
-from fwclass.single_file.pairing import Places, pairs
+from fwclass.single_file.pairing import pairs
 
 
 def labels_of(cloud: PointCloud, reference: Path | None = None) -> NDArray[np.int8]:
@@ -44,7 +45,7 @@ def _from_file(cloud: PointCloud, reference: Path) -> NDArray[np.uint8] | None:
     return np.where(rows >= 0, other.classes[rows], 0).astype(np.uint8)
 
 
-def _places(cloud: PointCloud) -> Places:
+def _places(cloud: PointCloud) -> Points:
     """Coordinates, NaN for points that cannot be used."""
     x, y, z = (np.where(cloud.usable, a, np.nan) for a in (cloud.x, cloud.y, cloud.z))
     return x, y, z

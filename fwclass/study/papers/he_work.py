@@ -11,16 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.graph.ground_trial import (
-    FilterTrial,
-    Places,
-    halves,
-    ranges_of,
-    search_halves,
-    start_of,
-    truth_of,
-    with_values,
-)
+from fwclass.graph.ground_trial import FilterTrial, halves, ranges_of, search_halves, start_of, truth_of, with_values
 from fwclass.grid import Window
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.measure import measure
@@ -28,6 +19,7 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.tuning_params import GroundSearchParams
+from fwclass.neighbours import Points
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
@@ -101,13 +93,13 @@ def _labelled(cloud: PointCloud) -> tuple[NDArray[np.int8], NDArray[np.bool_], N
     return truth, shown, np.flatnonzero(shown)
 
 
-def _some(places: Places, rows: NDArray[np.int64]) -> Places:
+def _some(places: Points, rows: NDArray[np.int64]) -> Points:
     x, y, z = places
     return x[rows], y[rows], z[rows]
 
 
 def _write_terrain(
-    places: Places,
+    places: Points,
     rows: NDArray[np.int64],
     ground: NDArray[np.bool_],
     noise: NDArray[np.bool_],
