@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Tile
-from fwclass.schema import Table
+from fwclass.schema import Table, canonical_key
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,14 @@ class Chunk:
     table: Table
     core: NDArray[np.int64]
     tile: Tile
+
+    @classmethod
+    def of(cls, rows: Table, core: slice | NDArray[np.bool_], tile: Tile) -> Chunk:
+        """A chunk of `rows` in any order, those of the tile (`core`) in the tile's."""
+        order = np.argsort(canonical_key(rows), kind="stable")
+        index = np.empty(rows.rows, np.int64)
+        index[order] = np.arange(rows.rows)
+        return cls(rows.take(order), index[core], tile)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import DamagedError, StoreError
 from fwclass.grid import Box, Tile, TileGrid
-from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.schema import IDENTITY, Table
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
 from fwclass.store.kept import groups_touching, read_kept, rows_of_groups
@@ -190,11 +190,7 @@ class PartInputs:
             for other in TileGrid(tile.size, tile.origin).touching(box):
                 if other.key != tile.key and other.key in here:
                     parts.append(self.rows(other.key, wanted, box).select(wanted))
-        table = Table.concat(parts)
-        order = np.argsort(canonical_key(table), kind="stable")
-        place = np.empty(table.rows, np.int64)
-        place[order] = np.arange(table.rows)
-        return Chunk(table.take(order), place[: core.rows], tile)
+        return Chunk.of(Table.concat(parts), slice(core.rows), tile)
 
     def chunks(
         self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]
@@ -222,11 +218,7 @@ class PartInputs:
                         mine = _piece(tile, self.split, table["x"], table["y"]) == k
                     core = np.concatenate([core, mine])
                     parts.append(table)
-            table = Table.concat(parts)
-            order = np.argsort(canonical_key(table), kind="stable")
-            place = np.empty(table.rows, np.int64)
-            place[order] = np.arange(table.rows)
-            yield rows, Chunk(table.take(order), place[core], tile)
+            yield rows, Chunk.of(Table.concat(parts), core, tile)
 
     def runs_of_rows(self, part: str, columns: Mapping[str, str]) -> Iterator[Table]:
         """A tile's columns as `rows` gives them; in pieces, row group by row group and each in `split` cuts."""

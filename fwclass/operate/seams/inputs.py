@@ -84,10 +84,7 @@ class StripInputs(PartInputs):
             around = self.tiles.inside(tile.box.grown(halo), columns).select(wanted)
             others = ~np.isin(canonical_key(around), canonical_key(own))
             table = Table.concat([own, around.take(others)])
-        order = np.argsort(canonical_key(table), kind="stable")
-        place = np.empty(table.rows, np.int64)
-        place[order] = np.arange(table.rows)
-        return Chunk(table.take(order), place[: own.rows], tile)
+        return Chunk.of(table, slice(own.rows), tile)
 
 
 @dataclass(frozen=True)
