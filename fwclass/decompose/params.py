@@ -143,6 +143,8 @@ class PlausibilityParams(Params):
     max_downward : share of the waveforms whose echoes point downward.
     max_floored : share of the waveforms a quarter of whose samples are 0, as if their level had been taken off.
     max_swapped : share of the waveforms whose samples are smooth with their two bytes exchanged alone.
+    max_recurring : share of the waveforms with echoes that have one no scene makes: always as long behind the highest
+        one and as high beside it, or always at one place of the record and as high.
     max_unlike : share of neighbouring returns the stronger of which has the lower echo.
     max_misplaced : share of neighbouring returns of one pulse that do not lie apart as their locations in time do.
     max_repeated : share of the survey's echoes that have place and time of another.
@@ -165,6 +167,7 @@ class PlausibilityParams(Params):
     max_downward: float = Field(ge=0.0, le=1.0)
     max_floored: float = Field(ge=0.0, le=1.0)
     max_swapped: float = Field(ge=0.0, le=1.0)
+    max_recurring: float = Field(ge=0.0, le=1.0)
     max_unlike: float = Field(ge=0.0, le=1.0)
     max_misplaced: float = Field(ge=0.0, le=1.0)
     max_repeated: float = Field(ge=0.0, le=1.0)

@@ -22,6 +22,7 @@ from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
 from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
 from fwclass.decompose.pulse_fit import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.recovery import recovered
+from fwclass.decompose.recurring import recurring_echoes
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
 from fwclass.units import SIGMA_PER_MAD
@@ -100,8 +101,10 @@ def measure_placement(
     sample, doubt = recovered(sample, params, pulse)
     fits = fit_waveforms(sample, params, pulse, doubt)
     if at_returns:
-        return Placement(_curves(sample, fits, params, pulse) if params.vendor_offset == "auto" else ())
-    return _outgoing(sample, fits, params, pulse, from_outgoing)
+        placement = Placement(_curves(sample, fits, params, pulse) if params.vendor_offset == "auto" else ())
+    else:
+        placement = _outgoing(sample, fits, params, pulse, from_outgoing)
+    return replace(placement, recurring=recurring_echoes(fits, pulse.fwhm, params.vendor_tolerance))
 
 
 def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> tuple[OffsetCurve, ...]:

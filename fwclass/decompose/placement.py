@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.fitting import Fits
+from fwclass.decompose.recurring import Recurring
 from fwclass.schema import Table
 
 Floats = NDArray[np.float64]
@@ -56,6 +57,7 @@ class Placement:
     evidence : why, in words; empty where nothing was recorded.
     places, ranges : roughness along the line as stored, and less the outgoing pulse's time [m]; None unknown.
     outgoing : pulses of the sample with a recorded outgoing pulse.
+    recurring : echoes of the sample that no scene makes.
     """
 
     curves: tuple[OffsetCurve, ...] = ()
@@ -65,6 +67,7 @@ class Placement:
     places: tuple[float, float] | None = None
     ranges: tuple[float, float] | None = None
     outgoing: int = 0
+    recurring: tuple[Recurring, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data that `from_json` reads."""
@@ -78,7 +81,8 @@ class Placement:
             for c in plain["curves"]
         )
         pairs = {name: None if plain[name] is None else tuple(plain[name]) for name in ("places", "ranges")}
-        return cls(**{**plain, **pairs, "curves": curves})
+        recurring = tuple(Recurring(**one) for one in plain["recurring"])
+        return cls(**{**plain, **pairs, "curves": curves, "recurring": recurring})
 
 
 AS_STORED = Placement()
@@ -104,7 +108,8 @@ def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], N
 
 
 def describe_placement(placement: Placement) -> dict[str, Any]:
-    """Facts for receipts and reports: ``vendor_offset``, channels with a curve, and ``outgoing_time``, or None."""
+    """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None, and
+    ``recurring`` echoes."""
     channels = [{**asdict(c), "heights": list(c.heights), "offsets": list(c.offsets)} for c in placement.curves]
     recorded = {
         "from_outgoing": placement.from_outgoing,
@@ -114,7 +119,11 @@ def describe_placement(placement: Placement) -> dict[str, Any]:
         "ranges_m": list(placement.ranges or ()),
         "pulses": placement.outgoing,
     }
-    return {"vendor_offset": channels, "outgoing_time": recorded if placement.outgoing else None}
+    return {
+        "vendor_offset": channels,
+        "outgoing_time": recorded if placement.outgoing else None,
+        "recurring": [asdict(one) for one in placement.recurring],
+    }
 
 
 def _of_channel(pulses: Table, curve: OffsetCurve) -> NDArray[np.bool_]:

@@ -328,5 +328,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=12)
-PLACES = Computation(name="places", version=5)
+PLACES = Computation(name="places", version=6)
 DECOMPOSE = Computation(name="decompose", version=17, writes=ECHO_COLUMNS)

@@ -64,15 +64,17 @@ def read_beam_rows(source: BeamSource, span: Span) -> Waveforms:
     top = np.full(len(rows), source.scaling.top, np.float32)
     good, lost = _first_channel(rows, pulse, good)
     faults |= lost
-    good = good[np.lexsort((rows.begin[good], pulse[good]))]
+    begin = _on_one_clock(rows.begin[good], rows.anchor[good], rows.step[good], pulse[good])
+    order = np.lexsort((begin, pulse[good]))
+    good, begin = good[order], begin[order]
     rows, pulse, top = rows.take(good), pulse[good], top[good]
     lasts = rows.samples.lengths * rows.spacing
     keep = np.empty(len(rows), np.bool_)
-    clear_of_last(pulse, rows.begin, rows.begin + lasts, SLACK * rows.spacing, keep)
+    clear_of_last(pulse, begin, begin + lasts, SLACK * rows.spacing, keep)
     if not keep.all():
         faults[OVERLAPPING] = int((~keep).sum())
-        rows, pulse, top, lasts = rows.take(keep), pulse[keep], top[keep], lasts[keep]
-    layout = join_rows(pulse, rows.begin, lasts, rows.spacing, top)
+        rows, pulse, top, lasts, begin = rows.take(keep), pulse[keep], top[keep], lasts[keep], begin[keep]
+    layout = join_rows(pulse, begin, lasts, rows.spacing, top)
     head = layout.head
     ends = np.searchsorted(layout.row, np.arange(len(head) + 1))
     outgoing, begins, bad = _outgoing(rows.take(head), source)
@@ -101,6 +103,17 @@ def read_beam_rows(source: BeamSource, span: Span) -> Waveforms:
         source.scaling.counts(outgoing.values),
         outgoing.offsets,
     )
+
+
+def _on_one_clock(
+    begin: NDArray[np.float64], anchor: NDArray[np.float64], step: NDArray[np.float64], pulse: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """`begin` of every row, (rows,) [ns] after the light passed its own `anchor`, (rows, 3) [m], on the clock of its
+    pulse's first row; `step` is the beam up, (rows, 3) [m/ns], `pulse` (rows,) in rising order."""
+    _, first, of = np.unique(pulse, return_index=True, return_inverse=True)
+    step = step[first][of]
+    along = ((anchor - anchor[first][of]) * step).sum(axis=1)
+    return np.asarray(begin - along / np.maximum((step**2).sum(axis=1), 1e-30))
 
 
 def _first_channel(

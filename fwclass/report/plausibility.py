@@ -12,6 +12,7 @@ from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
 from fwclass.errors import first_few, refuse_unsound
 from fwclass.read import beam_source, pls_waves
+from fwclass.report.recurring import ADVICE, recurring_facts, recurring_remarks
 from fwclass.units import LAND, METRES_PER_NS
 
 TOLD_FROM = 0.1
@@ -105,6 +106,7 @@ def strip_plausibility(
         "unmatched_returns_share": counts["returns_without_echo"] / returns if returns else None,
         **noise,
         "places": places,
+        **recurring_facts(places, counts, checked),
         "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
         "blank_share": counts["blank"] / counts["waveforms"] if counts["waveforms"] else None,
         "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
@@ -160,7 +162,7 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"{_part(some, 'poor', 'fitted', 'echoes')} are poorly fitted, misfit above "
             f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
         )
-    lines += pulse_remarks(strips)
+    lines += [*recurring_remarks(strips), *pulse_remarks(strips)]
     lines += _noise_remarks(strips, params)
     return [*filter(None, lines), *place_remarks(strips)]
 
@@ -349,6 +351,7 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
         ("misplaced", "misplaced", "returns do not lie where their times say", UNITS),
         ("swapped", "swapped", "waveforms have their samples' bytes exchanged", SWAP),
         ("poor", "poor", "fitted echoes fit poorly", SHAPES),
+        ("recurring", "recurring", "waveforms have an echo that no scene makes", ADVICE),
         ("implausible", "implausible", "echoes are implausible", LOOK),
         ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),
     )

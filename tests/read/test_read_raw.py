@@ -77,8 +77,10 @@ def test_floats_become_counts_that_change_nothing(tmp_path):
     assert dict(map(tuple, found["notes"]))["samples"].startswith("counted in steps of")
 
 
-def test_two_channels_and_segments(tmp_path):
-    """Rows of one pulse: of two channels the first counts, a second segment is added where it lies."""
+@pytest.mark.parametrize("own", [False, True])
+def test_two_channels_and_segments(tmp_path, own):
+    """Rows of one pulse: of two channels the first counts, a second segment is added where it lies, whether its time
+    counts from the first one's place or from its `own`."""
     truth, second = scene(pulses=300), scene(pulses=300, seed=9)
     a, later = truth.columns(), {}
     apart = 200.0
@@ -90,7 +92,7 @@ def test_two_channels_and_segments(tmp_path):
         b | {"pulse": np.arange(300), "channel": np.ones(300)},
         later | {"pulse": np.arange(300), "channel": np.zeros(300), "begin_ns": np.full(300, apart)},
     ]
-    parts[2] |= dict(zip("xyz", second.first.T, strict=True))
+    parts[2] |= {"begin_ns": np.zeros(300)} if own else dict(zip("xyz", second.first.T, strict=True))
     order = np.lexsort((np.repeat([0, 1, 2], 300), np.tile(np.arange(300), 3)))
     table = {
         n: np.concatenate([p.get(n, np.zeros(300)) for p in parts])[order]
@@ -101,7 +103,7 @@ def test_two_channels_and_segments(tmp_path):
     las, places, said = echoes(
         write_parquet(tmp_path / "a.parquet", table | {"samples": [rows[k] for k in order]}, TOLD)
     )
-    assert "second channel" in said and ": 300" in said
+    assert "second channel" in said and ": 300" in said and "left out: 300" in said and "before them" not in said
     near = off(las, places, truth)
     below = np.abs(near - apart * HALF_LIGHT) < 0.05
     assert (near < WITHIN).sum() >= 298 and below.sum() >= 298

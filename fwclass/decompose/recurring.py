@@ -1,0 +1,97 @@
+"""Echoes that no scene makes: in many waveforms one of the same share of the highest echo's height follows it, or goes
+before, by the same time, or one of the same height stands at the same place of the record.
+
+A receiver that rings, is overloaded or does not grow with the light, a pulse that has another shape in some waveforms,
+and crosstalk at a time of the receiver's own do so, in records of any format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.decompose.fitting import Fits
+
+Floats = NDArray[np.float64]
+
+BEHIND, IN_RECORD = "behind", "in record"
+"""What the time of recurring echoes counts from: the highest echo of their waveform, its first sample."""
+
+IN_WIDTHS, IN_HEIGHTS = 0.25, 0.35
+"""Edges of the cells in which echoes are counted: of time in pulse widths, of height in its natural logarithm."""
+
+ASIDE_IN_TIME, ASIDE_IN_HEIGHT = (3, 4, 5), (3, 4)
+"""How many cells away, to either side, echoes are counted that are like any others."""
+
+ABOVE = 3.0
+"""Times as many as there that may lie together by the scene: on three receivers 0.9 to 3.0 lie in the fullest cells,
+where the scene is even 1.3."""
+
+FEWEST = 30
+"""Echoes that lie together by chance."""
+
+
+@dataclass(frozen=True)
+class Recurring:
+    """Echoes that come again, beyond what the scene makes.
+
+    Attributes
+    ----------
+    of : `BEHIND` or `IN_RECORD`.
+    time : where they are [ns], negative: before the highest echo.
+    height : share of the highest echo's height; in the record [DN].
+    separate : so far from the highest echo that a vendor's return would be its own.
+    waveforms, share : that have one, and of those with echoes, both less `ABOVE` times the number beside.
+    """
+
+    of: str
+    time: float
+    height: float
+    separate: bool
+    waveforms: int
+    share: float
+
+
+def recurring_echoes(fits: Fits, fwhm: float, tolerance: float) -> tuple[Recurring, ...]:
+    """What comes again among the echoes of a strip's sample, of each kind at most one.
+
+    Parameters
+    ----------
+    fits : of the sample; every row is a waveform.
+    fwhm, tolerance : width of the pulse, and how far an echo may be from its return [ns].
+    """
+    waveforms = len(np.unique(fits.row))
+    order = np.lexsort((fits.time, -fits.amplitude, fits.row))
+    row, time, height = fits.row[order], fits.time[order], fits.amplitude[order]
+    highest = np.append(True, row[1:] != row[:-1])[: len(row)]
+    other = np.flatnonzero(~highest & (height > 0.0))
+    top = np.maximum.accumulate(np.where(highest, np.arange(len(row)), 0))[other]
+    kinds = ((BEHIND, time[other] - time[top], height[other] / height[top]), (IN_RECORD, time[other], height[other]))
+    told = []
+    for kind, at, high in kinds:
+        more, when, size = _crowded(at / (IN_WIDTHS * fwhm), np.log(high) / IN_HEIGHTS)
+        if more > 0:
+            when, size = when * IN_WIDTHS * fwhm, float(np.exp(size * IN_HEIGHTS))
+            separate = kind == IN_RECORD or abs(when) > tolerance
+            told.append(Recurring(kind, when, size, separate, more, more / waveforms))
+    return tuple(told)
+
+
+def _crowded(u: Floats, v: Floats) -> tuple[int, float, float]:
+    """(points, u, v) of the 2 x 2 cells of edge 1 that hold most, less `ABOVE` times those of the fuller side, and
+    their middle; no points where these are few."""
+    if len(u) < FEWEST:
+        return 0, 0.0, 0.0
+    cells = np.stack([np.floor(u), np.floor(v)], axis=1).astype(np.int64)
+    corners = np.concatenate([cells - (i, j) for i in (0, 1) for j in (0, 1)])
+    kinds, count = np.unique(corners, axis=0, return_counts=True)
+    counts = {(int(a), int(b)): int(n) for (a, b), n in zip(kinds, count, strict=True)}
+    at = int(np.argmax(count))
+    a, b, most = int(kinds[at, 0]), int(kinds[at, 1]), int(count[at])
+    sides = [[(a + way * d, b) for d in ASIDE_IN_TIME] for way in (-1, 1)]
+    sides += [[(a, b + way * d) for d in ASIDE_IN_HEIGHT] for way in (-1, 1)]
+    beside = max(sum(counts.get(cell, 0) for cell in side) / len(side) for side in sides)
+    more = int(most - ABOVE * beside)
+    return (more if most >= FEWEST else 0), a + 1.0, b + 1.0
