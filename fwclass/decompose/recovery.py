@@ -140,7 +140,7 @@ def _measure(channel: Channel, pulse: SystemPulse, waves: Waveforms, params: Dec
         over = ((residual + lower)[first] ** 2 - part.noise[first] ** 2).sum()
         share = math.sqrt(min(max(float(over / max((lower[first] ** 2).sum(), 1e-9)), 0.0), 1.0))
         doubt = np.where(part.near, (share * lower) ** 2, 0.0)
-    if gain < WORTH or depth <= 0.0:
+    if gain < WORTH or not 0.0 < depth < channel.clip:  # nothing swings further than its range
         return channel
     return replace(channel, recovery=time, recovery_depth=depth, recovery_doubt=share)
 

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.fitting import Fits
+from fwclass.decompose.pulse_fit import SATURATED
 
 Floats = NDArray[np.float64]
 
-BEHIND, IN_RECORD = "behind", "in record"
-"""What the time of recurring echoes counts from: the highest echo of their waveform, its first sample."""
+BEHIND, OVERLOADED, IN_RECORD = "behind", "overloaded", "in record"
+"""What the time of recurring echoes counts from: the highest echo of their waveform, one that is saturated, whose
+height is not known well enough to be a measure of theirs, or the first sample."""
 
 IN_WIDTHS, IN_HEIGHTS = 0.25, 0.35
 """Edges of the cells in which echoes are counted: of time in pulse widths, of height in its natural logarithm."""
@@ -39,9 +41,9 @@ class Recurring:
 
     Attributes
     ----------
-    of : `BEHIND` or `IN_RECORD`.
+    of : `BEHIND`, `OVERLOADED` or `IN_RECORD`.
     time : where they are [ns], negative: before the highest echo.
-    height : share of the highest echo's height; in the record [DN].
+    height : share of the highest echo's height; in the record [DN]; behind saturated ones 0.
     separate : so far from the highest echo that a vendor's return would be its own.
     waveforms, share : that have one, and of those with echoes, both less `ABOVE` times the number beside.
     """
@@ -68,12 +70,17 @@ def recurring_echoes(fits: Fits, fwhm: float, tolerance: float) -> tuple[Recurri
     highest = np.append(True, row[1:] != row[:-1])[: len(row)]
     other = np.flatnonzero(~highest & (height > 0.0))
     top = np.maximum.accumulate(np.where(highest, np.arange(len(row)), 0))[other]
-    kinds = ((BEHIND, time[other] - time[top], height[other] / height[top]), (IN_RECORD, time[other], height[other]))
+    after, full = time[other] - time[top], fits.flags[order][top] & SATURATED > 0
+    kinds = (
+        (BEHIND, after, np.log(height[other] / height[top])),
+        (OVERLOADED, after[full], np.zeros(int(full.sum()))),
+        (IN_RECORD, time[other], np.log(height[other])),
+    )
     told = []
     for kind, at, high in kinds:
-        more, when, size = _crowded(at / (IN_WIDTHS * fwhm), np.log(high) / IN_HEIGHTS)
+        more, when, size = _crowded(at / (IN_WIDTHS * fwhm), high / IN_HEIGHTS)
         if more > 0:
-            when, size = when * IN_WIDTHS * fwhm, float(np.exp(size * IN_HEIGHTS))
+            when, size = when * IN_WIDTHS * fwhm, 0.0 if kind == OVERLOADED else float(np.exp(size * IN_HEIGHTS))
             separate = kind == IN_RECORD or abs(when) > tolerance
             told.append(Recurring(kind, when, size, separate, more, more / waveforms))
     return tuple(told)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.assess.remarks import percent_words
-from fwclass.decompose.recurring import BEHIND
+from fwclass.decompose.recurring import IN_RECORD, OVERLOADED
 from fwclass.errors import first_few
 
 TOLD_FROM = 0.02
@@ -49,14 +49,15 @@ def recurring_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     worst = max(some, key=lambda s: s["recurring_share"])
     kind, share = worst["recurring_kind"], percent_words(worst["recurring_share"])
     names = first_few([str(s["name"]) for s in some], NAMED)
-    if kind["of"] == BEHIND:
-        way = "behind" if kind["time"] > 0.0 else "before"
-        where = f"{abs(kind['time']):.1f} ns {way} the highest, {kind['height']:.2g} times as high"
+    if kind["of"] == IN_RECORD:
+        where = f"{kind['time']:.1f} ns after the first sample, {kind['height']:.3g} DN high"
+        cause = "crosstalk, or a level that is not straight, makes such echoes"
+    else:
+        full = kind["of"] == OVERLOADED
+        high = ", which is saturated" if full else f", {kind['height']:.2g} times as high"
+        where = f"{abs(kind['time']):.1f} ns {'behind' if kind['time'] > 0.0 else 'before'} the highest{high}"
         cause = (
             "a receiver that rings, is overloaded or does not grow with the light, or a pulse that is not the same in "
             "all waveforms, makes such echoes"
         )
-    else:
-        where = f"{kind['time']:.1f} ns after the first sample, {kind['height']:.3g} DN high"
-        cause = "crosstalk, or a level that is not straight, makes such echoes"
     return [f"{share} of the waveforms with echoes have another one {where}: {cause}, no scene does ({names})"]

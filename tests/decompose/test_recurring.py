@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 from rawmaker import scene, write_parquet
 
 from fwclass.decompose.placement import Placement
-from fwclass.decompose.recurring import BEHIND, IN_RECORD, Recurring, recurring_echoes
+from fwclass.decompose.pulse_fit import SATURATED
+from fwclass.decompose.recurring import BEHIND, IN_RECORD, OVERLOADED, Recurring, recurring_echoes
 from fwclass.report.recurring import recurring_facts, recurring_remarks
 
 FWHM, TOLERANCE = 4.0, 5.0
 
 
-def recurring(row: NDArray, time: NDArray, amplitude: NDArray) -> dict[str, Recurring]:
+def recurring(row: NDArray, time: NDArray, amplitude: NDArray, full: float = np.inf) -> dict[str, Recurring]:
     order = np.random.default_rng(0).permutation(len(row))
-    fits = SimpleNamespace(row=row[order], time=time[order], amplitude=amplitude[order])
+    flags = np.where(amplitude >= full, SATURATED, 0).astype(np.uint8)
+    fits = SimpleNamespace(row=row[order], time=time[order], amplitude=amplitude[order], flags=flags[order])
     return {one.of: one for one in recurring_echoes(cast(Any, fits), FWHM, TOLERANCE)}
 
 
@@ -43,6 +45,18 @@ def test_what_follows_by_one_time_and_share_is_found(gap: float) -> None:
     one = more[BEHIND]
     assert one.share == one.waveforms / 2000 and 0.12 < one.share <= 0.15
     assert abs(one.time - gap) <= 0.5 * FWHM and 0.05 < one.height < 0.2 and one.separate == (abs(gap) > TOLERANCE)
+
+
+def test_what_saturation_leaves_behind_is_found_whatever_its_height() -> None:
+    rng = np.random.default_rng(4)
+    row, time, height = main_echoes(2000, rng)
+    some = np.flatnonzero(height > 120.0)
+    left = np.exp(rng.uniform(np.log(1.0), np.log(100.0), len(some)))
+    more = np.append(row, some), np.append(time, time[some] + 12.0 + rng.normal(0.0, 0.3, len(some)))
+    kinds = recurring(*more, np.append(height, left), full=120.0)
+    assert set(kinds) == {OVERLOADED} and 0.15 < kinds[OVERLOADED].share <= len(some) / 2000
+    assert abs(kinds[OVERLOADED].time - 12.0) <= 2.0
+    assert all(one.share < 0.02 for one in recurring(*more, np.append(height, left)).values())
 
 
 def test_what_stands_at_one_place_of_the_record_is_found() -> None:
