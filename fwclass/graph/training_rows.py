@@ -29,6 +29,11 @@ from fwclass.train.stage import TRAIN_SAMPLE, candidates, merge
 
 SAMPLE, BASE_ROWS = "sample", "base-rows"
 
+KEPT = 64 << 20
+"""Bytes of a survey's sample that a process keeps at most: parts that grow trees of one forest read it in turn."""
+
+_kept: dict[tuple[str, str], dict[str, NDArray]] = {}
+
 
 def draw_tile(
     here: StageInputs,
@@ -125,8 +130,16 @@ def load_sample(inputs: PartInputs, stage: str, part: str, names: tuple[str, ...
 
 
 def survey_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
-    """The sample of the whole survey."""
-    return load_sample(inputs, "training", "all", names)
+    """The sample of the whole survey, which this process keeps where it is no larger than `KEPT`; it is not to be
+    written to."""
+    key = (str(inputs.arrays_path("training", "all", SAMPLE)), inputs.digest("training", "all"))
+    if key not in _kept:
+        arrays, _ = inputs.arrays("training", "all", SAMPLE)
+        _kept.clear()
+        if sum(a.nbytes for a in arrays.values()) > KEPT:
+            return Sample.from_arrays(names, arrays)
+        _kept[key] = arrays
+    return Sample.from_arrays(names, _kept[key])
 
 
 def learned_sample(here: StageInputs, names: tuple[str, ...]) -> Sample:

@@ -96,11 +96,20 @@ def grow(columns, ranks, classes, bag, state, per_split, min_split, table, node)
 
 
 @kernel
-def count_out_of_bag(X, feature, threshold, child, bag, votes):  # type: ignore[no-untyped-def]
-    """Add one tree's vote to `votes` (rows, classes) for every row that the tree was not grown from."""
-    for i in range(len(X)):
-        if bag[i] == 0:
-            k = np.int64(0)
-            while feature[k] != LEAF:
-                k = np.int64(child[k]) + (0 if X[i, feature[k]] < threshold[k] else 1)
-            votes[i, child[k]] += 1
+def count_out_of_bag(columns, feature, threshold, child, bag, votes):  # type: ignore[no-untyped-def]
+    """Add one tree's vote to `votes` (rows, classes) for every row that the tree was not grown from, of float32
+    `columns` (features, rows). All rows take a step in turn: one alone would wait for its value at every node."""
+    rows = np.flatnonzero(bag == 0)
+    at = np.zeros(len(rows), np.uint32)
+    walking = len(rows)
+    while walking > 0:
+        left = 0
+        for i in range(walking):
+            row, k = rows[i], at[i]
+            f = feature[k]
+            if f == LEAF:
+                votes[row, child[k]] += 1
+            else:
+                rows[left], at[left] = row, child[k] + np.uint32(not columns[f, row] < threshold[k])
+                left += 1
+        walking = left

@@ -244,19 +244,21 @@ def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
         )
     notes = [f"class {name!r} has one training row" for name, n in counts.items() if n == 1]
     notes += _balance(sample, counts)
+    missing: NDArray[np.bool_] = np.isnan(sample.X)
+    some_missing = np.any(missing, axis=0).tolist()
+    least, greatest = np.fmin.reduce(sample.X, axis=0), np.fmax.reduce(sample.X, axis=0)  # NaN for no value at all
     for k, name in enumerate(sample.features):
-        values = sample.X[:, k]
-        known = values[~np.isnan(values)]
-        if len(known) == 0:
+        if np.isnan(least[k]):
             raise InputError(
                 f"feature {name!r} has no value in any training row",
                 where="training areas",
                 got=f"{sample.rows} rows without value",
                 do=f"take {name!r} out of survey.features, or see why the stage that computes it found nothing",
             )
-        if known.min() == known.max():
-            notes.append(f"feature {name!r} is {known[0]:g} in every training row that has it")
-        notes += _missing_tells(name, np.isnan(values), sample.y, classes)
+        if least[k] == greatest[k]:
+            notes.append(f"feature {name!r} is {least[k]:g} in every training row that has it")
+        if some_missing[k]:
+            notes += _missing_tells(name, missing[:, k], sample.y, classes)
     return tuple(notes)
 
 
@@ -264,8 +266,6 @@ def _missing_tells(
     name: str, missing: NDArray[np.bool_], y: NDArray[np.uint8], classes: Sequence[ClassDef]
 ) -> list[str]:
     """That a value is missing in one class and not in another, so that its absence tells them apart."""
-    if not missing.any():
-        return []
     rows = np.bincount(y, minlength=len(classes))
     share = np.bincount(y, missing, minlength=len(classes)) / np.maximum(rows, 1)
     share = np.where(rows > 0, share, np.nan)

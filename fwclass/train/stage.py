@@ -136,10 +136,10 @@ def out_of_bag(sample: Sample, trees: Sequence[Tree], n_classes: int, params: Tr
     ``accuracy`` is the share of right rows, ``rows`` how many could be judged, ``per_class`` the share of
     right rows of every class; None where no row could be judged.
     """
-    votes = np.zeros((sample.rows, n_classes), np.uint16)
+    votes, columns = np.zeros((sample.rows, n_classes), np.uint16), np.ascontiguousarray(sample.X.T)
     for number, (feature, threshold, child) in enumerate(trees):
         weight, _ = bag(sample.rows, number, params.drawing)
-        count_out_of_bag(sample.X, feature, threshold, child, weight, votes)
+        count_out_of_bag(columns, feature, threshold, child, weight, votes)
     judged = votes.any(axis=1)
     right = votes.argmax(axis=1)[judged] == sample.y[judged]
     judged_rows = np.bincount(sample.y[judged], minlength=n_classes)

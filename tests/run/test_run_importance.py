@@ -34,7 +34,10 @@ def test_importance_in_parts(tmp_path):
         return tmp_path / stage / part / name
 
     inputs = SimpleNamespace(
-        path=path, arrays=lambda stage, part, name, only=None: read_arrays(arrays_at(path(stage, part, name)), only)
+        path=path,
+        arrays=lambda stage, part, name, only=None: read_arrays(arrays_at(path(stage, part, name)), only),
+        arrays_path=lambda stage, part, name: arrays_at(path(stage, part, name)),
+        digest=lambda stage, part: "",
     )
     write_arrays(path("training", "all") / SAMPLE, sample.arrays())
     for first, count in ((0, 3), (3, 1)):

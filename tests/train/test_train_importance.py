@@ -46,6 +46,18 @@ def answers(tree, X):
     return out
 
 
+def test_rows_out_of_bag_are_judged_by_the_trees_that_did_not_see_them():
+    sample, trees, p = grown(120, 3, trees=3)
+    votes = np.zeros((sample.rows, 3), np.int64)
+    for number, tree in enumerate(trees):
+        judged = np.flatnonzero(bag(sample.rows, number, p.drawing)[0] == 0)
+        votes[judged, answers(tree, sample.X[judged])] += 1
+    some = votes.any(axis=1)
+    told = out_of_bag(sample, trees, 3, p)
+    assert told["rows"] == some.sum() < sample.rows
+    assert told["accuracy"] == (votes.argmax(axis=1) == sample.y)[some].mean()
+
+
 def test_it_is_what_breiman_defines():
     """Mean over permutations, against as many drawn by numpy: the same within their standard error."""
     sample, trees, p = grown(250, 1, trees=1)
