@@ -11,6 +11,7 @@ import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
+from lasmaker import write_las
 from smallsurvey import small_survey
 
 from fwclass.report.repeated import repeated_facts
@@ -223,3 +224,37 @@ def test_moved_echoes_by_hand() -> None:
     assert twice_measured(same) == []  # `repeats` counts them
     second = same.with_columns({"echo_number": np.array([1, 2], np.uint8), "z": np.array([3.0, 4.0])})
     assert twice_measured(second) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("ground",), ("normalize", "--method", "smrf"), ("features", "--features", "echo_ratio_r100"), ("decompose",)],
+)
+def test_points_that_one_file_has_twice_end_commands_on_it(survey: Path, words: tuple[str, ...]) -> None:
+    whole = laspy.read(survey.parent / "a.las")
+    rows = np.arange(len(whole.x))
+    for name, taken, share in (("twice", np.r_[rows, rows], "50.0 %"), ("some", np.r_[rows, rows[:3]], "")):
+        points = laspy.LasData(whole.header)
+        points.points = whole.points[taken]
+        points.write(survey.parent / f"{name}.las")
+        out = survey.parent / ("o.parquet" if words[0] == "features" else "o.laz")
+        line = (words[0], survey.parent / f"{name}.las", out, "--overwrite", *words[1:])
+        ended = fwclass(*line)
+        assert ended.returncode == (4 if share else 0), ended.stderr
+        assert ("the sources have too many echoes twice" in ended.stderr) == bool(share) and share in ended.stderr
+    if words[0] == "ground":
+        text = survey.parent / "twice.txt"
+        np.savetxt(text, np.tile(np.c_[whole.x, whole.y, whole.z], (2, 1)), fmt="%.3f")
+        ended = fwclass("ground", text, survey.parent / "o.txt")
+        assert ended.returncode == 0 and "have the place of another" in ended.stderr
+
+
+def test_first_returns_alone_are_told_where_ground_is_made_of_last_ones(tmp_path: Path) -> None:
+    xyz = np.random.default_rng(0).uniform(0, 60, (6000, 3)) * [1, 1, 0.02]
+    for number, told in ((np.ones(6000, int), True), (np.tile([1, 2], 3000), False)):
+        of = np.where(np.arange(6000) % 10 == 0, number, 2)
+        write_las(tmp_path / "a.las", xyz, point_format=6, return_number=number, number_of_returns=of)
+        for words in (("ground",), ("normalize", "--method", "smrf")):
+            ended = fwclass(words[0], tmp_path / "a.las", tmp_path / "o.laz", "--overwrite", *words[1:])
+            assert ended.returncode in (0, 4), ended.stderr
+            assert ("lack their last one" in ended.stderr) == told, ended.stderr

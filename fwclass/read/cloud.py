@@ -20,7 +20,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.packet_references import References
 from fwclass.read.packets import FAULTS, judge
 from fwclass.read.points import BLOCK, PointReader, coordinates, flags_of, gps_times, scan_angles
-from fwclass.read.return_counts import count_pairs
+from fwclass.read.return_counts import MOST, count_pairs, pairs_of, pulses_without_last
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
 
@@ -59,6 +59,7 @@ class PointCloud:
     unfinished : points without a finite coordinate.
     absurd : points beyond any place on earth.
     beams : what `return_counts.count_pairs` says of the first points of a LAS file; nothing for a text.
+    several, lastless : pulses with several returns of a LAS file, at least, and those whose last one is not there.
     cut_packets : what to tell of waveform packets that reach past the end of the packets there are.
     """
 
@@ -77,6 +78,8 @@ class PointCloud:
     absurd: int
     cut_packets: tuple[str, ...] = ()
     beams: Mapping[str, list[int]] = field(default_factory=dict)
+    several: int = 0
+    lastless: int = 0
 
     @property
     def points(self) -> int:
@@ -131,11 +134,12 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     units = linear_units(crs, source.header, source.path)
     if source.n_points == 0:
         raise InputError("the file has no points", where=source.path, do="there is nothing to do; check the delivery")
-    parts, cut = [], 0
+    parts, cut, pairs = [], 0, np.zeros((MOST, MOST), np.int64)
     fields = _FIELDS | DecompressionSelection.WAVEPACKET if source.has_waves else _FIELDS
     with PointReader(source, fields) as reader:
         for _, points in reader.blocks():
             number, of = np.asarray(points["return_number"]), np.asarray(points["number_of_returns"])
+            pairs += pairs_of(number, of)
             flags = flags_of(points)
             if source.has_waves:
                 cut += int(np.isin(judge(source, References.of(points)), _CUT).sum())
@@ -146,7 +150,17 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     xyz = x * units.xy, y * units.xy, z * units.z
     remarks = (f"{cut:,} of {len(z):,} waveform packets reach past the end of those there are",) if cut else ()
     cloud = _cloud(source.path, source, crs, units, xyz, last, classes, flagged)
-    return replace(cloud, cut_packets=remarks, beams=first_beams(source, units))
+    several, lastless = pulses_without_last(pairs)
+    beams = first_beams(source, units)
+    return replace(cloud, cut_packets=remarks, beams=beams, several=several, lastless=lastless)
+
+
+def times_of(cloud: PointCloud) -> NDArray[np.float64]:
+    """GPS time of every point of a LAS file [s], NaN of those without; read when it is asked for."""
+    if not isinstance(cloud.source, LasSource) or not cloud.source.header.has_gps_time:
+        return np.full(cloud.points, np.nan)
+    with PointReader(cloud.source, _FIELDS | _BEAM_FIELDS) as reader:
+        return np.concatenate([gps_times(cloud.source, points) for _, points in reader.blocks()])
 
 
 def first_beams(source: LasSource, units: LinearUnits) -> dict[str, list[int]]:

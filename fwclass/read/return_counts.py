@@ -71,12 +71,12 @@ def count_returns(returns: Table, scan_angle: NDArray[np.float32] | None = None)
     least and the greatest, and the longest step of which all are multiples from there on; 0 where all are alike, and at
     most `FINE` where it need not be the longest.
     """
-    number, of = (np.minimum(returns[n].astype(np.int64), MOST - 1) for n in ("return_number", "number_of_returns"))
+    number, of = (returns[n] for n in ("return_number", "number_of_returns"))
     intensity, time = returns["intensity"], returns["gps_time"]
     time = time[np.isfinite(time)]
     singles = intensity[of <= 1] if np.isnan(returns["vendor_amplitude"]).all() else intensity[:0]
     kinds, counts = np.unique(np.searchsorted(EDGES, singles, "right"), return_counts=True)
-    pairs = np.bincount(number * MOST + of, minlength=MOST**2).reshape(MOST, MOST)
+    pairs = pairs_of(number, of)
     return {
         "intensities": {str(k): n for k, n in zip(kinds.tolist(), counts.tolist(), strict=True)},
         "intensity": [int(f(intensity)) for f in (np.min, np.max)] if len(intensity) else None,
@@ -155,6 +155,23 @@ def median_intensity(intensities: Mapping[str, int]) -> int:
         if 2 * seen >= total:
             return int(EDGES[kind - 1]) if kind else 0
     return 0
+
+
+def pairs_of(number: NDArray[np.integer], of: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Counts (`MOST`, `MOST`) of returns by number and number of returns, (n,) each; more count as the most."""
+    number, of = (np.minimum(np.asarray(v, np.int64), MOST - 1) for v in (number, of))
+    return np.bincount(number * MOST + of, minlength=MOST**2).reshape(MOST, MOST)
+
+
+def pulses_without_last(pairs: NDArray[np.int64]) -> tuple[int, int]:
+    """How many pulses with several returns there are at least, and how many of them lack their last one, by the counts
+    of `pairs_of`."""
+    several = lacking = 0
+    for of in range(2, MOST):
+        counts = pairs[1 : of + 1, of]
+        several += int(counts.max())
+        lacking += int(counts.max() - counts[-1])
+    return several, lacking
 
 
 def missing_returns(pairs: NDArray[np.int64]) -> int:

@@ -27,10 +27,12 @@ from fwclass.report.returns import judge_returns
 
 def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
-    ``plausibility``, ``place``, ``returns``, ``ground`` (`sunken_remarks`), ``radiometry``, each where it is known."""
+    ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``radiometry``, each where it
+    is known."""
     if judged.get("plausibility"):
         judge_plausibility([judged["plausibility"]], bounds)
     judge_place(judged.get("place"), bounds.accept, where)
+    judge_repeated(judged.get("repeated"), bounds)
     judge_returns(judged.get("returns"), bounds, where)
     judge_sunken(judged.get("ground", ()), bounds.accept, where)
     judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)

@@ -6,12 +6,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from fwclass.assess.remarks import percent_words
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_unsound
 from fwclass.graph.sources import strip_of
+from fwclass.schema import Table
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Strip
+from fwclass.tile.stage import repeats
 
 SAID_FROM = 0.001
 """Share of the echoes: between files of centimetres, without times, chance alone reaches a tenth of it at 10/m2."""
@@ -104,6 +108,23 @@ def _coarsely_timed(decomposed: Iterable[Receipt]) -> set[int]:
         firsts[strip_of(receipt.part)] += echoes
         times[strip_of(receipt.part)] += different
     return {strip for strip, n in firsts.items() if times[strip] < OWN_TIMES * n}
+
+
+def repeated_in_file(table: Table, name: str) -> dict[str, Any] | None:
+    """As `repeated_facts`, of the points or echoes of one file alone.
+
+    table : x, y, z [m], and gps_time [s] where it is known.
+    """
+    rows = table.rows
+    time = table["gps_time"] if "gps_time" in table else np.full(rows, np.nan)
+    count = sum(n for _, _, n in repeats(table.with_columns({"gps_time": time, "strip": np.zeros(rows, np.int16)})))
+    if not count:
+        return None
+    share, remarks = count / rows, []
+    if share > SAID_FROM:
+        of = "place and time of another" if np.isfinite(time).any() else "the place of another"
+        remarks.append(f"{count:,} of {rows:,}, {100 * share:.1f} %, have {of}: {WITHIN}")
+    return {"echoes": count, "share": share, "files": [[name, name, count]], "pairs": [], "remarks": remarks}
 
 
 def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) -> None:

@@ -36,6 +36,7 @@ from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import FileConfig, FileTiles, with_noise_flags
@@ -124,6 +125,7 @@ def decompose_file(
         odd_radiometry += altitude_faults({source.name: sensor}, params["radiometry"])
     lone = plausibility["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
+    repeated = repeated_in_file(table, source.name)
     water = water_facts(water_counts(table)) if "water" in table else None
     rows = [
         *_summary(table, read_from),
@@ -134,10 +136,12 @@ def decompose_file(
         *notes,
         *(f"fault: {text}" for text in odd_radiometry),
         *(place["remarks"] if place else ()),
+        *(repeated["remarks"] if repeated else ()),
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {visible(output)}",
     ]
-    return "\n".join(rows), {"plausibility": plausibility, "place": place, "radiometry": odd_radiometry}
+    judged = {"plausibility": plausibility, "place": place, "repeated": repeated, "radiometry": odd_radiometry}
+    return "\n".join(rows), judged
 
 
 def _params(settings: tuple[str, ...]) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
 from fwclass.report.ground import sunken_remarks
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
@@ -143,13 +144,15 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     notes += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
         notes.append("every intensity is 0: features of amplitude and intensity say nothing")
-    notes += (returns or {}).get("remarks", ())
+    repeated = repeated_in_file(table, source.path.name)
+    for facts in (returns, repeated):
+        notes += (facts or {}).get("remarks", ())
     empty = [n for n in table if n not in PLACE and table[n].dtype.kind == "f" and np.isnan(table[n]).all()]
     return FileEchoes(
         table.select(n for n in table if n not in empty),
         crs,
         tuple(notes),
-        {"place": place, "plausibility": judged, "returns": returns},
+        {"place": place, "plausibility": judged, "returns": returns, "repeated": repeated},
         links,
     )
 

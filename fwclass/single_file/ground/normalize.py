@@ -24,8 +24,8 @@ from fwclass.single_file.ground.file import (
     came_as_noise,
     classes_of,
     filter_cloud,
-    place_of_cloud,
-    places_of_cloud,
+    judged_of_cloud,
+    last_returns_lack,
     require_shown,
     shown_points,
 )
@@ -104,8 +104,9 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     height[rows] = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)["height_above_ground"]
     tell("writing")
     written = _write(cloud, flags, height, job)
-    known, place, returns = height[np.isfinite(height)], place_of_cloud(cloud), places_of_cloud(cloud, job.source)
+    judged, odd = judged_of_cloud(cloud, job.source)
     sunken = sunken_remarks(height, cloud.classes) if method is None and cloud.classes is not None else []
+    odd += last_returns_lack(cloud) if method is not None else []
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -117,11 +118,11 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
         "keep_z": job.keep_z,
         "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
-        "judged": {"place": place, "returns": returns, "ground": sunken},
+        "judged": {**judged, "ground": sunken},
         "max_gap": params.max_gap,
-        "heights_m": _spread(known),
+        "heights_m": _spread(height[np.isfinite(height)]),
         "waveforms": written.get("wdp"),
-        "notes": [*written.get("notes", []), *cloud.cut_packets, *place["remarks"], *returns["remarks"], *sunken],
+        "notes": [*written.get("notes", []), *odd, *sunken],
         "seconds": {"all": round(time.perf_counter() - started, 3)},
     }
 
