@@ -14,7 +14,7 @@ from modelmaker import models
 from smallsurvey import small_survey
 
 import fwclass as package
-from fwclass.store.installed_models import VARIABLE, installed_models, model_place
+from fwclass.store.installed_models import VARIABLE, installed_models, model_location
 from fwclass.store.models import load_model, save_model
 from fwclass.study.installed import describe, facts_of_models
 
@@ -100,11 +100,11 @@ def test_a_path_goes_before_a_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     save_model(tmp_path / "shelf" / "town", models()["forest"])
     monkeypatch.setenv("FWCLASS_MODELS", str(tmp_path / "shelf"))
     assert installed_models()["town"] == tmp_path / "shelf" / "town"
-    assert model_place("town", tmp_path) == tmp_path / "shelf" / "town"
-    assert model_place("./town", tmp_path) == tmp_path / "town"
-    assert model_place("x/town", tmp_path) == tmp_path / "x" / "town"
+    assert model_location("town", tmp_path) == tmp_path / "shelf" / "town"
+    assert model_location("./town", tmp_path) == tmp_path / "town"
+    assert model_location("x/town", tmp_path) == tmp_path / "x" / "town"
     (tmp_path / "town").mkdir()
-    assert model_place("town", tmp_path) == tmp_path / "town"
+    assert model_location("town", tmp_path) == tmp_path / "town"
 
 
 def test_no_model_has_a_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -236,8 +236,8 @@ def _message(fault: Exception, name: str) -> str:
     if not isinstance(fault, yaml.MarkedYAMLError):
         return " ".join(str(fault).split()).replace('"<unicode string>"', name)
     mark = fault.problem_mark or fault.context_mark
-    place = f" in {name}, line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-    return ", ".join(text for text in (fault.context, fault.problem) if text) + place
+    position = f" in {name}, line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+    return ", ".join(text for text in (fault.context, fault.problem) if text) + position
 
 
 def merge(base: Any, change: Any) -> Any:

@@ -12,7 +12,7 @@ from fwclass.model import Layered, Model, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import IDENTITY, canonical_key
 from fwclass.single_file.model_directory import check_target, write_model
-from fwclass.store.installed_models import model_place
+from fwclass.store.installed_models import model_location
 from fwclass.store.model_rows import load_rows
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
@@ -36,7 +36,7 @@ def adapt_model(
     """
     check_target(target, overwrite)
     delivery = open_run(run)
-    model, rows = load_rows(model_place(named))
+    model, rows = load_rows(model_location(named))
     first = model.coarse if isinstance(model, Layered) else model
     if tuple(delivery.report["model"]["features"]) != tuple(first.features):
         raise InputError(

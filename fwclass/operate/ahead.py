@@ -38,7 +38,7 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
     """
     began, wanted = time.perf_counter(), listed_kernels()
     before, spoke, left = compiling.count(), began, list[str]()
-    place, faults = kernel_cache(), len(compiling.not_kept)
+    directory, faults = kernel_cache(), len(compiling.not_kept)
     if faults_of_cache:
         raise _not_kept(*faults_of_cache[-1])
     for number, (kernel, types) in enumerate(wanted):
@@ -47,7 +47,7 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
         except TypeError as fault:
             left.append(f"{kernel.__name__}: {fault}")  # type: ignore[attr-defined]
         if len(compiling.not_kept) > faults:
-            raise _not_kept(place, compiling.not_kept[-1])
+            raise _not_kept(directory, compiling.not_kept[-1])
         if time.perf_counter() - spoke > 10.0:
             spoke = time.perf_counter()
             tell(f"{number + 1} of {len(wanted)}")
@@ -56,14 +56,14 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
         "compiled": compiling.count() - before,
         "left_out": left,
         "seconds": round(time.perf_counter() - began, 1),
-        "directory": str(place),
+        "directory": str(directory),
     }
 
 
-def _not_kept(place: Path, why: str) -> StoreError:
+def _not_kept(directory: Path, why: str) -> StoreError:
     return StoreError(
         "compiled code cannot be kept, so that nothing is won by compiling ahead",
-        where=place,
+        where=directory,
         expected="a directory that this user can write to, with some 20 MB free",
         got=why,
         do="mend that, or name another directory in NUMBA_CACHE_DIR",

@@ -49,21 +49,21 @@ class RunResult:
         before, shown = self.before, self.shown
         return before if before is not None and shown is not None and before.number != shown.number else None
 
-    def sentences(self, request: Request, place: Path | Url, keep: int) -> Iterator[str]:
-        """What to say of it. `place`: the run directory as the user named it; `keep`: generations that are kept
+    def sentences(self, request: Request, root: Path | Url, keep: int) -> Iterator[str]:
+        """What to say of it. `root`: the run directory as the user named it; `keep`: generations that are kept
         (`run.keep_generations`)."""
         own, shown = self.generation, self.shown
         aside = shown is not None and shown.number != own.number
-        yield summary(self.report, own.where if aside or isinstance(own.where, Url) else place)
+        yield summary(self.report, own.where if aside or isinstance(own.where, Url) else root)
         if self.loss:
             yield self.loss
         if aside and shown is not None:
-            yield f"generation  {own.name} is not whole and lies aside; {place} still shows {shown.name}"
+            yield f"generation  {own.name} is not whole and lies aside; {root} still shows {shown.name}"
         elif not own.whole and self.failures:
             yield f"generation  {own.name} is not whole: parts failed; it is shown, as no whole one is there"
         if self.superseded is not None:
             for words in replaced(self.earlier, request.workflow, self.superseded, keep):
-                yield f"note        {place} {words}"
+                yield f"note        {root} {words}"
 
 
 def run_survey(

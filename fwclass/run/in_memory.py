@@ -33,8 +33,8 @@ class PartsInMemory(PartInputs):
         self._check_rows(part, base, box)
         if box is None:
             return Table({n: self._parts[stage, part][0][n].copy() for n, stage in columns.items()})
-        place = self._parts[base, part][0]
-        inside = np.flatnonzero(box.contains(place["x"], place["y"]))
+        located = self._parts[base, part][0]
+        inside = np.flatnonzero(box.contains(located["x"], located["y"]))
         return Table({n: self._parts[s, part][0][n][inside] for n, s in {**columns, "x": base, "y": base}.items()})
 
     def table(self, stage: str, part: str, columns: Iterable[str] | None = None, name: str = TABLE) -> Table:

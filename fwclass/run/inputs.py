@@ -53,9 +53,9 @@ class PartInputs:
     split: int = field(default=1, kw_only=True)
     declared: Declared | None = field(default=None, kw_only=True)
 
-    def local(self, place: Location) -> Path:
+    def local(self, location: Location) -> Path:
         """A file from outside on this host; one on object storage is fetched, and is what the part was planned with."""
-        return local(place, self.external)
+        return local(location, self.external)
 
     def path(self, stage: str, part: str, name: str) -> Path:
         """A file or directory of a part, which is read whole."""

@@ -71,11 +71,11 @@ class Tasks(Sequence[Task]):
     def __getitem__(self, at: int | slice) -> Task | Tasks:
         if isinstance(at, slice):
             return Tasks.held([self[k] for k in range(*at.indices(len(self)))])
-        place = at + len(self) if at < 0 else at
+        index = at + len(self) if at < 0 else at
         for batch in self._batches:
-            if 0 <= place < len(batch.keys):
-                return batch.make(batch.keys[place])
-            place -= len(batch.keys)
+            if 0 <= index < len(batch.keys):
+                return batch.make(batch.keys[index])
+            index -= len(batch.keys)
         raise IndexError(at)
 
 

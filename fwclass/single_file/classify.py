@@ -52,7 +52,7 @@ from fwclass.single_file.features.echoes import (
 )
 from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.tiles import HELD, FileConfig, FileTiles, Tell, quiet
-from fwclass.store.installed_models import model_place
+from fwclass.store.installed_models import model_location
 from fwclass.store.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
 
@@ -113,7 +113,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         A file or model that cannot be used, or lacks what the model decides by.
     """
     began = time.perf_counter()
-    job = replace(job, model=model_place(job.model))
+    job = replace(job, model=model_location(job.model))
     checked = _check(job)
     model, params, kept = checked.model, checked.params, Kept.of(checked.params)
     asked = Asked.of(n for n in model.features if is_feature(n))

@@ -60,14 +60,14 @@ def _layout(array: NDArray) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 
 @counted("writing")
-def write_arrays(place: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any] | None = None) -> None:
-    """Write named arrays (of any shapes) and plain data beside them to `place`, whose ending tells how they are held:
+def write_arrays(base: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any] | None = None) -> None:
+    """Write named arrays (of any shapes) and plain data beside them to `base`, whose ending tells how they are held:
     one Parquet file, or one Zarr group."""
     about = dict(attributes or {})
     if sum(a.nbytes for a in arrays.values()) <= SMALL:
-        _write_small(place.with_name(place.name + PARQUET), arrays, about)
+        _write_small(base.with_name(base.name + PARQUET), arrays, about)
     else:
-        _write_group(place.with_name(place.name + ZARR), arrays, about)
+        _write_group(base.with_name(base.name + ZARR), arrays, about)
 
 
 def _write_small(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any]) -> None:
@@ -179,9 +179,9 @@ def write_grids(
             arrays[name][where] = values
 
 
-def arrays_at(place: Path) -> Path | None:
-    """The file or directory that `write_arrays` made of `place`, None where it made none."""
-    paths = (place.with_name(place.name + ending) for ending in (PARQUET, ZARR))
+def arrays_at(base: Path) -> Path | None:
+    """The file or directory that `write_arrays` made of `base`, None where it made none."""
+    paths = (base.with_name(base.name + ending) for ending in (PARQUET, ZARR))
     return next((path for path in paths if path.exists()), None)
 
 

@@ -40,11 +40,11 @@ class ModelRows:
 
 def save_rows(directory: Path, rows: ModelRows) -> None:
     """Write training rows beside the model in `directory`."""
-    place = directory / ROWS
-    place.mkdir()
+    target = directory / ROWS
+    target.mkdir()
     arrays = {_VALUES: rows.X, _CODES: rows.codes} | ({_CONTEXT: rows.context} if rows.context.shape[1] else {})
     for name, array in arrays.items():
-        np.save(place / f"{name}.npy", np.ascontiguousarray(array, _LAYOUT[name][0]), allow_pickle=False)
+        np.save(target / f"{name}.npy", np.ascontiguousarray(array, _LAYOUT[name][0]), allow_pickle=False)
 
 
 def rows_facts(rows: ModelRows) -> Mapping[str, Any]:

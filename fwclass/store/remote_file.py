@@ -80,17 +80,17 @@ class RemoteFile:
 Location = Path | RemoteFile
 
 
-def local(place: Location, digests: Mapping[str, str] | None = None) -> Path:
-    """`place` on this host; fetched if it lies on object storage, and checked against the `digests` of its files."""
-    return place.fetched(digests or {}) if isinstance(place, RemoteFile) else place
+def local(location: Location, digests: Mapping[str, str] | None = None) -> Path:
+    """`location` on this host; fetched if it lies on object storage, and checked against the `digests` of its files."""
+    return location.fetched(digests or {}) if isinstance(location, RemoteFile) else location
 
 
-def seen_as(path: Path, place: Location | None = None) -> tuple[str, list[int | str]]:
+def seen_as(path: Path, location: Location | None = None) -> tuple[str, list[int | str]]:
     """Name of a file, and what tells without reading it whether it is another: its `looks` and inode; of a copy from
     object storage the object's address, its bytes and e-tag, whatever host it was copied to."""
-    if isinstance(place, RemoteFile):
-        size, mark = next((size, mark) for name, size, mark in place.held if name == path.name)
-        return str(place.url.parent / path.name), [size, mark]
+    if isinstance(location, RemoteFile):
+        size, mark = next((size, mark) for name, size, mark in location.held if name == path.name)
+        return str(location.url.parent / path.name), [size, mark]
     return str(path), [*looks(path), path.stat().st_ino]
 
 

@@ -52,10 +52,10 @@ def scratch_directory(params: StoreParams) -> Path:
 def scratch_of(params: StoreParams) -> Scratch:
     """This process' directory for copies, opened once."""
     with _guard:
-        place = scratch_directory(params)
-        if place not in _open:
-            _open[place] = Scratch(place, params.scratch_gib)
-        return _open[place]
+        parent = scratch_directory(params)
+        if parent not in _open:
+            _open[parent] = Scratch(parent, params.scratch_gib)
+        return _open[parent]
 
 
 class Scratch:

@@ -37,7 +37,7 @@ from fwclass.report.write import write_report
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
-from fwclass.store.installed_models import model_place
+from fwclass.store.installed_models import model_location
 from fwclass.store.model_rows import load_rows, rows_digest
 from fwclass.store.models import load_model, model_digest
 from fwclass.store.receipts import Receipt
@@ -56,10 +56,10 @@ MANY, FEW = 1000, 1000
 """A run of so many tiles with fewer echoes than this in each, on average, spends its time on opening files."""
 
 
-def _place_of_model(config: Config, name: str) -> Location:
+def _location_of_model(config: Config, name: str) -> Location:
     if is_url(name):
         return directory_outside(url_of(name, f"{config.path}: survey.model"), config.store)
-    return model_place(name, config.path.parent).resolve()
+    return model_location(name, config.path.parent).resolve()
 
 
 def with_model(config: Config) -> Config:
@@ -69,7 +69,7 @@ def with_model(config: Config) -> Config:
     named = survey.model or survey.base_model
     if named is None or (survey.classes and survey.base_model is None):
         return config
-    path = local(_place_of_model(config, named))
+    path = local(_location_of_model(config, named))
     model = load_model(path)
     update: dict[str, Any] = {}
     if not survey.classes:
@@ -97,8 +97,8 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     """Place and digest of the model that the configuration names, None where it is to be trained."""
     if config.survey.model is None:
         return None
-    place = _place_of_model(config, config.survey.model)
-    path = local(place)
+    location = _location_of_model(config, config.survey.model)
+    path = local(location)
     model = load_model(path)
     check_model(model, config, path)
     cells = config.classify.context.cells
@@ -123,15 +123,15 @@ def given_model(config: Config) -> tuple[Location, str] | None:
                 got=f"thin.rate {config.thin.rate:g}",
                 do="--set thin.rate=1, or give its first layer alone: the model's directory `coarse`",
             )
-    return place, model_digest(path)
+    return location, model_digest(path)
 
 
 def base_model(config: Config) -> tuple[Location, str] | None:
     """Place and digest of the model whose rows are learned from too, None without one."""
     if config.survey.base_model is None:
         return None
-    place = _place_of_model(config, config.survey.base_model)
-    path = local(place)
+    location = _location_of_model(config, config.survey.base_model)
+    path = local(location)
     model, _ = load_rows(path)
     check_computed(model, config.features, path)
     if not (counterparts(model.classes, config.classes) >= 0).any():
@@ -142,7 +142,7 @@ def base_model(config: Config) -> tuple[Location, str] | None:
             got=", ".join(f"{c.name} ({c.code})" for c in config.classes),
             do="give the classes its codes, or leave survey.classes out",
         )
-    return place, rows_digest(path)
+    return location, rows_digest(path)
 
 
 def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:

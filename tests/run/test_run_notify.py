@@ -48,7 +48,7 @@ def test_a_user_in_the_address_goes_into_the_header():
     with Hook() as hook:
         told = post(params(webhook=f"http://me:a%40{HIDDEN}@{hook.place}/x"), RECORD, never)
     [(path, headers, _)] = hook.got
-    assert path == "/x" and headers["Host"] == hook.place and HIDDEN not in told.place
+    assert path == "/x" and headers["Host"] == hook.place and HIDDEN not in told.address
     assert headers["Authorization"] == "Basic " + base64.b64encode(f"me:a@{HIDDEN}".encode()).decode()
 
 
@@ -166,7 +166,7 @@ def test_a_command_gets_record_and_key_facts(tmp_path, monkeypatch, capfd):
     )
     told = command(params(command=[sys.executable, "-c", script], **TOKEN), RECORD)
     record, environment = json.loads((tmp_path / "got").read_text())
-    assert record == RECORD and told.fault == "exit code 5" and told.place.startswith("python")
+    assert record == RECORD and told.fault == "exit code 5" and told.address.startswith("python")
     facts = {k: v for k, v in environment.items() if k.startswith("FWCLASS_")}
     assert facts == {
         "FWCLASS_RUN": "/r",

@@ -64,13 +64,13 @@ class _HeldSafe(_Held, urllib.request.HTTPSHandler):
 class SendResult:
     """How it went: empty `fault` is well."""
 
-    place: str
+    address: str
     fault: str = ""
     tries: int = 1
 
     def as_data(self) -> dict[str, Any]:
         """As plain data, for the history."""
-        return {"to": self.place, "ok": not self.fault, "fault": self.fault, "tries": self.tries}
+        return {"to": self.address, "ok": not self.fault, "fault": self.fault, "tries": self.tries}
 
 
 def tell_within(
@@ -116,28 +116,28 @@ def tell(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], 
 def post(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], bool]) -> SendResult:
     """POST `record` as JSON; tried again after a pause where the service was busy or did not answer."""
     assert params.webhook is not None  # noqa: S101 - who calls has looked
-    place = redacted(params.webhook.get_secret_value())
+    address = redacted(params.webhook.get_secret_value())
     fault, pause = "", params.webhook_pause
     token = os.environ.get(params.webhook_token_env) if params.webhook_token_env else None
     if params.webhook_token_env and not token:
-        return SendResult(place, f"the environment variable {params.webhook_token_env} is not set", 0)
+        return SendResult(address, f"the environment variable {params.webhook_token_env} is not set", 0)
     for number in range(1, params.webhook_tries + 1):
         fault, again = _try(_request(params.webhook.get_secret_value(), token, record), params.webhook_timeout)
         if not again or number == params.webhook_tries or _paused(pause, stop):
-            return SendResult(place, fault, number)
+            return SendResult(address, fault, number)
         pause *= 2
-    return SendResult(place, fault, params.webhook_tries)
+    return SendResult(address, fault, params.webhook_tries)
 
 
 def _request(address: str, token: str | None, record: Mapping[str, Any]) -> urllib.request.Request:
     """The address's user goes into the header, where no log of a proxy shows it."""
     parts = urlsplit(address)
-    user, _, place = parts.netloc.rpartition("@")
+    user, _, host = parts.netloc.rpartition("@")
     headers = {"Content-Type": "application/json", "User-Agent": f"fwclass/{__version__}"}
     if user:
         headers["Authorization"] = "Basic " + base64.b64encode(unquote(user).encode()).decode()
     request = urllib.request.Request(  # noqa: S310 - the configuration takes http and https only
-        parts._replace(netloc=place, fragment="").geturl(), json.dumps(record).encode(), headers, method="POST"
+        parts._replace(netloc=host, fragment="").geturl(), json.dumps(record).encode(), headers, method="POST"
     )
     if token:
         request.add_unredirected_header("Authorization", f"Bearer {token}")

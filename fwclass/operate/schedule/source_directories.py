@@ -31,21 +31,21 @@ class SourceDirectories:
         """The directory in which the survey finds a file of this name; None where it finds none."""
         for pattern in self.patterns:
             parents = [p for p in PurePath(pattern).parts[:-1] if p != "**"]
-            place = self.into or Path(*map(_plain, parents))
-            if (self.into or not any(map(_wild, parents))) and self.finds(place / name):
-                return place
+            directory = self.into or Path(*map(_plain, parents))
+            if (self.into or not any(map(_wild, parents))) and self.finds(directory / name):
+                return directory
         return None
 
-    def home(self, name: str, place: Path) -> Path:
+    def home(self, name: str, directory: Path) -> Path:
         """The directory of the one source that has this name, whatever its ending, or `place` where there is none or
         several are."""
         stem = PurePath(name).stem.lower()
         try:
             paths = {path for pattern in self.patterns for path in matching_files(pattern, Path("/"))}
         except InputError:  # which the run will tell
-            return place
+            return directory
         homes = {p.parent for p in paths if p.stem.lower() == stem and p.suffix.lower() in WAVEFORM_ENDINGS}
-        return homes.pop() if len(homes) == 1 else place
+        return homes.pop() if len(homes) == 1 else directory
 
     def finds(self, path: Path) -> bool:
         """The survey takes `path` for one of its sources."""

@@ -43,9 +43,9 @@ def writers(paths: Iterable[Path]) -> dict[Path, int]:
         for handle in handles:
             try:
                 facts = handle.stat()
-                place = facts.st_dev, facts.st_ino
-                if place in wanted and _writes(process / "fdinfo" / handle.name):
-                    processes[wanted[place]] = int(process.name)
+                inode = facts.st_dev, facts.st_ino
+                if inode in wanted and _writes(process / "fdinfo" / handle.name):
+                    processes[wanted[inode]] = int(process.name)
             except OSError:
                 continue
     return processes

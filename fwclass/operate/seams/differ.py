@@ -62,26 +62,26 @@ class Seam:
     at: dict[str, tuple[int, int]] = field(default_factory=dict)
     examples: list[dict[str, Any]] = field(default_factory=list)
 
-    def add(self, part: str, stored: Mapping[str, NDArray], now: Mapping[str, NDArray], place: Table | None) -> None:
-        """Compare columns of one tile or block; `place` has identity, x and y of its rows (None: of cells)."""
+    def add(self, part: str, stored: Mapping[str, NDArray], now: Mapping[str, NDArray], located: Table | None) -> None:
+        """Compare columns of one tile or block; `located` has identity, x and y of its rows (None: of cells)."""
         rows = len(next(iter(now.values())))
         wrong = np.zeros(rows, bool)
         for name, values in now.items():
             off = differs(stored[name], values)
             self.columns.setdefault(name, ColumnDifference()).add(stored[name], values, off)
             wrong |= off
-            self._list(part, name, stored[name], values, off, place)
+            self._list(part, name, stored[name], values, off, located)
         self.rows += rows
         self.differ += int(wrong.sum())
         self.at[part] = rows, int(wrong.sum())
 
     def _list(
-        self, part: str, name: str, stored: NDArray, now: NDArray, off: NDArray[np.bool_], place: Table | None
+        self, part: str, name: str, stored: NDArray, now: NDArray, off: NDArray[np.bool_], located: Table | None
     ) -> None:
-        if place is None:
+        if located is None:
             return
         for k in np.flatnonzero(off)[: max(0, self.listed - len(self.examples))].tolist():
-            who = {n: place[n][k].item() for n in (*IDENTITY, "x", "y")}
+            who = {n: located[n][k].item() for n in (*IDENTITY, "x", "y")}
             values = {"column": name, "run": _plain(stored[k]), "shifted": _plain(now[k])}
             self.examples.append({"part": part, **who, **values})
 
