@@ -7,12 +7,15 @@ from typing import Any
 
 HOLDS, FAILS, UNSURE, OPEN = "holds", "does not hold", "undecided", "not comparable"
 
+Facts = Mapping[str, Any]
+"""What a study measured, as its report has it."""
+
 Verdict = tuple[str, str, str]
 """(our figure, one of `HOLDS`, `FAILS`, `UNSURE`, `OPEN`, why)."""
 
 
 def judge_claims(
-    printed: Mapping[str, Mapping[str, Any]], tests: Mapping[str, Callable[[Any], Verdict]], facts: Mapping[str, Any]
+    printed: Mapping[str, Mapping[str, Any]], tests: Mapping[str, Callable[[Any], Verdict]], facts: Facts
 ) -> list[dict[str, Any]]:
     """Every claim with the paper's figure, ours, the verdict and why."""
     judgements = []

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from fwclass.schema import base_of
-from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Verdict, of_gain, percent, points, spanned, verdict
+from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Facts, Verdict, of_gain, percent, points, spanned, verdict
 
-Facts = Mapping[str, Any]
 WORDS = {
     "zc": "Zc",
     "echo_number": "echo number",

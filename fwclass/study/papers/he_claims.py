@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, UNSURE, Verdict, of_gain, percent, points, verdict
+from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, UNSURE, Facts, Verdict, of_gain, percent, points, verdict
 
-Facts = Mapping[str, Any]
 COMBINED = "csf+smrf"
 LITTLE = 0.01
 """Kappa that hardly matters."""

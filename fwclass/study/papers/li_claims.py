@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from fwclass.study.papers.claims import FAILS, OPEN, Verdict, percent, verdict
-
-Facts = Mapping[str, Any]
+from fwclass.study.papers.claims import FAILS, OPEN, Facts, Verdict, percent, verdict
 
 LITTLE = 0.005
 """Errors that differ by less are called much the same."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from fwclass.classes import GROUND
-from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Verdict, of_gain, percent, points, spanned, verdict
+from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Facts, Verdict, of_gain, percent, points, spanned, verdict
 
-Facts = Mapping[str, Any]
 NEAR = 0.01
 """Two accuracies are called much the same up to this difference."""
 

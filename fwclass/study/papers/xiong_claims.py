@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
-from fwclass.study.papers.claims import OPEN, Verdict, of_gain, percent, points, spanned, verdict
+from fwclass.study.papers.claims import OPEN, Facts, Verdict, of_gain, percent, points, spanned, verdict
 
-Facts = Mapping[str, Any]
 NEAR = 0.01
 """Two accuracies are called much the same up to this difference."""
 
