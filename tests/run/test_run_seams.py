@@ -14,7 +14,7 @@ from fwclass import conf
 from fwclass.errors import ConfigError, QualityError, StoreError
 from fwclass.features.names import Asked as Features
 from fwclass.operate.seams.differ import Seam, differs
-from fwclass.operate.seams.places import choose_squares, places, shift_of
+from fwclass.operate.seams.shifted_squares import choose_squares, shift_of, shifted_squares
 from fwclass.operate.seams.summary import as_data, as_text
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent, look_at
@@ -189,11 +189,11 @@ def test_places_hold_all_that_is_near_a_border_once():
     r = np.random.default_rng(1)
     x, y = np.round(r.uniform(0, 40, (2, 20_000)), 3)
     keys = [f"{i}_{j}" for i in range(4) for j in range(4) if (i, j) != (2, 1)]
-    here = places(keys, 10.0, (5.0, 3.0), 1.0)
+    here = shifted_squares(keys, 10.0, (5.0, 3.0), 1.0)
     held = np.zeros(len(x), int)
-    for place in here:
-        inside = place.holds(x, y)
-        assert place.tile.box.contains(x[inside], y[inside]).all()
+    for square in here:
+        inside = square.holds(x, y)
+        assert square.tile.box.contains(x[inside], y[inside]).all()
         held += inside
     cell = {(int(k.split("_")[0]), int(k.split("_")[1])) for k in keys}
     near = np.zeros(len(x), bool)
@@ -210,7 +210,7 @@ def test_places_hold_all_that_is_near_a_border_once():
 
 def test_borders_are_drawn_by_share_length_and_seed():
     keys = [f"{i}_{j}" for i in range(10) for j in range(10)]
-    here = places(keys, 100.0, (50.0, 50.0), 5.0)
+    here = shifted_squares(keys, 100.0, (50.0, 50.0), 5.0)
     total = sum(p.length for p in here)
     assert total == pytest.approx(18_000.0)
     some = choose_squares(here, 0.1, None, 1)

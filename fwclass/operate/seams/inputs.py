@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fwclass.grid import Box, Tile, TileGrid
-from fwclass.operate.seams.places import ShiftedSquare
+from fwclass.operate.seams.shifted_squares import ShiftedSquare
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -59,7 +59,7 @@ class StripInputs(PartInputs):
     """
 
     tiles: Tiles
-    places: Mapping[str, ShiftedSquare]
+    squares: Mapping[str, ShiftedSquare]
     fresh: Mapping[Name, Table]
 
     def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:
@@ -72,9 +72,9 @@ class StripInputs(PartInputs):
 
     def stored(self, part: str, columns: Mapping[str, str]) -> Table:
         """As `rows`, all from the run."""
-        place = self.places[part]
-        table = self.tiles.inside(place.tile.box, columns, place.strips)
-        return table.take(place.holds(table["x"], table["y"]))
+        square = self.squares[part]
+        table = self.tiles.inside(square.tile.box, columns, square.strips)
+        return table.take(square.holds(table["x"], table["y"]))
 
     def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
         wanted = {**_PLACE, **columns}

@@ -17,7 +17,7 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.grid import Tile, TileGrid
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
-from fwclass.operate.seams.places import ShiftedSquare, places
+from fwclass.operate.seams.shifted_squares import ShiftedSquare, shifted_squares
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Outcome, Task, single_thread
 from fwclass.run.progress import Display
@@ -58,7 +58,7 @@ _PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
 
 
 def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display: Display) -> list[Seam]:
-    """Do the work of `tasks` (stages of tiles, in order, whose parts are places of `inputs`) and compare every column.
+    """Do the work of `tasks` (stages of tiles, in order, whose parts are squares of `inputs`) and compare every column.
 
     What a stage reads of an earlier one of these is what was computed here, so that a class answers for its features.
     """
@@ -70,8 +70,8 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
     seams: dict[str, Seam] = {}
     for part, some in by_place.items():
         here = replace(inputs, fresh={})
-        place = here.stored(part, {})
-        if not place.rows:  # a strip without echoes
+        located = here.stored(part, {})
+        if not located.rows:  # a strip without echoes
             some = []
         for task in some:
             with temporary_directory("seams") as directory:
@@ -79,7 +79,7 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
                 now = read_table(directory / TABLE)
             here = replace(here, fresh={**here.fresh, task.name: now})
             stored = here.stored(part, dict.fromkeys(now, task.stage))
-            seams.setdefault(task.stage, Seam(task.stage, "tile", "echoes", listed)).add(part, stored, now, place)
+            seams.setdefault(task.stage, Seam(task.stage, "tile", "echoes", listed)).add(part, stored, now, located)
             display.ended(Outcome(*task.name, "computed"))
     return list(seams.values())
 
@@ -154,7 +154,7 @@ def shifted_blocks(stage: Stage, plan: Plan) -> list[ShiftedSquare]:
     """Blocks moved by half their size that hold a border between two of the stage's blocks."""
     blocks = stage.all_parts(plan)
     size, width = blocks[0].size, plan.config.seams.width
-    return places((b.key for b in plan.layout.blocks(size)), size, TileGrid(size).halfway().origin, width)
+    return shifted_squares((b.key for b in plan.layout.blocks(size)), size, TileGrid(size).halfway().origin, width)
 
 
 def compare_moved_blocks(
@@ -172,14 +172,14 @@ def compare_moved_blocks(
     stage_of_tiles = gathering_stage(plan, columns)
     blocks, echoes, off = 0, 0, 0
     heights: list[NDArray[np.float64]] = []
-    for place in moved:
+    for square in moved:
         if blocks == count:
             break
-        block, layout = place.tile, plan.layout
+        block, layout = square.tile, plan.layout
         present = layout.around(stage.box(plan, block), layout.keys)
         wanted = {**_PLACE, **dict.fromkeys(columns, stage_of_tiles)}
         stored = surroundings(inputs, block, 0.0, plan.config.tile.size, wanted, present).table
-        near = place.holds(stored["x"], stored["y"])
+        near = square.holds(stored["x"], stored["y"])
         if not near.any():
             continue
         with temporary_directory("seams") as directory:

@@ -10,7 +10,7 @@ from fwclass.errors import QualityError
 from fwclass.formats.geopackage import points, rectangles, write_layer
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.measure import BlockShiftEffect
-from fwclass.operate.seams.places import ShiftedSquare
+from fwclass.operate.seams.shifted_squares import ShiftedSquare
 from fwclass.publish.files import whole
 from fwclass.store.url import Url
 
@@ -145,18 +145,18 @@ def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
     bounds: list[tuple[float, ...]] = []
     fields: dict[str, list[Any]] = {"part": [], "differ": []}
     tiles = [s for s in result.bounded if s.parts == "tile"]
-    for place in result.strips:
-        wrong = max((s.at.get(place.tile.key, (0, 0))[1] for s in tiles), default=0)
-        for strip in place.strips:
+    for square in result.strips:
+        wrong = max((s.at.get(square.tile.key, (0, 0))[1] for s in tiles), default=0)
+        for strip in square.strips:
             bounds.append(strip.bounds)
-            fields["part"].append(place.tile.key)
+            fields["part"].append(square.tile.key)
             fields["differ"].append(wrong)
     listed = [{"stage": s.stage, **e} for s in result.bounded for e in s.examples]
     with whole(path) as beside:
         write_layer(beside, "strips", "Polygon", rectangles(bounds), fields, crs)
         if listed:
-            places = points((e["x"], e["y"]) for e in listed)
+            located = points((e["x"], e["y"]) for e in listed)
             names = ("stage", "part", "strip", "pulse", "echo_number", "column")
             columns: dict[str, list[Any]] = {n: [e[n] for e in listed] for n in names}
             columns |= {n: [str(e[n]) for e in listed] for n in ("run", "shifted")}
-            write_layer(beside, "echoes", "Point", places, columns, crs)
+            write_layer(beside, "echoes", "Point", located, columns, crs)

@@ -22,7 +22,7 @@ from fwclass.operate.seams.measure import (
     shifted_blocks,
     tile_seams,
 )
-from fwclass.operate.seams.places import ShiftedSquare, choose_squares, places
+from fwclass.operate.seams.shifted_squares import ShiftedSquare, choose_squares, shifted_squares
 from fwclass.operate.seams.summary import SeamResult
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
@@ -75,7 +75,7 @@ def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Di
         only = only.tiles(layout, plan.survey.crs)
     keys = layout.keys if only is None else layout.keys & only
     check_done(look, keys, (*compared.of_tiles, *compared.gathering))
-    candidates = places(keys, config.tile.size, asked.shift, config.seams.width)
+    candidates = shifted_squares(keys, config.tile.size, asked.shift, config.seams.width)
     if not candidates:
         raise ConfigError("no two tiles of this run share a border", where=where, got=f"{len(keys)} tiles")
     strips = choose_squares(candidates, asked.share, asked.length, config.seams.seed)
@@ -115,9 +115,9 @@ def _make_plan(config: Config, look: StatusWalk, workflow: Workflow, stages: tup
 
 def _strips(plan: Plan, stages: list[Stage], strips: list[ShiftedSquare], tiles: Tiles, display: Display) -> list[Seam]:
     whole = plan.layout
-    places = tuple(p.tile for p in strips)
-    ever = dict.fromkeys((t.key for t in places), (whole.times,))  # which strips pass these tiles is not known
-    there = replace(plan, tiled=replace(whole, tiles=places, passes=ever))
+    moved = tuple(p.tile for p in strips)
+    ever = dict.fromkeys((t.key for t in moved), (whole.times,))  # which strips pass these tiles is not known
+    there = replace(plan, tiled=replace(whole, tiles=moved, passes=ever))
     inputs = StripInputs(tiles.store, tiles, {p.tile.key: p for p in strips}, {})
     return tile_seams(tasks_of(there, stages), inputs, plan.config.seams.listed, display)
 

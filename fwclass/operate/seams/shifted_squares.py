@@ -51,7 +51,7 @@ def shift_of(text: str | None, size: float) -> tuple[float, float]:
     return dx, dy
 
 
-def places(keys: Iterable[str], size: float, shift: tuple[float, float], width: float) -> list[ShiftedSquare]:
+def shifted_squares(keys: Iterable[str], size: float, shift: tuple[float, float], width: float) -> list[ShiftedSquare]:
     """Squares of the shifted grid that hold a border between two of the squares `keys` (edge `size` [m])."""
     whole_millimetres(width, "seams.width")
     strips: dict[Tile, list[tuple[Box, float]]] = {}
