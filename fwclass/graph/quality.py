@@ -29,24 +29,14 @@ from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
-from fwclass.quality.block import BORDERS, LOWS, READS, block_quality, pairs_from, pieces_from
+from fwclass.quality.block import READS, block_quality, pairs_from
 from fwclass.quality.check_points import CHECKED, check_remarks, compared_points
+from fwclass.quality.compared import compare_strips
 from fwclass.quality.density import Density, density_remarks
-from fwclass.quality.offsets import slopes_from
 from fwclass.quality.params import THRESHOLDS, QualityParams
-from fwclass.quality.pieces import Pieces, strips_of
-from fwclass.quality.roughness import EDGES, roughness_facts, roughness_remarks
-from fwclass.quality.steps import Steps, step_remarks, told_steps
-from fwclass.quality.strips import (
-    By,
-    Comparison,
-    largest_differences,
-    lifted_strips,
-    numbers_of,
-    stepped_borders,
-    strip_remarks,
-    strips_by,
-)
+from fwclass.quality.roughness import roughness_remarks
+from fwclass.quality.steps import step_remarks
+from fwclass.quality.strips import largest_differences, strip_remarks
 from fwclass.quality.voids import LISTED, EmptyCells, Void, void_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
@@ -58,7 +48,6 @@ if TYPE_CHECKING:
 
 COMPARED = "compared"
 FACTS, PAGE, POLYGONS = "quality.json", "quality.html", "quality.gpkg"
-PIECES = tuple(Pieces.__dataclass_fields__)
 
 
 def measure_quality(here: StageInputs, params: QualityParams) -> Result:
@@ -117,7 +106,13 @@ def deliver_quality(
     grid = TileGrid(block)
     blocks = tuple(grid.tile(key) for key in here.parts(MEASURE_QUALITY.name))
     metas = [here.inputs.meta(MEASURE_QUALITY.name, b.key) for b in blocks]
-    strips, number = _strips(here.inputs, blocks, metas, params, {int(k): name for k, name in files.items()})
+    strips, number = compare_strips(
+        blocks,
+        lambda key, only: here.inputs.arrays(MEASURE_QUALITY.name, key, COMPARED, only)[0],
+        tuple(sum(int(m[name]) for m in metas) for name in ("pairs", "between_files", "between_lines")),
+        params,
+        {int(k): name for k, name in files.items()},
+    )
     counted = Mosaic(
         here.inputs, MEASURE_QUALITY.name, blocks, params.cell, {"echoes": np.uint32(0), "pulses": np.uint32(0)}
     )
@@ -171,51 +166,6 @@ def deliver_quality(
     largest = Box(*max(places.values(), key=lambda b: (Box(*b).area, b)))
     render_quality(facts, _pictures(counted, differences, largest, publish), __version__, here.directory / PAGE)
     return {"quality": facts}
-
-
-def _strips(
-    inputs: PartInputs,
-    blocks: Sequence[Tile],
-    metas: Sequence[Mapping[str, Any]],
-    params: QualityParams,
-    files: Mapping[int, str],
-) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]]:
-    """What the strips are like, and the strip of every block's pieces."""
-    stage = MEASURE_QUALITY.name
-    pieces = [pieces_from(inputs.arrays(stage, b.key, COMPARED, PIECES)[0]) for b in blocks]
-    by = strips_by(params.strips, *(sum(int(m[n]) for m in metas) for n in ("between_files", "between_lines")))
-    numbers = numbers_of(pieces, by)
-    strips = strips_of(pieces, [(b.box.xmin, b.box.ymin) for b in blocks], numbers, params.line_gap)
-    compared, borders, lows = Comparison(params.planes, sum(int(m["pairs"]) for m in metas)), [], []
-    rough = np.zeros(len(EDGES), np.int64)
-    by_files, by_lines, beside = (Steps(params.planes.max_step) for _ in range(3))
-    lines = numbers_of(pieces, "times")
-    for b, piece, number, line in zip(blocks, pieces, numbers, lines, strict=True):
-        window = Window.covering(b.box, params.planes.cell)
-        arrays = inputs.arrays(stage, b.key, COMPARED)[0]
-        pairs = pairs_from(arrays)
-        by_files.add_pairs(pairs, piece.file)
-        by_lines.add_pairs(pairs, line)
-        compared.add(pairs, slopes_from(arrays), number, (window.col, window.row))
-        borders.append([arrays[name] for name in BORDERS])
-        lows.append((arrays[LOWS[0]], arrays[LOWS[1]], arrays[LOWS[2]]))
-        rough += arrays["roughness"]
-    first, second, step = (np.concatenate(some) for some in zip(*borders, strict=True))
-    stepped = stepped_borders(first, second, step, files, params.planes.max_step)
-    beside.add(first, second, step)
-    named = {k: f"line {k + 1}" for k in range(1 + max((int(n.max()) for n in lines if len(n)), default=0))}
-    steps = told_steps(
-        {
-            ("files", "overlap"): (by_files, files),
-            ("files", "border"): (beside, files),
-            ("times", "overlap"): (by_lines, named),
-        }
-    )
-    ways: tuple[By, ...] = ("files", "times")
-    lifted = [{"by": way, **one} for way in ways for one in lifted_strips(lows, numbers_of(pieces, way))]
-    facts = compared.facts(strips, files, by) | {"borders": stepped, "lifted": lifted, "steps": steps}
-    facts["roughness"] = roughness_facts(rough)
-    return facts, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
 
 
 def _density_raster(

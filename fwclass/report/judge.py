@@ -27,8 +27,8 @@ from fwclass.report.returns import judge_returns
 
 def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
-    ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``radiometry``, each where it
-    is known."""
+    ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``radiometry``, ``strips``,
+    each where it is known."""
     if judged.get("plausibility"):
         judge_plausibility([judged["plausibility"]], bounds)
     judge_place(judged.get("place"), bounds.accept, where)
@@ -36,6 +36,9 @@ def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: o
     judge_returns(judged.get("returns"), bounds, where)
     judge_sunken(judged.get("ground", ()), bounds.accept, where)
     judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
+    if judged.get("strips"):
+        judge_strips(judged["strips"], bounds.accept, where)
+        judge_steps(judged["strips"], bounds.max_height_step, bounds.accept, where)
 
 
 def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> None:

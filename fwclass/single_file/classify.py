@@ -50,6 +50,7 @@ from fwclass.single_file.features.echoes import (
     with_noise,
     with_radiometry,
 )
+from fwclass.single_file.features.lines import with_lines
 from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.tiles import HELD, FileConfig, FileTiles, Tell, quiet
 from fwclass.store.installed_models import model_location
@@ -294,7 +295,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
         if "height_above_ground" in model.features:
             notes = tuple(ground_notes(model.card, method, conf.section("terrain", job.settings).height))
     if asked.names or wide.names or "noise" in needed:
-        echoes = with_noise(echoes, job.settings, tell)
+        echoes = with_lines(with_noise(echoes, job.settings, tell), job.source, job.settings)
     if any(n in RADIOMETRY.writes for n in needed):
         echoes = with_radiometry(echoes, job.flight, job.settings)
     check_names(model, echoes.table, job.source)

@@ -33,6 +33,7 @@ from fwclass.single_file.features.echoes import (
     with_noise,
     with_radiometry,
 )
+from fwclass.single_file.features.lines import with_lines
 from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
@@ -173,7 +174,7 @@ def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
         by = GroundChoice(job.method, job.preset, job.assignments, job.own_ground, job.auto, job.skip_missing)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
     if wanted.around.names:
-        echoes = with_noise(echoes, job.settings, tell)
+        echoes = with_lines(with_noise(echoes, job.settings, tell), job.source, job.settings)
         columns["noise"] = None
     if set(wanted.names) & set(RADIOMETRY.writes):
         echoes = with_radiometry(echoes, flight, job.settings)

@@ -1,0 +1,43 @@
+"""Whether the flight lines of one file lie at one height, and at one place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fwclass import conf
+from fwclass.grid import TileGrid
+from fwclass.quality.block import READS, block_quality
+from fwclass.quality.compared import compare_strips
+from fwclass.quality.steps import step_remarks
+from fwclass.quality.strips import unsound_strips
+from fwclass.schema import Table
+from fwclass.single_file.features.echoes import FileEchoes
+
+
+def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> FileEchoes:
+    """`echoes` of which is known how their lines lie, as a run's quality tells it: said from the same steps on, and
+    `judged` as ``strips``. As they were where times do not part them, or are not known."""
+    params, table = conf.section("quality", settings), echoes.table
+    if not all(name in table for name in READS):
+        return echoes
+    sound = np.isfinite(table["gps_time"])
+    spans = np.unique(np.floor(table["gps_time"][sound] / params.line_gap))
+    if not (np.diff(spans) > 1).any():
+        return echoes
+    grid = TileGrid(conf.section("terrain", settings).block)
+    column, row = grid.indices(table["x"], table["y"])
+    order = np.lexsort((row, column))
+    new = (np.diff(column[order]) != 0) | (np.diff(row[order]) != 0)
+    parts = np.split(order, np.flatnonzero(new) + 1)
+    blocks = [grid.tile(f"{column[rows[0]]}_{row[rows[0]]}") for rows in parts]
+    of_lines = Table({name: table[name] for name in READS})
+    of_block = [block_quality(of_lines.take(np.sort(r)), b.box, params) for b, r in zip(blocks, parts, strict=True)]
+    arrays = {b.key: q.arrays() for b, q in zip(blocks, of_block, strict=True)}
+    counts = np.sum([(len(q.pairs.dz), *q.between()) for q in of_block], axis=0).tolist()
+    files = {int(k): path.stem for k in np.unique(table["strip"])}
+    facts, _ = compare_strips(blocks, lambda key, only: arrays[key], tuple(counts), params, files)
+    said = (*unsound_strips(facts), *step_remarks(facts))
+    return replace(echoes, notes=(*echoes.notes, *said), judged={**echoes.judged, "strips": facts})
