@@ -8,6 +8,7 @@ import laspy
 import numpy as np
 import pytest
 from commandline import fwclass, process
+from lasmaker import write_las
 
 from fwclass.errors import InputError
 from fwclass.graph import training_rows
@@ -189,6 +190,12 @@ def test_feet_and_the_same_file_twice(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="EPSG:2263")
     args = ("run", path, "--workers", 0, "--out", tmp_path / "r")
     assert told(fwclass(*args), 1, "not in metres", "foot")
+    high = write_las(
+        tmp_path / "z.las", np.arange(30).reshape(10, 3), point_format=1, keys={3072: 25832, 4096: 7837, 4099: 9002}
+    )
+    only = ("--set", f"survey.sources=['{high.name}']", "--set", "survey.crs=null")
+    assert told(fwclass(*args, *only), 1, "not in metres", "DHHN2016 height (foot)", "survey.crs=EPSG")
+    high.unlink()
     (tmp_path / "ab.las").write_bytes(small.read_bytes())
     both = ("--set", "survey.sources=['*.las']", "--set", "survey.crs=none")
     assert told(fwclass(*args, *both), 1, "the same file", "ab.las")

@@ -14,8 +14,9 @@ from fwclass.formats.las_header import Record
 
 _USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
 _WKT, _KEYS = 2112, 34735
-_GEOGRAPHIC, _PROJECTED, _VERTICAL = 2048, 3072, 4096
+_GEOGRAPHIC, _PROJECTED, _VERTICAL, _VERTICAL_UNITS = 2048, 3072, 4096, 4099
 _USER_DEFINED = 32767
+_FEET = {9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
 
 
 class Records(Protocol):
@@ -46,7 +47,14 @@ def crs_of(header: Records, faults: list[str]) -> Any:
         faults.append("no usable CRS: name one in the configuration")
     elif crs.is_geographic:
         faults.append("the CRS is in degrees: project the file to metres first")
+    elif units := units_of(crs):
+        faults.append(f"the CRS is in {', '.join(units)}: a survey's files must be in metres, x, y and z")
     return crs
+
+
+def units_of(crs: CRS) -> list[str]:
+    """Units of its axes that are no metres, sorted."""
+    return sorted({a.unit_name for a in crs.axis_info if abs(a.unit_conversion_factor - 1.0) > 1e-9})
 
 
 def epsg_of(crs: CRS) -> int | None:
@@ -113,11 +121,35 @@ def _from_keys(header: Records, faults: list[str]) -> CRS | None:
         codes = [f"EPSG:{horizontal}+{vertical}"] if vertical and vertical != _USER_DEFINED else []
         for code in [*codes, f"EPSG:{horizontal}"]:
             try:
-                return CRS.from_user_input(code)
+                return _with_feet(CRS.from_user_input(code), keys.get(_VERTICAL_UNITS, 0))
             except CRSError:
                 continue
         faults.append(f"the GeoTIFF keys name an unknown CRS, EPSG:{horizontal}")
     return None
+
+
+def _with_feet(crs: CRS, unit: int) -> CRS:
+    """`crs` with heights in the feet that the key of their unit names, where itself it counts them in metres.
+
+    Writers name NAVD88 by EPSG:5703, which is in metres, or by nothing, and say by this key alone that heights are in
+    feet.
+    """
+    heights = [a for a in crs.axis_info if a.direction == "up"] or [a for a in crs.axis_info if crs.is_projected]
+    if unit not in _FEET or not heights or abs(heights[0].unit_conversion_factor - 1.0) > 1e-9:
+        return crs
+    name, metres = _FEET[unit]
+    flat, above = (*crs.sub_crs_list, None)[:2] if crs.is_compound else (crs, None)
+    axis = {"name": "Gravity-related height", "abbreviation": "H", "direction": "up"}
+    datum = {"type": "VerticalReferenceFrame", "name": "unknown"}
+    plain = above.to_json_dict() if above is not None else {"type": "VerticalCRS", "name": "height", "datum": datum}
+    plain |= {"name": f"{plain['name']} ({name})"}
+    plain["coordinate_system"] = {
+        "subtype": "vertical",
+        "axis": [axis | {"unit": {"type": "LinearUnit", "name": name, "conversion_factor": metres}}],
+    }
+    plain.pop("id", None)
+    whole = f"{flat.name} + {plain['name']}"
+    return CRS.from_json_dict({"type": "CompoundCRS", "name": whole, "components": [flat.to_json_dict(), plain]})
 
 
 def _geo_keys(body: bytes) -> dict[int, int]:

@@ -10,6 +10,7 @@ from pyproj.exceptions import CRSError
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
+from fwclass.formats.crs import units_of
 from fwclass.formats.flat import refuse_source
 from fwclass.formats.grid_files import without_paths
 from fwclass.read.source import Source, refuse_other_system
@@ -51,14 +52,14 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
                 got="neither",
                 do="--set survey.crs=EPSG:<code>, or --set survey.crs=none to go without",
             )
-        units = sorted({a.unit_name for a in crs.axis_info if abs(a.unit_conversion_factor - 1.0) > 1e-9})
-        if units:
+        if units := units_of(crs):
             raise InputError(
                 "the coordinates are not in metres",
                 where=path,
                 expected="a projected CRS with x, y and z in metres: every distance here is one",
                 got=f"{crs.name}, in {', '.join(units)}",
-                do="convert the files (for example with PDAL's filters.reprojection) and run again",
+                do="convert the files (for example with PDAL's filters.reprojection) and run again; or, if they name "
+                "their unit wrongly, --set survey.crs=EPSG:<code>, or EPSG:<code>+<code of heights>",
             )
         if not any(crs.equals(known, ignore_axis_order=True) for known, _ in systems):  # whatever they call it
             systems.append((crs, path))

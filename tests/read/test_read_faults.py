@@ -10,6 +10,8 @@ from lasmaker import METRES_PER_NS, Descriptor, survey, to_laz, write_las
 from tolerances import FLOAT32_RTOL
 
 from fwclass.errors import InputError
+from fwclass.formats.crs import units_of
+from fwclass.formats.linear_units import linear_units
 from fwclass.read.info import describe, info
 from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
@@ -213,6 +215,20 @@ def test_crs_faults(tmp_path):
     assert junk.crs is None and any("no valid WKT" in f for f in junk.faults)
     by_wkt = open_source(six(tmp_path / "e.las", keys=None, wkt=degrees.crs.to_wkt("WKT1_GDAL")))
     assert by_wkt.crs.is_geographic
+
+
+@pytest.mark.parametrize("vertical", [None, 5703])
+def test_heights_are_in_the_feet_that_the_key_of_their_unit_names(tmp_path, vertical):
+    """As US surveys have it: NAVD88 by the code of its metres, or by none, and the unit in a key of its own."""
+    named = {4096: vertical} if vertical else {}
+    source = open_source(six(tmp_path / "a.las", keys={3072: 26918, **named, 4099: 9003}))
+    assert linear_units(source.crs, source.header, "") == linear_units(source.crs, None, "")
+    assert [a.unit_name for a in source.crs.axis_info] == ["metre", "metre", "US survey foot"]
+    assert source.crs.sub_crs_list[0].to_epsg() == 26918 and any("in US survey foot" in f for f in source.faults)
+    metres = open_source(six(tmp_path / "b.las", keys={3072: 26918, **named, 4099: 9001}))
+    assert units_of(metres.crs) == [] and not any("foot" in f for f in metres.faults)
+    feet = open_source(six(tmp_path / "c.las", keys={3072: 2263, 4099: 9003}))
+    assert feet.crs.to_epsg() == 2263 and any("in US survey foot" in f for f in feet.faults)
 
 
 def test_info_tells_faults_of_the_points(tmp_path):
