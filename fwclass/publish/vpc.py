@@ -44,8 +44,8 @@ def write_vpc(
     """Write a list of tiles, sorted by name.
 
     The date is that of a tile's first echo where GPS times are adjusted standard time; else nothing tells it, and the
-    items bear that of GPS time's origin. Without a CRS nothing tells a place on the globe: the geometry is in
-    the survey's own coordinates then, which QGIS draws.
+    items bear that of GPS time's origin. Without a CRS, or with one that is tied to no place, nothing tells a place on
+    the globe: the geometry is in the survey's own coordinates then, which QGIS draws.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class _Place:
 
     def __init__(self, crs: pyproj.CRS | None) -> None:
         self.crs = crs
-        self.to_globe = pyproj.Transformer.from_crs(crs, 4326, always_xy=True) if crs is not None else None
+        self.to_globe = _to_globe(crs) if crs is not None else None
         authority = crs.to_authority() if crs is not None else None
         self.code = ":".join(authority) if authority else None
 
@@ -88,6 +88,14 @@ class _Place:
         if self.to_globe is not None:
             x, y = self.to_globe.transform(x, y)
         return [[round(float(a), DIGITS), round(float(b), DIGITS)] for a, b in zip(x, y, strict=True)]
+
+
+def _to_globe(crs: pyproj.CRS) -> pyproj.Transformer | None:
+    """What brings coordinates to longitude and latitude; None where nothing does, as from a plant's own grid."""
+    try:
+        return pyproj.Transformer.from_crs(crs, 4326, always_xy=True)
+    except pyproj.exceptions.ProjError:
+        return None
 
 
 def _item(

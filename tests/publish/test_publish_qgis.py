@@ -92,6 +92,14 @@ def test_a_list_of_tiles_has_two_kilobytes_a_tile(tmp_path: Path) -> None:
     assert made["items"] == 2_000 and made["bytes"] <= 4_000_000
 
 
+def test_a_grid_that_is_tied_to_no_place_is_listed_in_its_own_coordinates(tmp_path: Path) -> None:
+    plant = pyproj.CRS('LOCAL_CS["plant grid",UNIT["metre",1]]')
+    write_vpc({"tiles/1_1.copc.laz": FACTS}, tmp_path / "s.vpc", plant, point_schema(()))
+    write_vpc({"tiles/1_1.copc.laz": FACTS}, tmp_path / "none.vpc", None, point_schema(()))
+    item, without = (json.loads((tmp_path / n).read_text())["features"][0] for n in ("s.vpc", "none.vpc"))
+    assert item["geometry"] == without["geometry"] and "plant grid" in item["properties"]["proj:wkt2"]
+
+
 def test_colours_spread_over_what_is_common() -> None:
     spread = Spread()
     assert spread.shown() == [0.0, 1.0]
