@@ -89,6 +89,24 @@ def test_what_files_do_not_tell_is_said(tmp_path):
     assert ended.stdout.count("TO DO") == 3
 
 
+def test_files_without_classes_are_no_leftovers(tmp_path):
+    """Of 24,000 points half are unclassified as their file is: no class is proposed for them."""
+    town(tmp_path, "Süd")
+    town(tmp_path, "neu", east=200.0, codes=np.array([1]))
+    draft = fwclass("init", ".", "--name", "Süd", cwd=tmp_path).stdout
+    assert "# 1 file without classes, 12,000 points: neu.las" in draft and "TO DO" not in draft
+    assert 'name: "Süd"' in draft and yaml.safe_load(draft)["survey"]["name"] == "Süd"
+
+
+@pytest.mark.parametrize("edge", [20, 30])
+def test_a_file_too_small_to_train_and_test_is_said_to_be(tmp_path, edge):
+    xyz = np.array([500_000, 5_400_000, 0]) + np.random.default_rng(0).uniform(0, edge, (3000, 3))
+    codes = np.resize(CODES, 3000)
+    lasmaker.write_las(tmp_path / "a.las", xyz, point_format=6, classification=codes, keys=lasmaker.UTM33)
+    ended = fwclass("init", "a.las", cwd=tmp_path)
+    assert "on both of its sides" in ended.stderr and "fewer than two" not in ended.stderr
+
+
 def test_a_class_in_one_corner_is_left_out(tmp_path):
     """No straight line has it on both sides, a gap apart."""
     town(tmp_path)

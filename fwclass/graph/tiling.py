@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,6 +100,15 @@ def source_codes(splits: Mapping[Name, Receipt]) -> Counter[int]:
     for (stage, _), receipt in splits.items():
         if stage == SPLIT.name:
             counted.update({int(code): n for code, n in receipt.meta.get("codes", {}).items()})
+    return counted
+
+
+def codes_of_strips(receipts: Iterable[Receipt]) -> dict[int, Counter[int]]:
+    """Echoes of every strip by the class of their source."""
+    counted: dict[int, Counter[int]] = {}
+    for receipt in receipts:
+        codes = {int(code): n for code, n in receipt.meta.get("codes", {}).items()}
+        counted.setdefault(strip_of(receipt.part), Counter()).update(codes)
     return counted
 
 

@@ -52,7 +52,7 @@ def remarks_on_accuracy(
         return own + accuracy_remarks(accuracy, config, names, echoes, cells=cells, lines=lines)
     nearest = counted["gap"]["found"]
     own += _corrected(accuracy, counted.get("corrections"))
-    others = counted["other_codes"]
+    others = counted["left_codes"]
     return own + accuracy_remarks(accuracy, config, names, counted["echoes"], others, nearest, cells, lines)
 
 

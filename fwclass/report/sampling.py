@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.conf import Config
+from fwclass.errors import first_few, several, visible
 from fwclass.grid import TileGrid
 from fwclass.label.counts import label_remarks, total, total_training
 from fwclass.store.receipts import Receipt
+
+UNSORTED = frozenset({0, 1, 7, 12, 18})
+"""Codes of files that nobody has sorted: never classified, unclassified, noise and overlap."""
+
+SHOWN = 3
+"""Files that are named."""
 
 
 def sampling(
@@ -20,6 +28,7 @@ def sampling(
     corrections: Sequence[Receipt] = (),
     by_echo: Sequence[Receipt] = (),
     *,
+    files: Mapping[str, Mapping[int, int]] | None = None,
     whole_run: bool = True,
 ) -> dict[str, Any] | None:
     """Figures for ``report.json``; None where nothing was counted.
@@ -28,6 +37,7 @@ def sampling(
     ----------
     counted, drawn, labelled, polygons, corrections, by_echo : receipts of the parts `label-counts`, `sample-counts`,
         `label`, `polygons`, `corrections` and `echo-labels`.
+    files : echoes of every source file by their code in it.
     whole_run : all tiles are among them; else nobody knows of the others' corrections.
     """
     if not counted:
@@ -41,12 +51,15 @@ def sampling(
     drawn_by_class = rows["train"] if rows else [0] * len(classes)
     drawn_by_box = rows["boxes"] if rows else [[0] * len(classes) for _ in train]
     corrected = _corrections(corrections, labelled)
+    blank = files_without_classes(files or {}) if config.survey.reference.kind == "source" else {}
     return {
         "reference": config.survey.reference.kind,
         "echoes": whole["echoes"],
         "labelled": sum(whole["labelled"]),
         "unlabelled": whole["unlabelled"],
         "other_codes": whole["other"],
+        "without_classes": {name: sum(codes.values()) for name, codes in blank.items()},
+        "left_codes": _less(whole["other"], blank.values()),
         "ambiguous": ambiguous,
         "classes": [
             {"name": c.name, "code": c.code, "labelled": a, "train": b, "taken": t, "test": d}
@@ -65,11 +78,41 @@ def sampling(
         "corrections": corrected,
         "remarks": [
             *notes,
+            *_of_blank_files(blank, config),
             *_of_polygons(polygons, ambiguous),
             *(_remarks_on_corrections(corrected, config.label.max_move) if whole_run else ()),
             *(_remarks_on_echo_labels(by_echo, labelled, config.label.max_move) if whole_run else ()),
         ],
     }
+
+
+def files_without_classes(files: Mapping[str, Mapping[int, int]]) -> dict[str, Mapping[int, int]]:
+    """Those of `files` that hold no code but those of `UNSORTED`, by name; none where no other file is there."""
+    blank = {name: codes for name, codes in sorted(files.items()) if codes and set(codes) <= UNSORTED}
+    return blank if any(set(codes) - UNSORTED for codes in files.values()) else {}
+
+
+def _less(others: Mapping[str, int], blank: Iterable[Mapping[int, int]]) -> dict[str, int]:
+    """`others` without the echoes of `blank` files; codes that none are left of are left out."""
+    left = Counter({int(code): n for code, n in others.items()})
+    for codes in blank:
+        left.subtract(codes)
+    return {code: left[int(code)] for code in others if left[int(code)] > 0}
+
+
+def _of_blank_files(blank: Mapping[str, Mapping[int, int]], config: Config) -> list[str]:
+    """That files hold no classes; and that they teach one all the same, where a class counts their code."""
+    if not blank:
+        return []
+    names = first_few([visible(name) for name in blank], SHOWN)
+    held = f"The source files hold classes, but for {several(len(blank), 'file')} ({names})"
+    of = {code: c.name for c in config.classes for code in c.codes}
+    if taught := sorted({of[code] for codes in blank.values() for code in codes if code in of}):
+        return [
+            f"{held}, which nobody has sorted: all of it is learned, and tested, as {', '.join(taught)}. Leave it out "
+            "of survey.sources, or out of all areas.train and areas.test."
+        ]
+    return [f"{held}: it is classified by what was learned from the others, and not tested."]
 
 
 def _corrections(read: Sequence[Receipt], labelled: Sequence[Receipt]) -> dict[str, int] | None:

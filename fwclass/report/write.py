@@ -14,7 +14,7 @@ from fwclass.graph.corrections import CORRECTIONS, ECHO_LABELS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
 from fwclass.graph.model_fit import ground_notes
 from fwclass.graph.sampling import LABELS, SAMPLES
-from fwclass.graph.tiling import source_codes
+from fwclass.graph.tiling import codes_of_strips, source_codes
 from fwclass.graph.water import LEVELS
 from fwclass.quality.check_points import check_remarks
 from fwclass.quality.covered import CoveredArea
@@ -195,6 +195,7 @@ def _of_the_classes(
     counted = sampling(
         config,
         *(receipts_of_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS, ECHO_LABELS)),
+        files=_codes_of_files(runner, survey),
         whole_run=runner.whole,
     )
     return {
@@ -235,7 +236,14 @@ def _uncounted(config: Config, counted: Mapping[str, Any] | None) -> float:
     if len(tiles) < SORTED[0] or labelled < SORTED[1] * len(tiles):
         return 0.0
     stays = {int(code) for code in config.classify.keep}
-    return sum(n for code, n in counted["other_codes"].items() if int(code) not in stays) / counted["echoes"]
+    sorted_echoes = counted["echoes"] - sum(counted["without_classes"].values())
+    return sum(n for code, n in counted["left_codes"].items() if int(code) not in stays) / max(sorted_echoes, 1)
+
+
+def _codes_of_files(runner: Runner, survey: Survey) -> dict[str, Mapping[int, int]]:
+    """Echoes of every source file by their code in it."""
+    codes = codes_of_strips(receipts_of_run(runner, SPLIT.name))
+    return {strip.path.name: codes[strip.number] for strip in survey.strips if strip.number in codes}
 
 
 def _remarks(

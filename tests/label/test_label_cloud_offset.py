@@ -123,15 +123,22 @@ def test_much_of_the_survey_is_of_no_class(base: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("labelled", "only", "share"),
-    [([60, 60, 60, 60], (), 0.4), ([60, 60, 60, 0], (), 0.0), ([60, 60, 60], (), 0.0), ([60] * 4, (0, 1), 0.0)],
+    ("labelled", "only", "blank", "share"),
+    [
+        ([60, 60, 60, 60], (), 0, 0.4),
+        ([60, 60, 60, 60], (), 100, 0.2),
+        ([60, 60, 60, 0], (), 0, 0.0),
+        ([60, 60, 60], (), 0, 0.0),
+        ([60] * 4, (0, 1), 0, 0.0),
+    ],
 )
 def test_a_survey_with_labels_here_and_there_is_none_that_was_sorted(
-    labelled: list[int], only: tuple[int, ...], share: float
+    labelled: list[int], only: tuple[int, ...], blank: int, share: float
 ) -> None:
     kept = SimpleNamespace(only=only, keep=())
     config = SimpleNamespace(survey=SimpleNamespace(reference=SimpleNamespace(kind="source")), classify=kept)
     tiles = [{"echoes": 100, "labelled": [n, 0]} for n in labelled]
     other = 100 * len(tiles) - sum(labelled)
-    counted = {"tiles": tiles, "echoes": 100 * len(tiles), "other_codes": {"1": other}}
+    counted = {"tiles": tiles, "echoes": 100 * len(tiles)}
+    counted |= {"left_codes": {"1": other - blank}, "without_classes": {"a.las": blank}}
     assert _uncounted(config, counted) == share  # type: ignore[arg-type]

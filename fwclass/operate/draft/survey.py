@@ -18,7 +18,7 @@ import numpy as np
 from fwclass import conf
 from fwclass.classify.context import halo_of
 from fwclass.conf.sets import feature_set
-from fwclass.errors import FwclassError, InputError, several, visible
+from fwclass.errors import FwclassError, InputError, first_few, several, visible
 from fwclass.features.names import Asked, is_feature
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
 from fwclass.operate.estimate.forecast import make_forecast
@@ -93,6 +93,14 @@ class Holdings:
         """Points and pulses."""
         return sum(int(f.get("points") or f.get("pulses") or 0) for f in self.facts)
 
+    @cached_property
+    def blank(self) -> dict[str, Counter[int]]:
+        """Codes of the files that hold none of any class, by name, where others do."""
+        codes = {
+            Path(f["path"]).name: Counter({int(c): n for c, n in (f.get("classes") or {}).items()}) for f in self.facts
+        }
+        return {name: own for name, own in codes.items() if own and set(own) <= set(NO_CLASS)}
+
     def systems(self) -> dict[str, int]:
         """How many files name each coordinate system."""
         names = Counter(_system(f.get("crs")) for f in self.facts)
@@ -162,9 +170,9 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None, director
     lines = [
         *_head(holdings),
         "survey:",
-        f"  name: {json.dumps(name or _name_of(paths, directory))}",
-        f"  directory: {json.dumps(home)}    # of the sources, relative to this file",
-        f"  sources: {json.dumps(patterns)}",
+        f"  name: {_quoted(name or _name_of(paths, directory))}",
+        f"  directory: {_quoted(home)}    # of the sources, relative to this file",
+        f"  sources: {_quoted(patterns)}",
         *_system_lines(holdings),
         *_label_lines(holdings, classes, left),
         f"  features: {features}    # a set of `fwclass features --list`, or a list of columns",
@@ -172,7 +180,7 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None, director
         *(WITH_WAVEFORMS if holdings.waveforms else ()),
     ]
     text = "\n".join(lines) + "\n"
-    return Draft(text + _tile_lines(text, beside), tuple(_lacks(holdings, classes)))
+    return Draft(text + _tile_lines(text, beside), tuple(_lacks(holdings, split)))
 
 
 def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], Split | None]:
@@ -267,7 +275,7 @@ def _system_lines(holdings: Holdings) -> list[str]:
 def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[str, str]) -> list[str]:
     lines = []
     if holdings.polygons:
-        names = json.dumps([str(p) for p in holdings.polygons])
+        names = _quoted([str(p) for p in holdings.polygons])
         lines += [f"  # reference: {{kind: polygons, files: {names}, field: class}}    # docs/labels.md"]
     if len(classes) < 2:
         lines += [
@@ -281,7 +289,14 @@ def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[s
         count = sum(holdings.codes[c] for c in one.codes)
         lines += [f"    - {{name: {one.name}, code: {one.code}, codes: [{_codes(one)}]}}    # {count:,} points"]
     lines += [f"    # not a class: {code} ({words})" for code, words in left.items()]
-    share = holdings.codes[UNCLASSIFIED] / max(sum(holdings.codes.values()), 1)
+    blank = sum(holdings.blank.values(), Counter[int]())
+    if len(classes) > 1 and holdings.blank:
+        names = first_few([visible(name) for name in holdings.blank], SHOWN)
+        lines += [
+            f"    # {several(len(holdings.blank), 'file')} without classes, {blank.total():,} points: {names}",
+            "    # classified by what is learned from the others; no class may count their codes",
+        ]
+    share = (holdings.codes[UNCLASSIFIED] - blank[UNCLASSIFIED]) / max(holdings.codes.total() - blank.total(), 1)
     if len(classes) > 1 and str(UNCLASSIFIED) in left and share > MOSTLY_SORTED:
         lines += [
             f"    # TO DO: {100 * share:.0f} % of the points have class {UNCLASSIFIED}, each is given one of these:",
@@ -324,13 +339,24 @@ def _tile_lines(text: str, beside: Path) -> str:
     return f"\ntile:\n  size: {forecast.best.size:g}    # m, by `fwclass plan`\n"
 
 
-def _lacks(holdings: Holdings, classes: Sequence[Meaning]) -> Iterator[str]:
+def _lacks(holdings: Holdings, split: Split | None) -> Iterator[str]:
     """What the draft needs before it runs."""
     systems = holdings.systems()
     if len(systems) > 1 or "none" in systems:
         yield "no coordinate system that all files name: set survey.crs"
-    if len(classes) < 2:
+    if sum(sum(holdings.codes[c] for c in m.codes) >= LEAST for m in MEANINGS) < 2:
         yield "fewer than two classes with points enough: add labels (docs/labels.md), or set survey.model"
+    elif split is None:
+        yield (
+            "no line leaves two classes on both of its sides, a gap apart: name more files, set areas.train, or set "
+            "survey.model"
+        )
+
+
+def _quoted(value: str | list[str]) -> str:
+    """`value` as YAML reads it: as it is where all of it can be seen, else by its escapes."""
+    plain = json.dumps(value, ensure_ascii=False)
+    return plain if visible(plain) == plain else json.dumps(value)
 
 
 def _codes(one: Meaning) -> str:
