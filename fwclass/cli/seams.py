@@ -41,7 +41,7 @@ def seams(
     """
     from fwclass.operate.configured import configured_as_kept
     from fwclass.operate.request import Request
-    from fwclass.operate.seams.places import shift_of
+    from fwclass.operate.seams.shifted_squares import shift_of
     from fwclass.operate.seams.summary import as_data, as_text, write_gpkg
     from fwclass.operate.seams.walk import SeamRequest
     from fwclass.operate.seams.walk import seams as measured
