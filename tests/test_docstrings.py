@@ -107,6 +107,20 @@ def test_names_say_what_they_hold():
     assert not empty, "\n".join(empty)
 
 
+SHARED = ("columns", "conf", "formats", "graph", "model", "operate", "report", "run", "store", "survey", "walk")
+"""Packages whose classes are met in any other; what stands outside of all packages is too."""
+
+
+def test_no_two_classes_that_are_met_everywhere_share_a_name():
+    places: dict[str, list[str]] = {}
+    for path in [*PACKAGE.glob("*.py"), *(p for room in SHARED for p in sorted((PACKAGE / room).rglob("*.py")))]:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    assert len(places) > 200
+    assert not {name: paths for name, paths in places.items() if len(paths) > 1}
+
+
 if __name__ == "__main__":
     rows = {room: counted(room) for room in ROOMS}
     for room, (total, bare, silent) in rows.items():

@@ -56,7 +56,7 @@ class ClassPlaces:
         return table[:, :2], points
 
 
-class Split(NamedTuple):
+class AreaSplit(NamedTuple):
     """A training box [m], and per class the points inside it and those further than `gap` [m] from it."""
 
     box: Box
@@ -71,7 +71,7 @@ class Split(NamedTuple):
         return float((np.minimum(self.train, self.test) / total).min())
 
 
-def best_split(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Box, gap: float) -> Split | None:
+def best_split(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Box, gap: float) -> AreaSplit | None:
     """The line along an axis whose one side is the training area, so that every class lies well on both sides.
 
     Parameters
@@ -90,12 +90,12 @@ def best_split(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Bo
     return max(splits, key=lambda s: (_two_sided(s), s.balance), default=None)
 
 
-def _two_sided(split: Split) -> int:
+def _two_sided(split: AreaSplit) -> int:
     """Classes that lie on both sides."""
     return int(((split.train > 0) & (split.test > 0)).sum())
 
 
-def _splits(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Box, gap: float) -> Iterator[Split]:
+def _splits(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Box, gap: float) -> Iterator[AreaSplit]:
     cells, counts = places.of(classes)
     if not len(cells):
         return
@@ -115,7 +115,7 @@ def _splits(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Box, 
             sides = ((low, below[-1] - later, None, cut * places.cell), (high, earlier, cut * places.cell, None))
             for train, test, begin, end in sides:
                 if SHARES[0] <= train.sum() / total <= SHARES[1]:
-                    yield Split(_side(bounds, axis, begin, end), gap, train, test)
+                    yield AreaSplit(_side(bounds, axis, begin, end), gap, train, test)
 
 
 def _side(bounds: Box, axis: int, begin: float | None, end: float | None) -> Box:

@@ -20,7 +20,7 @@ from fwclass.classify.context import halo_of
 from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, first_few, several, visible
 from fwclass.features.names import Asked, is_feature
-from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
+from fwclass.operate.draft.areas import AreaSplit, ClassPlaces, best_split, outer_box
 from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at
@@ -183,7 +183,7 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None, director
     return Draft(text + _tile_lines(text, beside), tuple(_lacks(holdings, split)))
 
 
-def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], Split | None]:
+def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], AreaSplit | None]:
     """Classes to learn; why others were left out; where to train."""
     classes = [m for m in MEANINGS if sum(holdings.codes[c] for c in m.codes) >= LEAST]
     left = _left_out(holdings.codes, classes)
@@ -306,7 +306,7 @@ def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[s
     return lines
 
 
-def _area_lines(classes: Sequence[Meaning], split: Split | None) -> list[str]:
+def _area_lines(classes: Sequence[Meaning], split: AreaSplit | None) -> list[str]:
     if split is None:
         return [
             "",
@@ -339,7 +339,7 @@ def _tile_lines(text: str, beside: Path) -> str:
     return f"\ntile:\n  size: {forecast.best.size:g}    # m, by `fwclass plan`\n"
 
 
-def _lacks(holdings: Holdings, split: Split | None) -> Iterator[str]:
+def _lacks(holdings: Holdings, split: AreaSplit | None) -> Iterator[str]:
     """What the draft needs before it runs."""
     systems = holdings.systems()
     if len(systems) > 1 or "none" in systems:
