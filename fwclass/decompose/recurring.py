@@ -76,14 +76,14 @@ def recurring_echoes(fits: Fits, fwhm: float, tolerance: float) -> tuple[Recurri
         (OVERLOADED, after[full], np.zeros(int(full.sum()))),
         (IN_RECORD, time[other], np.log(height[other])),
     )
-    told = []
+    crowded = []
     for kind, at, high in kinds:
         more, when, size = _crowded(at / (IN_WIDTHS * fwhm), high / IN_HEIGHTS)
         if more > 0:
             when, size = when * IN_WIDTHS * fwhm, 0.0 if kind == OVERLOADED else float(np.exp(size * IN_HEIGHTS))
             separate = kind == IN_RECORD or abs(when) > tolerance
-            told.append(Recurring(kind, when, size, separate, more, more / waveforms))
-    return tuple(told)
+            crowded.append(Recurring(kind, when, size, separate, more, more / waveforms))
+    return tuple(crowded)
 
 
 def _crowded(u: Floats, v: Floats) -> tuple[int, float, float]:
