@@ -31,12 +31,12 @@ class Tiles:
     used: set[str] = field(default_factory=set)
     _tables: dict[tuple[str, tuple[str, ...]], Table] = field(default_factory=dict)
 
-    def inside(self, box: Box, columns: Mapping[str, str], strips: Sequence[Box] | None = None) -> Table:
-        """Echoes of all tiles (those that touch one of `strips`, if given) inside `box` with identity, x, y and
+    def inside(self, box: Box, columns: Mapping[str, str], bands: Sequence[Box] | None = None) -> Table:
+        """Echoes of all tiles (those that touch one of `bands`, if given) inside `box` with identity, x, y and
         `columns` (by stage), in the row order that a tile of that box would have."""
         wanted = {**_PLACE, **columns}
         here = [t for t in self.grid.touching(box) if t.key in self.keys]
-        here = [t for t in here if strips is None or any(s.touches(t.box) for s in strips)]
+        here = [t for t in here if bands is None or any(s.touches(t.box) for s in bands)]
         parts = [self._tile(t.key, wanted) for t in here]
         parts = [t.take(box.contains(t["x"], t["y"])) for t in parts]
         return assemble(parts, "a tile of the shifted grid") if parts else Table.empty(wanted)
@@ -52,8 +52,8 @@ class Tiles:
 
 
 @dataclass(frozen=True)
-class StripInputs(PartInputs):
-    """For stages of tiles: a tile of the shifted grid owns the echoes of its strips, and no others.
+class BandInputs(PartInputs):
+    """For stages of tiles: a tile of the shifted grid owns the echoes of its bands, and no others.
 
     Columns that were computed once more are taken from `fresh` (by stage and part), all others from the run.
     """
@@ -73,7 +73,7 @@ class StripInputs(PartInputs):
     def stored(self, part: str, columns: Mapping[str, str]) -> Table:
         """As `rows`, all from the run."""
         square = self.squares[part]
-        table = self.tiles.inside(square.tile.box, columns, square.strips)
+        table = self.tiles.inside(square.tile.box, columns, square.bands)
         return table.take(square.holds(table["x"], table["y"]))
 
     def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:

@@ -1,4 +1,4 @@
-"""Stages computed once more: of tiles for the strips along borders, of blocks from other tiles, of other blocks."""
+"""Stages computed once more: of tiles for the bands along borders, of blocks from other tiles, of other blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fwclass.graph.rasters import RASTERS
 from fwclass.graph.stage import Plan, Stage
 from fwclass.grid import Tile, TileGrid
 from fwclass.operate.seams.differ import Seam
-from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
+from fwclass.operate.seams.inputs import BandInputs, OtherTilesInputs
 from fwclass.operate.seams.shifted_squares import ShiftedSquare, shifted_squares
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Outcome, Task, single_thread
@@ -57,7 +57,7 @@ class ComparableStages:
 _PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
 
 
-def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display: Display) -> list[Seam]:
+def tile_seams(tasks: Iterable[Task], inputs: BandInputs, listed: int, display: Display) -> list[Seam]:
     """Do the work of `tasks` (stages of tiles, in order, whose parts are squares of `inputs`) and compare every column.
 
     What a stage reads of an earlier one of these is what was computed here, so that a class answers for its features.
@@ -71,7 +71,7 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
     for part, some in by_place.items():
         here = replace(inputs, fresh={})
         located = here.stored(part, {})
-        if not located.rows:  # a strip without echoes
+        if not located.rows:  # a band without echoes
             some = []
         for task in some:
             with temporary_directory("seams") as directory:

@@ -1,4 +1,4 @@
-"""Borders of squares, the strips along them, and the shifted squares that hold them inside."""
+"""Borders of squares, the bands along them, and the shifted squares that hold them inside."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from fwclass.grid import Box, Tile, TileGrid, draw_order, whole_millimetres
 class ShiftedSquare:
     """A square of the shifted grid with the borders inside it.
 
-    `strips`: what lies as near to a border as is asked for; `length`: of the borders [m].
+    `bands`: what lies as near to a border as is asked for; `length`: of the borders [m].
     """
 
     tile: Tile
-    strips: tuple[Box, ...]
+    bands: tuple[Box, ...]
     length: float
 
     def holds(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Points that lie in a strip."""
+        """Points that lie in a band."""
         inside = np.zeros(len(x), bool)
-        for strip in self.strips:
-            inside |= strip.contains(x, y)
+        for band in self.bands:
+            inside |= band.contains(x, y)
         return inside
 
 
@@ -54,18 +54,18 @@ def shift_of(text: str | None, size: float) -> tuple[float, float]:
 def shifted_squares(keys: Iterable[str], size: float, shift: tuple[float, float], width: float) -> list[ShiftedSquare]:
     """Squares of the shifted grid that hold a border between two of the squares `keys` (edge `size` [m])."""
     whole_millimetres(width, "seams.width")
-    strips: dict[Tile, list[tuple[Box, float]]] = {}
+    bands: dict[Tile, list[tuple[Box, float]]] = {}
     grid = TileGrid(size, shift)
-    for strip, upright in _strips(keys, size, width):
-        for tile in grid.touching(strip):
-            piece = strip.common(tile.box)
+    for band, upright in _bands(keys, size, width):
+        for tile in grid.touching(band):
+            piece = band.common(tile.box)
             if piece is not None:
                 long = piece.ymax - piece.ymin if upright else piece.xmax - piece.xmin
-                strips.setdefault(tile, []).append((piece, long))
-    return [ShiftedSquare(t, tuple(b for b, _ in some), sum(n for _, n in some)) for t, some in sorted(strips.items())]
+                bands.setdefault(tile, []).append((piece, long))
+    return [ShiftedSquare(t, tuple(b for b, _ in some), sum(n for _, n in some)) for t, some in sorted(bands.items())]
 
 
-def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Box, bool]]:
+def _bands(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Box, bool]]:
     """What lies within `width` of every border between two squares; whether the border runs north."""
     here, grid = frozenset(keys), TileGrid(size)
     for tile in sorted(grid.tile(k) for k in here):

@@ -24,7 +24,7 @@ class SeamResult:
     ----------
     shift, width : of the tiles, and how near to a border is near [m].
     borders : length of all borders between tiles [m].
-    strips : what was computed once more.
+    squares : what was computed once more.
     bounded : stages that no grid may change; `moved` : those that other blocks may.
     other : edge of the tiles that blocks were read from [m].
     crs : WKT of the survey, or None.
@@ -34,7 +34,7 @@ class SeamResult:
     shift: tuple[float, float]
     width: float
     borders: float
-    strips: tuple[ShiftedSquare, ...]
+    squares: tuple[ShiftedSquare, ...]
     bounded: tuple[Seam, ...]
     moved: tuple[BlockShiftEffect, ...]
     other: float
@@ -43,7 +43,7 @@ class SeamResult:
     @property
     def length(self) -> float:
         """Of the borders that were computed along [m]."""
-        return sum(p.length for p in self.strips)
+        return sum(p.length for p in self.squares)
 
     @property
     def equal(self) -> bool:
@@ -77,7 +77,7 @@ def as_data(result: SeamResult, seconds: float) -> dict[str, Any]:
         "bounded": [s.as_json() for s in result.bounded],
         "unbounded": [a.as_json() for a in result.moved],
         "strips": [
-            {"part": p.tile.key, "length": p.length, "boxes": [list(b.bounds) for b in p.strips]} for p in result.strips
+            {"part": p.tile.key, "length": p.length, "boxes": [list(b.bounds) for b in p.bands]} for p in result.squares
         ],
     }
 
@@ -145,10 +145,10 @@ def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
     bounds: list[tuple[float, ...]] = []
     fields: dict[str, list[Any]] = {"part": [], "differ": []}
     tiles = [s for s in result.bounded if s.parts == "tile"]
-    for square in result.strips:
+    for square in result.squares:
         wrong = max((s.at.get(square.tile.key, (0, 0))[1] for s in tiles), default=0)
-        for strip in square.strips:
-            bounds.append(strip.bounds)
+        for band in square.bands:
+            bounds.append(band.bounds)
             fields["part"].append(square.tile.key)
             fields["differ"].append(wrong)
     listed = [{"stage": s.stage, **e} for s in result.bounded for e in s.examples]

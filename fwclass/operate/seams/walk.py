@@ -13,7 +13,7 @@ from fwclass.graph.stages import DELIVERY, JUDGING
 from fwclass.grid import TileGrid, draw_order
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.guard import check_done, check_idle, check_unchanged, whole_blocks
-from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs, Tiles
+from fwclass.operate.seams.inputs import BandInputs, OtherTilesInputs, Tiles
 from fwclass.operate.seams.measure import (
     BlockShiftEffect,
     ComparableStages,
@@ -48,7 +48,7 @@ class SeamRequest:
 
 
 def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Display) -> SeamResult:
-    """Compute strips along tile borders, and some blocks, once more and compare; the run is only read."""
+    """Compute bands along tile borders, and some blocks, once more and compare; the run is only read."""
     check_idle(location)
     look = StatusWalk(location, config.run.accept_libraries)
     where = address_of(location)
@@ -78,12 +78,12 @@ def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Di
     candidates = shifted_squares(keys, config.tile.size, asked.shift, config.seams.width)
     if not candidates:
         raise ConfigError("no two tiles of this run share a border", where=where, got=f"{len(keys)} tiles")
-    strips = choose_squares(candidates, asked.share, asked.length, config.seams.seed)
+    squares = choose_squares(candidates, asked.share, asked.length, config.seams.seed)
     total = sum(p.length for p in candidates)
-    share = min(1.0, sum(p.length for p in strips) / total)
+    share = min(1.0, sum(p.length for p in squares) / total)
     tiles = Tiles(look.store, TileGrid(config.tile.size), layout.keys)
     of_tiles = [s for s in stages if s.name in compared.of_tiles]
-    bounded = _strips(plan, of_tiles, strips, tiles, display)
+    bounded = _bands(plan, of_tiles, squares, tiles, display)
     bounded += _blocks(plan, compared.of_blocks, share, look, tiles, display)
     moved = _compare_moved(plan, compared.of_blocks, share, look, tiles, display)
     check_unchanged(look, tiles.used, (*compared.of_tiles, "tile", *compared.gathering))
@@ -93,7 +93,7 @@ def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Di
         asked.shift,
         config.seams.width,
         total,
-        tuple(strips),
+        tuple(squares),
         tuple(bounded),
         tuple(moved),
         size,
@@ -113,12 +113,12 @@ def _make_plan(config: Config, look: StatusWalk, workflow: Workflow, stages: tup
     return plan
 
 
-def _strips(plan: Plan, stages: list[Stage], strips: list[ShiftedSquare], tiles: Tiles, display: Display) -> list[Seam]:
+def _bands(plan: Plan, stages: list[Stage], squares: list[ShiftedSquare], tiles: Tiles, display: Display) -> list[Seam]:
     whole = plan.layout
-    moved = tuple(p.tile for p in strips)
+    moved = tuple(p.tile for p in squares)
     ever = dict.fromkeys((t.key for t in moved), (whole.times,))  # which strips pass these tiles is not known
     there = replace(plan, tiled=replace(whole, tiles=moved, passes=ever))
-    inputs = StripInputs(tiles.store, tiles, {p.tile.key: p for p in strips}, {})
+    inputs = BandInputs(tiles.store, tiles, {p.tile.key: p for p in squares}, {})
     return tile_seams(tasks_of(there, stages), inputs, plan.config.seams.listed, display)
 
 
