@@ -16,7 +16,7 @@ from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.logs import Value, log_attempt, log_path
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.libraries import stale_by
-from fwclass.store.receipts import Receipt, key_of
+from fwclass.store.receipts import Receipt, content_key
 from fwclass.store.row_digests import Within, digest_within
 from fwclass.store.run_location import RunLocation, open_store
 from fwclass.store.run_store import Store
@@ -103,7 +103,7 @@ def input_digests(task: Task, store: Store) -> dict[str, str] | None:
 def key_now(task: Task, store: Store) -> str | None:
     """The key that the part has from the inputs as they are now, None while a part that it needs is not done."""
     inputs = input_digests(task, store)
-    return None if inputs is None else key_of(task.stage, task.version, task.params, inputs)
+    return None if inputs is None else content_key(task.stage, task.version, task.params, inputs)
 
 
 def already_done(task: Task, store: Store) -> bool:
@@ -135,7 +135,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
         digests = input_digests(task, store)
         if digests is None:
             return Outcome(*task.name, "blocked", message="a part that it needs is not done")
-        key = key_of(task.stage, task.version, task.params, digests)
+        key = content_key(task.stage, task.version, task.params, digests)
         if holds(task, store, key):
             return Outcome(*task.name, "skipped")
         inputs = PartInputs(

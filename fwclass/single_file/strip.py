@@ -29,7 +29,7 @@ from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.part import Task
 from fwclass.schema import Table
 from fwclass.single_file.tiles import FileConfig, Tell, quiet
-from fwclass.store.receipts import Receipt, key_of
+from fwclass.store.receipts import Receipt, content_key
 from fwclass.store.run_store import Store
 from fwclass.survey.layout import Strip, Survey
 from fwclass.survey.numbering import assign_numbers
@@ -158,7 +158,7 @@ class FileStrip:
 
     def _commit(self, task: Task) -> Receipt:
         inputs = PartInputs(self.store, declared=Declared(task.name, frozenset(task.needs), task.within))
-        key = key_of(task.stage, task.version, task.params, {})
+        key = content_key(task.stage, task.version, task.params, {})
         return self.store.commit(*task.name, key, {}, task.place, lambda directory: task.work(inputs, directory))
 
 

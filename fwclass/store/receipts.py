@@ -181,8 +181,8 @@ def checked_meta(stage: str, meta: Mapping[str, Any]) -> dict[str, Any]:
     return dict(meta)
 
 
-def key_of(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> str:
-    """The key of a part; 24 hex digits, also the name of its directory."""
+def content_key(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> str:
+    """The key of a part, by what it is made from; 24 hex digits, also the name of its directory."""
     return digest_of({"stage": stage, "version": version, "params": params, "inputs": dict(inputs)})[:24]
 
 

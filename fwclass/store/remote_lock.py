@@ -28,7 +28,7 @@ from fwclass.store.refusals import LostRace
 _PROBE = "store/probe"
 
 
-def key_of(lock: Lock) -> str:
+def lock_key(lock: Lock) -> str:
     """The key of a lock's object."""
     return f"store/{lock.name}"
 
@@ -58,7 +58,7 @@ class Heartbeat:
         while not self._end.wait(self._objects.params.beat):
             beat += 1
             try:
-                self._mark = self._objects.put_over(key_of(self._lock), _data(self._facts, beat), self._mark)
+                self._mark = self._objects.put_over(lock_key(self._lock), _data(self._facts, beat), self._mark)
             except LostRace:
                 self._lost.set()
                 return
@@ -71,7 +71,7 @@ class Heartbeat:
         self._thread.join(self._objects.params.timeout)
         if not self._lost.is_set():
             with suppress(StoreError):
-                self._objects.put_over(key_of(self._lock), b"{}", self._mark)
+                self._objects.put_over(lock_key(self._lock), b"{}", self._mark)
 
 
 def _data(facts: Mapping[str, Any], beat: int) -> bytes:
@@ -117,7 +117,7 @@ def _check_conditional(objects: Objects) -> None:
 
 
 def _take(objects: Objects, lock: Lock, data: bytes, tell: Callable[[str], None]) -> Mark:
-    key = key_of(lock)
+    key = lock_key(lock)
     present = objects.get(key)
     if present is None:
         try:
@@ -150,7 +150,7 @@ def _watch(
     began = time.monotonic()
     while time.monotonic() - began < params.dead:
         time.sleep(min(params.beat, params.dead) / 2)
-        now = objects.get(key_of(lock))
+        now = objects.get(lock_key(lock))
         if now is None or now[1] != stored[1]:
             if now is not None and not _facts(now[0]):
                 return now  # it ended just now
@@ -164,7 +164,7 @@ def _refusal(objects: Objects, lock: Lock, facts: Mapping[str, Any]) -> LockedEr
 
 def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:
     """`LostRace` where the lock does not bear `token` any more: who slept does not write over who followed."""
-    present = objects.get(key_of(lock))
+    present = objects.get(lock_key(lock))
     if present is None or _facts(present[0]).get("token") != token:
         raise LostRace(
             f"this {lock.who} has lost its lock; {lock.then}",
@@ -177,7 +177,7 @@ def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:
 def remote_holder(objects: Objects, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     """Host and pid of the run that holds the lock, None where there is none; one that was killed is told too, until
     somebody waits for it."""
-    present = objects.get(key_of(lock))
+    present = objects.get(lock_key(lock))
     facts = _facts(present[0]) if present else {}
     if not facts or (facts.get("machine") == _machine() and not psutil.pid_exists(int(facts.get("pid", 0)))):
         return None

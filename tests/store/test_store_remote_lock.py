@@ -16,9 +16,9 @@ from fwclass.errors import StoreError
 from fwclass.store.lock import WRITER
 from fwclass.store.objects import Objects
 from fwclass.store.refusals import LostRace
-from fwclass.store.remote_lock import key_of, remote_holder, remote_writer
+from fwclass.store.remote_lock import lock_key, remote_holder, remote_writer
 
-LOCK = key_of(WRITER)
+LOCK = lock_key(WRITER)
 HOLDER = """
 import sys, time
 from objectstore import quick

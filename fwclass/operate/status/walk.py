@@ -17,7 +17,7 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Done, Lacking, Runner
 from fwclass.store.atomic import digest_of
 from fwclass.store.failures import Failure
-from fwclass.store.receipts import Receipt, key_of
+from fwclass.store.receipts import Receipt, content_key
 from fwclass.store.run_location import RunLocation, held_by, open_store
 from fwclass.store.run_store import Store
 from fwclass.survey.bounds import header_box
@@ -127,7 +127,7 @@ class StatusWalk(Runner):
         task = replace(task, any_libraries=self.accept_libraries)
         late = {n: self._waits[n] for n in task.needs if n in self._waits}
         inputs = None if late else input_digests(task, self.store)
-        key = "" if inputs is None else key_of(task.stage, task.version, task.params, inputs)
+        key = "" if inputs is None else content_key(task.stage, task.version, task.params, inputs)
         come = self._come(task)
         if key and not come and holds(task, self.store, key):
             return PartState(*task.name, "done")
