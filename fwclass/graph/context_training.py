@@ -128,11 +128,11 @@ def share_folds(
     squares, at = np.unique(sample.place // mm, axis=0, return_index=True)
     fold_of = division.fold[at]
     models = {
-        k: model_at(here.inputs.path(FOLDS, str(k), MODEL), here.inputs.digest(FOLDS, str(k)), False)
+        k: model_at(here.inputs.path(FOLDS, str(k), MODEL), here.inputs.digest(FOLDS, str(k)), False, folds)
         for k in range(folds)
         if here.inputs.meta(FOLDS, str(k))["model"]
     }
-    whole = used_model(here, None, TRAIN_COARSE)
+    whole = used_model(here, None, TRAIN_COARSE, folds)
     tables = []
     for rows in here.cuts():
         X = sample_matrix(rows, names, here.part)

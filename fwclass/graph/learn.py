@@ -40,8 +40,8 @@ from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_TREES, grow_trees
 TREES, DROPS = "trees", "drops"
 TRAIN_COARSE = "train-coarse"
 
-TREES_PER_PART = 5
-"""Trees that one task grows; a forest does not depend on it."""
+TREES_PER_PART = 10
+"""Trees that one task grows; a forest does not depend on it. What a part reads and lays out takes as long as two."""
 
 
 def grow_part(

@@ -1,4 +1,4 @@
-"""The model that this process used last, kept for the next part."""
+"""The models that this process used last, kept for the next part."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ MODEL = "model"
 _loaded: dict[tuple[str, str], Model] = {}
 
 
-def model_at(path: Path, digest: str, foreign: bool) -> Model:
-    """The model in `path`, kept in this process as long as its digest is the same.
+def model_at(path: Path, digest: str, foreign: bool, beside: int = 0) -> Model:
+    """The model in `path`, kept in this process as long as its digest is the same, and `beside` it those of before.
 
     A `foreign` model, which no receipt names, must still have it.
     """
     key = (str(path), digest)
     if key not in _loaded:
-        _loaded.clear()
+        while len(_loaded) > beside:
+            del _loaded[next(iter(_loaded))]
         model = load_model(path)
         if foreign and model_digest(path) != digest:
             raise InputError(
@@ -34,11 +35,11 @@ def model_at(path: Path, digest: str, foreign: bool) -> Model:
     return _loaded[key]
 
 
-def used_model(here: StageInputs, digest: str | None, stage: str = "train") -> Model:
-    """The model that is given, by its digest; None: the run's own, which `stage` made."""
+def used_model(here: StageInputs, digest: str | None, stage: str = "train", beside: int = 0) -> Model:
+    """The model that is given, by its digest; None: the run's own, which `stage` made. `beside`: as of `model_at`."""
     if digest is not None:
-        return model_at(here.file(), digest, True)
-    return model_at(here.inputs.path(stage, "model", MODEL), here.inputs.digest(stage, "model"), False)
+        return model_at(here.file(), digest, True, beside)
+    return model_at(here.inputs.path(stage, "model", MODEL), here.inputs.digest(stage, "model"), False, beside)
 
 
 def load_given(path: Path) -> tuple[Model, str]:

@@ -1,11 +1,11 @@
-"""Parts of one process that learn from the same sample read it once."""
+"""Parts of one process that learn from the same sample, or answer by the same models, read them once."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fwclass.graph import training_rows
+from fwclass.graph import loaded_models, training_rows
 from fwclass.train.sample import Sample
 
 
@@ -44,3 +44,15 @@ def test_another_sample_at_the_same_place_is_read(monkeypatch):
         inputs, reads = inputs_of(sample_of(value), digest)
         assert training_rows.survey_sample(inputs, ("a",)).X[0, 0] == value
         assert reads == ["training/all/sample"]
+
+
+def test_models_that_are_used_in_turn_are_loaded_once(tmp_path, monkeypatch):
+    loads = []
+    monkeypatch.setattr(loaded_models, "_loaded", {})
+    monkeypatch.setattr(loaded_models, "load_model", lambda path: loads.append(path.name) or path.name)
+    for name in "abcabc":
+        assert loaded_models.model_at(tmp_path / name, "digest", False, beside=2) == name
+    assert loads == ["a", "b", "c"]
+    for name in "da":
+        loaded_models.model_at(tmp_path / name, "digest", False)
+    assert loads == ["a", "b", "c", "d", "a"], "one alone is kept where nobody asks for more"
