@@ -17,7 +17,7 @@ from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef
 from fwclass.store.model_rows import load_rows
 from fwclass.store.models import load_model
-from fwclass.study.adapted import ADAPTED, Seen, adapt, draw_seen
+from fwclass.study.adapted import ADAPTED, SeenEchoes, adapt, draw_seen
 from fwclass.train.sample import Sample, kept_sample
 from fwclass.train.stage import grow_trees, train
 
@@ -44,7 +44,7 @@ def moved():
     """A model, its rows, and a survey whose classes lie elsewhere."""
     rng = np.random.default_rng(0)
     model, base = learned(*two_clouds(rng, 4000, 0.0, 0.7))
-    return model, base, Seen(np.arange(9000, dtype=np.uint64), two_clouds(rng, 9000, 0.3, 0.7)[0])
+    return model, base, SeenEchoes(np.arange(9000, dtype=np.uint64), two_clouds(rng, 9000, 0.3, 0.7)[0])
 
 
 def test_a_round_learns_from_the_base_and_from_what_is_sure(moved):
@@ -73,14 +73,14 @@ def test_tiles_and_their_order_change_nothing(moved):
     seen = moved[2]
     whole = draw_seen([seen], 500, 1)
     order = np.random.default_rng(1).permutation(len(seen.key))
-    parts = draw_seen((Seen(seen.key[p], seen.X[p]) for p in np.array_split(order, 9)), 500, 1)
+    parts = draw_seen((SeenEchoes(seen.key[p], seen.X[p]) for p in np.array_split(order, 9)), 500, 1)
     assert (whole.key == parts.key).all() and (whole.X == parts.X).all() and len(whole.key) == 500
 
 
 def test_of_a_survey_that_it_is_unsure_of_nothing_is_learned():
     rng = np.random.default_rng(3)
     model, base = learned(*two_clouds(rng, 4000, 0.0, 3.0))
-    seen = Seen(np.arange(4000, dtype=np.uint64), two_clouds(rng, 4000, 0.0, 3.0)[0])
+    seen = SeenEchoes(np.arange(4000, dtype=np.uint64), two_clouds(rng, 4000, 0.0, 3.0)[0])
     with pytest.raises(InputError, match="unsure of too many"):
         adapt(model, base, seen, PARAMS, TRAINING)
 

@@ -74,10 +74,10 @@ def features(
     from fwclass.report.judge import judge_echoes
     from fwclass.single_file.features.file import FeaturesJob, features_file
     from fwclass.single_file.features.listing import describe
-    from fwclass.single_file.ground.steps import Steps
+    from fwclass.single_file.ground.steps import StepDisplay
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
-    with Steps() as steps:
+    with StepDisplay() as steps:
         summary = features_file(FeaturesJob(source, output, named, settings=settings, **options), steps.tell)
     click.echo(describe(summary), err=True)
     if as_json:

@@ -72,7 +72,7 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
     from fwclass.report.ground import judge_ground
     from fwclass.report.judge import judge_echoes
     from fwclass.single_file.ground.file import GroundJob, ground_file
-    from fwclass.single_file.ground.steps import Steps
+    from fwclass.single_file.ground.steps import StepDisplay
     from fwclass.single_file.ground.text import describe
 
     auto, accepted = options.pop("auto"), options.pop("accept_implausible")
@@ -82,7 +82,7 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
         if not rasters:
             raise click.UsageError("--cell is that of the rasters, and none is asked for; the filter's is a --param")
         options["settings"] += (f"terrain.cell={cell}",)
-    with Steps() as steps:
+    with StepDisplay() as steps:
         if auto:
             options["adapt"] = _adapting(options, steps.tell)
         summary = ground_file(GroundJob(source, output, rasters=rasters, **options), steps.tell)
@@ -111,7 +111,7 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
     ]
     if output is not None or unused:
         raise click.UsageError(f"{unused[0] if unused else 'OUT'} has no place here: nothing is classified; see --out")
-    from fwclass.single_file.ground.steps import Steps
+    from fwclass.single_file.ground.steps import StepDisplay
 
     auto = options.pop("auto")
     if methods is None:
@@ -119,14 +119,14 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
             raise click.UsageError("--optimize searches what --auto would measure: give one of them")
         from fwclass.single_file.ground.search import describe, optimize
 
-        with Steps() as steps:
+        with StepDisplay() as steps:
             result = optimize(source, say=steps.say, tell=steps.tell, **options)
     else:
         from fwclass.single_file.ground.compare import compare, describe
 
         if options.pop("method") or options.pop("assignments"):
             raise click.UsageError("--compare names its filters itself; give parameters with --set")
-        with Steps() as steps:
+        with StepDisplay() as steps:
             adapt = _adapting({**options, "method": "each its own"}, steps.tell) if auto else None
             result = compare(source, methods, say=steps.say, tell=steps.tell, adapt=adapt, **options)
     click.echo(describe(result), err=True)
@@ -156,10 +156,10 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
     from fwclass import conf
     from fwclass.report.judge import judge_echoes
     from fwclass.single_file.ground.normalize import NormalizeJob, normalize_file
-    from fwclass.single_file.ground.steps import Steps
+    from fwclass.single_file.ground.steps import StepDisplay
     from fwclass.single_file.ground.text import describe_heights
 
-    with Steps() as steps:
+    with StepDisplay() as steps:
         summary = normalize_file(NormalizeJob(source, output, **options), steps.tell)
     click.echo(describe_heights(summary), err=True)
     if as_json:

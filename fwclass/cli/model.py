@@ -222,7 +222,7 @@ def classify(
     from fwclass.report.judge import judge_echoes
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
     from fwclass.single_file.features.echoes import Flight
-    from fwclass.single_file.ground.steps import Steps
+    from fwclass.single_file.ground.steps import StepDisplay
 
     if options["own_ground"] and any(options[n] for n in ("method", "preset", "assignments", "auto")):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
@@ -230,7 +230,7 @@ def classify(
     settings += (f"classify.keep={keep}",) if keep else ()
     settings += ("plausibility.accept=true",) if accept_implausible else ()
     job = ClassifyJob(source, output, settings=settings, flight=Flight(trajectory, undulation), **options)
-    with Steps() as steps:
+    with StepDisplay() as steps:
         summary = classify_file(job, steps.tell)
     click.echo(describe(summary), err=True)
     if as_json:

@@ -12,7 +12,7 @@ from fwclass.contours.lines import Lines
 
 
 @dataclass(frozen=True)
-class Pieces:
+class LinePieces:
     """What is known of pieces without their vertices.
 
     Attributes
@@ -26,7 +26,7 @@ class Pieces:
     measures: NDArray[np.float64]
 
     @classmethod
-    def of(cls, lines: Lines) -> Pieces:
+    def of(cls, lines: Lines) -> LinePieces:
         """Ends, lengths and areas of the pieces that `lines` of one block are."""
         first = np.append(0, np.cumsum(lines.count))[:-1]
         tips = np.hstack([lines.vertices[first], lines.vertices[first + lines.count - 1]])
@@ -41,7 +41,7 @@ class Pieces:
 
 @dataclass(frozen=True)
 class ContourLines:
-    """Contour lines, as rows of `Pieces`.
+    """Contour lines, as rows of `LinePieces`.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class ContourLines:
     depression: NDArray[np.bool_]
 
 
-def join_lines(pieces: Pieces) -> ContourLines:
+def join_lines(pieces: LinePieces) -> ContourLines:
     """Lines of the pieces of all blocks, by the first piece of each."""
     ends, n = pieces.ends, len(pieces.ends)
     places = np.concatenate([ends[:, :4], ends[:, [0, 4, 5, 6]]])

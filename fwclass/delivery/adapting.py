@@ -16,7 +16,7 @@ from fwclass.store.installed_models import model_location
 from fwclass.store.model_rows import load_rows
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
-from fwclass.study.adapted import Seen, adapt, describe, draw_seen
+from fwclass.study.adapted import SeenEchoes, adapt, describe, draw_seen
 from fwclass.train.params import AdaptParams, TrainParams
 from fwclass.train.sample import kept_sample
 
@@ -53,10 +53,10 @@ def adapt_model(
     return f"{describe(dict(adapted.card))}\nmodel       {target}"
 
 
-def _echoes(delivery: Delivery, model: Model) -> Iterator[Seen]:
+def _echoes(delivery: Delivery, model: Model) -> Iterator[SeenEchoes]:
     """The model's features of every tile."""
     store = Store(delivery.root, read_only=True)
     inputs = PartInputs(store)
     for tile in (str(t["tile"]) for t in delivery.tiles):
         table = tile_features(store, inputs, tile, (*IDENTITY, *model.features), delivery.table)
-        yield Seen(canonical_key(table), sample_matrix(table, model.features, tile))
+        yield SeenEchoes(canonical_key(table), sample_matrix(table, model.features, tile))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.contours.join import ContourLines, Pieces, join_lines
+from fwclass.contours.join import ContourLines, LinePieces, join_lines
 from fwclass.contours.lines import lines
 from fwclass.contours.params import ContourParams
 from fwclass.contours.smooth import margin, smooth_terrain
@@ -54,7 +54,7 @@ def contour_block(
     )
     dtm = mosaic.laid(nodes.grown(margin(params, cell)))["dtm"]
     drawn = lines(smooth_terrain(dtm, cell, params), nodes, params.steps, params.index)
-    pieces = Pieces.of(drawn)
+    pieces = LinePieces.of(drawn)
     arrays = {"ends": pieces.ends, "measures": pieces.measures, "vertices": drawn.vertices}
     write_arrays(here.directory / PIECES, arrays)
     return {"pieces": len(pieces.ends), "vertices": len(drawn.vertices), "every": drawn.every}
@@ -71,7 +71,7 @@ def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) 
     them; vertices are laid into a file that has no name, block by block, and written line by line."""
     blocks = here.parts(CONTOUR_BLOCKS.name)
     tables = [here.inputs.arrays(CONTOUR_BLOCKS.name, key, PIECES, ("ends", "measures"))[0] for key in blocks]
-    pieces = Pieces(*(np.concatenate([t[name] for t in tables]) for name in ("ends", "measures")))
+    pieces = LinePieces(*(np.concatenate([t[name] for t in tables]) for name in ("ends", "measures")))
     sizes, lines = [len(t["ends"]) for t in tables], join_lines(pieces)
     del tables
     long_enough = lines.length >= params.shortest
@@ -112,7 +112,7 @@ def _of_coarse(blocks: Sequence[str], params: ContourParams) -> list[str]:
 
 
 def _places(
-    pieces: Pieces, lines: ContourLines, long_enough: NDArray[np.bool_]
+    pieces: LinePieces, lines: ContourLines, long_enough: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """For every piece the vertices that are written of it, and which row the first of them gets."""
     begins = np.zeros(len(lines.order), bool)

@@ -14,7 +14,7 @@ from fwclass.quality.offsets import slopes_from
 from fwclass.quality.params import QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.roughness import EDGES, roughness_facts
-from fwclass.quality.steps import Steps, told_steps
+from fwclass.quality.steps import HeightSteps, told_steps
 from fwclass.quality.strips import By, Comparison, lifted_strips, numbers_of, stepped_borders, strips_by
 
 PIECES = tuple(Pieces.__dataclass_fields__)
@@ -38,7 +38,7 @@ def compare_strips(
     strips = strips_of(pieces, [(b.box.xmin, b.box.ymin) for b in blocks], numbers, params.line_gap)
     compared, borders, lows = Comparison(params.planes, counts[0]), [], []
     rough = np.zeros(len(EDGES), np.int64)
-    by_files, by_lines, beside = (Steps(params.planes.max_step) for _ in range(3))
+    by_files, by_lines, beside = (HeightSteps(params.planes.max_step) for _ in range(3))
     lines = numbers_of(pieces, "times")
     for b, piece, number, line in zip(blocks, pieces, numbers, lines, strict=True):
         window = Window.covering(b.box, params.planes.cell)

@@ -27,7 +27,7 @@ NAMED = 3
 """Steps that are named."""
 
 
-class Steps:
+class HeightSteps:
     """Differences in height of planes of two files (or lines), counted by class, block by block.
 
     Parameters
@@ -72,10 +72,12 @@ class Steps:
 
 
 def told_steps(
-    ways: Mapping[tuple[Literal["files", "times"], Literal["overlap", "border"]], tuple[Steps, Mapping[int, str]]],
+    ways: Mapping[
+        tuple[Literal["files", "times"], Literal["overlap", "border"]], tuple[HeightSteps, Mapping[int, str]]
+    ],
 ) -> list[dict[str, Any]]:
-    """Steps that are sure and from `TOLD` on, the largest first: as `Steps.facts` has them, ``first`` and ``second`` by
-    name, ``by`` files or times and ``seen`` in an overlap or across a border.
+    """Steps that are sure and from `TOLD` on, the largest first: as `HeightSteps.facts` has them, ``first`` and
+    ``second`` by name, ``by`` files or times and ``seen`` in an overlap or across a border.
 
     `ways`: what was counted, and the names by number. Lines are told only where no files are: the lines of a file that
     was lifted lie higher there, too.

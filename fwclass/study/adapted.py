@@ -31,7 +31,7 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenEchoes:
     """Echoes of a survey, by key.
 
     Attributes
@@ -44,22 +44,22 @@ class Seen:
     X: NDArray[np.float32]
 
 
-def draw_seen(parts: Iterable[Seen], most: int, seed: int) -> Seen:
+def draw_seen(parts: Iterable[SeenEchoes], most: int, seed: int) -> SeenEchoes:
     """Of the echoes of all `parts` (tiles) the `most` with the smallest hashes, whatever the tiles and their order."""
-    kept: Seen | None = None
+    kept: SeenEchoes | None = None
     for part in parts:
         both = part
         if kept is not None:
-            both = Seen(np.concatenate([kept.key, part.key]), np.concatenate([kept.X, part.X]))
+            both = SeenEchoes(np.concatenate([kept.key, part.key]), np.concatenate([kept.X, part.X]))
         order = np.argsort(hash_keys(seed, both.key), kind="stable")[:most]
         order = order[np.argsort(both.key[order])]
-        kept = Seen(both.key[order], both.X[order])
+        kept = SeenEchoes(both.key[order], both.X[order])
     if kept is None or not len(kept.key):
         raise InputError("the run has no echo to learn from", where="adapt")
     return kept
 
 
-def adapt(model: Model, base: Sample, seen: Seen, params: AdaptParams, training: TrainParams) -> Model:
+def adapt(model: Model, base: Sample, seen: SeenEchoes, params: AdaptParams, training: TrainParams) -> Model:
     """The model after `params.rounds` rounds; its card says what it and those before it say of the survey (`ADAPTED`).
 
     In each round a forest learns from the base's rows and from those of `seen` of which the last one is sure, of every
@@ -109,7 +109,7 @@ def adapt(model: Model, base: Sample, seen: Seen, params: AdaptParams, training:
     return Contextual(adapted, model.fine, of_both)
 
 
-def _answers(model: Forest, seen: Seen) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _answers(model: Forest, seen: SeenEchoes) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     winner, shares = answer(seen.X, model)
     sure = np.take_along_axis(shares, winner[:, None], axis=1)[:, 0]
     return np.asarray(winner, np.int64), np.asarray(sure, np.float64)

@@ -20,7 +20,7 @@ from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.model import sample_matrix
 from fwclass.schema import Table
-from fwclass.study.adapted import ADAPTED, Seen, adapt, draw_seen
+from fwclass.study.adapted import ADAPTED, SeenEchoes, adapt, draw_seen
 from fwclass.train.sample import join
 
 
@@ -45,7 +45,7 @@ def main() -> None:
             base = join(samples, 10**9)
             model = learn(base, seed)
             X = sample_matrix(Table({n: cloud.columns[n] for n in NAMES}), model.features)
-            seen = draw_seen([Seen(np.arange(len(X), dtype=np.uint64), X)], params.pool, seed)
+            seen = draw_seen([SeenEchoes(np.arange(len(X), dtype=np.uint64), X)], params.pool, seed)
             test = known(cloud)
             test = test[:: max(1, len(test) // MOST)]
             before = judged(model, cloud, test)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from fwclass.contours import lines as lines_module
 from fwclass.contours.chains import chains
-from fwclass.contours.join import Pieces, join_lines
+from fwclass.contours.join import LinePieces, join_lines
 from fwclass.contours.lines import lines
 from fwclass.contours.params import STEP, ContourParams
 from fwclass.contours.smooth import NO_HEIGHT, margin, smooth_terrain
@@ -81,9 +81,9 @@ def test_blocks_join_to_the_lines_of_the_whole(size):
     alone = lines(heights, WINDOW, STEPS, 5)
     several = list(blocks_of(heights, size))
     assert set().union(*(segments(part) for part in several)) == segments(alone)  # the same bits
-    pieces = [Pieces.of(part) for part in several]
-    made = join_lines(Pieces(*(np.concatenate([getattr(p, n) for p in pieces]) for n in ("ends", "measures"))))
-    one = join_lines(Pieces.of(alone))
+    pieces = [LinePieces.of(part) for part in several]
+    made = join_lines(LinePieces(*(np.concatenate([getattr(p, n) for p in pieces]) for n in ("ends", "measures"))))
+    one = join_lines(LinePieces.of(alone))
     assert len(made.level) == len(one.level) < sum(len(p.ends) for p in pieces)
     for level in np.unique(one.level):
         mine, other = made.level == level, one.level == level
@@ -120,7 +120,7 @@ def test_a_hollow_is_a_depression_and_a_hill_is_none():
     row, col = np.indices((41, 41)) - 20
     window, bowl = Window(1.0, 0, 0, 41, 41), 0.01 * (row**2 + col**2)
     for sign, expected in ((1, True), (-1, False)):
-        made = join_lines(Pieces.of(lines(whole(100 + sign * bowl), window, STEPS, 5)))
+        made = join_lines(LinePieces.of(lines(whole(100 + sign * bowl), window, STEPS, 5)))
         closed = made.length > 10
         inner = np.abs(made.level * PARAMS.interval - 100) < 3.9  # others end at the border
         assert (made.depression[closed & inner] == expected).all() and (closed & inner).sum() > 5

@@ -13,7 +13,7 @@ from smallsurvey import small_survey
 from stripmaker import NORTH, line, write_lines
 
 from fwclass.errors import QualityError
-from fwclass.quality.steps import Steps, judge_steps, step_remarks, told_steps
+from fwclass.quality.steps import HeightSteps, judge_steps, step_remarks, told_steps
 
 ONE = line(0)
 NO_STEP: dict[str, Any] = {"steps": []}
@@ -83,8 +83,8 @@ def test_a_sound_survey_has_none(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "r" / "report.json").read_text())["quality"]["strips"]["steps"] == []
 
 
-def steps_of(dz: list[float], swap: bool = False) -> Steps:
-    steps, n = Steps(1.0), len(dz)
+def steps_of(dz: list[float], swap: bool = False) -> HeightSteps:
+    steps, n = HeightSteps(1.0), len(dz)
     one, two = np.full(n, 2), np.full(n, 7)
     for k in (slice(0, n // 2), slice(n // 2, n)):  # block by block
         values = np.array(dz)[k]
@@ -98,7 +98,7 @@ def test_median_and_deviation_by_hand() -> None:
         (one,) = steps_of(dz, swap).facts()
         assert (one["first"], one["second"], one["places"]) == (2, 7, 1002)
         assert abs(one["step"] - np.median(dz)) < 0.002 and abs(one["deviation"] - 0.02) < 0.002
-    same = Steps(1.0)
+    same = HeightSteps(1.0)
     same.add(np.array([3, 3]), np.array([3, 3]), np.array([0.5, 0.5]))
     assert same.facts() == []
 

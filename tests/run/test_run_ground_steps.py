@@ -14,13 +14,13 @@ from fwclass import compiling
 from fwclass.errors import InputError
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import GroundJob, ground_file
-from fwclass.single_file.ground.steps import Steps
+from fwclass.single_file.ground.steps import StepDisplay
 from fwclass.single_file.ground.stray import describe_stray, stray_points
 
 
 def test_lines_come_now_and_then_and_say_what_is_done():
     file = io.StringIO()
-    with Steps(Console(file=file, soft_wrap=True), every=0.05) as steps:
+    with StepDisplay(Console(file=file, soft_wrap=True), every=0.05) as steps:
         steps.tell("filter smrf: block 3 of [16]")
         time.sleep(0.3)
         steps.say("kept")
@@ -30,14 +30,14 @@ def test_lines_come_now_and_then_and_say_what_is_done():
 
 def test_a_short_command_says_nothing():
     file = io.StringIO()
-    with Steps(Console(file=file)) as steps:
+    with StepDisplay(Console(file=file)) as steps:
         steps.tell("reading")
     assert file.getvalue() == ""
 
 
 def test_a_person_sees_the_step():
     file = io.StringIO()
-    with Steps(Console(file=file, force_terminal=True, width=80)) as steps:
+    with StepDisplay(Console(file=file, force_terminal=True, width=80)) as steps:
         steps.tell("filter smrf: block 3 of 16")
         time.sleep(0.3)
     assert "block 3 of 16" in file.getvalue()
@@ -48,7 +48,7 @@ def test_compiling_is_named_and_timed(monkeypatch, terminal):
     monkeypatch.setattr(compiling, "NOTIFY_AFTER", 0.2)
     monkeypatch.setattr(compiling, "_spent", 0.0)
     file = io.StringIO()
-    with Steps(Console(file=file, force_terminal=terminal, width=80)) as steps:
+    with StepDisplay(Console(file=file, force_terminal=terminal, width=80)) as steps:
         steps.tell("filter smrf")
         with compiling._timed("a"):
             time.sleep(0.5)

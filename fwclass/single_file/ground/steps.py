@@ -15,7 +15,7 @@ EVERY = 10.0
 """Seconds between two lines where no person looks on; a command that is done sooner says nothing."""
 
 
-class Steps:
+class StepDisplay:
     """Shows the step that `tell` named last, with the seconds since the start."""
 
     def __init__(self, console: Console | None = None, every: float = EVERY) -> None:
@@ -34,7 +34,7 @@ class Steps:
         )
         self._row = self._bar.add_task(self._text)
 
-    def __enter__(self) -> Steps:
+    def __enter__(self) -> StepDisplay:
         self._compiles.__enter__()
         if self.console.is_terminal:
             self._bar.start()
