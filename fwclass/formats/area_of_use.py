@@ -26,6 +26,9 @@ STRETCHED = 0.05
 """Logarithm of the ratio of lengths: below 0.002 in systems of surveys, up to 0.03 in those of a continent, 0.37 in Web
 Mercator at 46 degrees."""
 
+WEEK, ADJUSTED = 604_800.0, 1e9
+"""s"""
+
 LATEST_GPS = 1e10
 """s, 300 years: no GPS time, of a week or of an epoch, is larger."""
 
@@ -197,6 +200,26 @@ def time_faults(first: float, last: float) -> list[str]:
         return []
     years = most / 3.156e7
     return [f"GPS times reach {most:.3g} s, {years:{',.0f' if years < 1e9 else '.3g'}} years: they are not in seconds"]
+
+
+def dates(first: float, last: float) -> bool:
+    """Whether GPS times [s] that are called adjusted standard time are it: neither those of a week nor of another
+    epoch, which would be dates in September 2011 and beyond 2043."""
+    return -ADJUSTED <= first <= last < ADJUSTED and not 0.0 <= first <= last <= WEEK
+
+
+def kind_faults(first: float, last: float, standard: bool) -> list[str]:
+    """A sentence for GPS times [s] that are not of the kind that their file says: adjusted `standard` time, or seconds
+    of the week; none for times that are, or not finite."""
+    if not (math.isfinite(first) and math.isfinite(last)) or first == last:
+        return []
+    span = f"GPS times are {first:,.0f} to {last:,.0f} s,"
+    if standard and not dates(first, last):
+        other = "seconds of the week" if last <= WEEK else "seconds of another epoch (1970, 1980)"
+        return [f"{span} {other}, though they are called adjusted standard time: they tell no date"]
+    if not standard and (first < 0.0 or last > 2.0 * WEEK):  # seconds of a week run on where a flight does
+        return [f"{span} though they are called seconds of the week: adjusted standard time?"]
+    return []
 
 
 def _metres_of_height(crs: Any, header: Records | None) -> float:

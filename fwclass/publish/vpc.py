@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pyproj
 
+from fwclass.formats.area_of_use import dates
 from fwclass.publish.files import whole
 
 STAC = "1.0.0"
@@ -110,7 +111,7 @@ def _item(
     ring = place.corners(tile["bounds"])
     low, high = np.min(ring, axis=0).tolist(), np.max(ring, axis=0).tolist()
     properties: dict[str, Any] = {
-        **_date(tile["times"] if standard_time else None),
+        **_date(tile["times"] if standard_time and tile["times"] and dates(*tile["times"]) else None),
         "pc:count": tile["points"],
         "pc:type": "lidar",
         "pc:encoding": "COPC",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError, visible
 from fwclass.formats import vector
-from fwclass.formats.area_of_use import place_faults, time_faults
+from fwclass.formats.area_of_use import kind_faults, place_faults, time_faults
 from fwclass.formats.checks import first_hole
 from fwclass.formats.crs import describe_crs
 from fwclass.formats.echo_labels import is_echo_labels
@@ -184,7 +184,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
             *(place_faults(crs, tally.low.tolist(), tally.high.tolist(), source.header) if has_points else []),
-            *time_faults(*tally.gps),
+            *(time_faults(*tally.gps) or kind_faults(*tally.gps, source.standard_gps_time)),
             *_faults(source, tally, step),
             *filter(None, [beam_fault(source), _packet_hole(source)]),
         ],

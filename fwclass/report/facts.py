@@ -12,7 +12,7 @@ from pyproj import CRS
 from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
 from fwclass.errors import refuse_unsound
-from fwclass.formats.area_of_use import place_facts, time_faults
+from fwclass.formats.area_of_use import dates, kind_faults, place_facts, time_faults
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.grid import Box
 from fwclass.publish.tile_facts import WORTH, least_sure_first
@@ -61,14 +61,17 @@ def place_of(
     bounds = np.array([r.meta["facts"]["bounds"] for r in tiles])
     low, high = bounds[:, :3].min(axis=0).tolist(), bounds[:, 3:].max(axis=0).tolist()
     area = covered.of(points, spacings)
-    untimely = time_faults(min(times), max(times)) if times else []
+    first, last = (min(times), max(times)) if times else (np.nan, np.nan)
+    untimely = time_faults(first, last)
+    if standard_time and not untimely:
+        untimely = kind_faults(first, last, standard_time)
     place = place_facts(system, low, high)
     authority = system.to_authority() if system is not None else None
     return {
         "crs": system.name if system is not None else None,
         "code": ":".join(authority) if authority else None,
         "bounds": [*low[:2], *high[:2]],
-        "flown": [_date(min(times)), _date(max(times))] if times and standard_time and not untimely else None,
+        "flown": [_date(first), _date(last)] if standard_time and dates(first, last) else None,
         "area": area,
         "density": points / area if area else None,
         "remarks": [*place["remarks"], *untimely],
