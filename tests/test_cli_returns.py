@@ -204,3 +204,14 @@ def test_a_file_whose_points_are_all_flagged_says_why_nothing_is_labelled(tmp_pa
     whole.write(tmp_path / "a.las")
     ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0)
     assert ended.returncode == 2 and "flags as withheld or synthetic count for none" in ended.stderr
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_return_numbers_that_are_none_are_told(tmp_path, number):
+    path = small_survey(tmp_path)
+    whole = laspy.read(tmp_path / "a.las")
+    whole.return_number[:] = number
+    whole.number_of_returns[:] = np.where(np.arange(6000) % 3, 1, 2)
+    whole.write(tmp_path / "a.las")
+    ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0, "--workflow", "ground")
+    assert "6,000 of 6,000 returns in a.las have number 0, or one above" in ended.stderr, ended.stderr

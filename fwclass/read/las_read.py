@@ -12,6 +12,7 @@ from fwclass.read.packet_references import References, pulses_of
 from fwclass.read.packets import DAMAGED, FAULTS, VECTOR_RANGE, Packets, gather_packets, looked_into
 from fwclass.read.params import ReadParams
 from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, flags_of, gps_times, scan_angles
+from fwclass.read.return_counts import NUMBER_FAULTS
 from fwclass.read.segments import Rows, segment_links
 from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
 from fwclass.schema import Table
@@ -130,10 +131,7 @@ def _returns(columns: dict[str, NDArray]) -> Table:
 
 def _return_faults(columns: dict[str, NDArray]) -> dict[str, int]:
     number, of = columns["return_number"], columns["number_of_returns"]
-    counts = {
-        "return number 0": int((number == 0).sum()),
-        "return number above the number of returns": int((number > of).sum()),
-    }
+    counts = dict(zip(NUMBER_FAULTS, (int((number == 0).sum()), int((number > of).sum())), strict=True))
     return {name: n for name, n in counts.items() if n}
 
 

@@ -26,6 +26,9 @@ WIDEST = 1e12
 MOST = 16
 """Return numbers that are told apart; LAS has no more than 15."""
 
+NUMBER_FAULTS = "return number 0", "return number above the number of returns"
+"""Of a file's faults those that say that return numbers are none."""
+
 EDGES = np.unique(np.rint(2.0 ** (np.arange(65) / 4.0)).astype(np.int64))
 """Where classes of intensities begin, a fourth of a doubling each; 0 has its own."""
 

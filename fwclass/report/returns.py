@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from fwclass.errors import first_few, refuse_named, visible
 from fwclass.graph.quantities import quantity_of_feature
 from fwclass.graph.sources import strip_of
 from fwclass.read.return_counts import (
+    NUMBER_FAULTS,
     backward_fault,
     coarse_step,
     coarse_steps,
@@ -52,14 +54,15 @@ def returns_facts(
     `receipts`: of the parts that counted returns; `names`: the features that decide.
     """
     by_strip: dict[int, list[Mapping[str, Any]]] = {}
-    points: dict[int, int] = {}
+    points, unnumbered = Counter[int](), Counter[int]()
     waves = False
     for receipt in receipts:
         if "values" in receipt.meta:
             waves |= receipt.meta["waveforms"] > 0
             strip = strip_of(receipt.part)
             by_strip.setdefault(strip, []).append(receipt.meta["values"])
-            points[strip] = points.get(strip, 0) + receipt.meta["returns"]
+            points[strip] += receipt.meta["returns"]
+            unnumbered[strip] += sum(receipt.meta.get("faults", {}).get(name, 0) for name in NUMBER_FAULTS)
     files = {s.number: visible(s.path.name) for s in strips}
     counted = {files[s]: join_counts(parts) for s, parts in sorted(by_strip.items()) if points[s] >= FEW}
     if not counted:
@@ -72,6 +75,7 @@ def returns_facts(
     return {
         "remarks": [t for t in (coarse, scales, backward, units) if t]
         + _numbers(counted, many, waves)
+        + _unnumbered({n: (unnumbered[s], points[s]) for s, n in files.items() if n in many})
         + _times(counted),
         "coarse": coarse if step >= params.coarse_places else "",
         "scales": scales if ratio >= params.max_intensity_ratio else "",
@@ -212,6 +216,18 @@ def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int]
             f"{first_few(others, NAMED)} are not: features of returns do not mean the same in both"
         )
     return remarks
+
+
+def _unnumbered(counts: Mapping[str, tuple[int, int]]) -> list[str]:
+    """That return numbers are none, by the counts of such and of all returns of every file."""
+    some = {name: pair for name, pair in counts.items() if pair[0] > MISSING * pair[1]}
+    if not some:
+        return []
+    wrong, every = (sum(pair[k] for pair in some.values()) for k in (0, 1))
+    return [
+        f"{wrong:,} of {every:,} returns in {first_few(list(some), NAMED)} have number 0, or one above the number of "
+        "returns: which is the last of its pulse is not known, and ground is made of last returns"
+    ]
 
 
 def _times(counted: Mapping[str, Mapping[str, Any]]) -> list[str]:
