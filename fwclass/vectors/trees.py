@@ -4,7 +4,6 @@ sticks out of the round crowns of these, and the cells nearest to them."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +13,11 @@ from numpy.typing import NDArray
 from fwclass.grid import Window
 from fwclass.schema import Table
 from fwclass.vectors.cells import EIGHT, Counts, Passage, highest_around
-from fwclass.vectors.outline import Ring, area, corners, fill_holes, mask_of, rings, simplify, sound
+from fwclass.vectors.outline import area
+from fwclass.vectors.outline_kernels import cells_around, crown_outline
 from fwclass.vectors.params import TreeParams
 from fwclass.vectors.shapes import Shapes
+from fwclass.vectors.surface_kernels import add_bulge, add_level, add_round_crown, smooth
 
 COLUMNS = ("x", "y", "object_height", "object_area", "confidence", "object_echoes")
 
@@ -79,20 +80,24 @@ def bulge(
     `params.widest` at most; between `_LEVELS` scales values are linear.
     """
     out = np.zeros_like(surface)
-    for scale, weight in _scales(params.scale * smooth, cell, params.widest):
-        out -= weight * (scale / cell) ** 2 * scipy.ndimage.laplace(_smoothed(surface, scale / cell), mode="constant")
+    scales, level = _scales(params.scale * smooth, cell, params.widest)
+    for k, scale in enumerate(scales):
+        add_bulge(out, _smoothed(surface, scale / cell), level, k, (scale / cell) ** 2)
     return out
 
 
-def _scales(wanted: NDArray[np.float64], cell: float, widest: float) -> Iterator[tuple[float, NDArray[np.float64]]]:
-    """Scales [m] up to `widest`, and the weight of each in cells that want some scale [m]: linear between two."""
+def _scales(wanted: NDArray[np.float64], cell: float, widest: float) -> tuple[list[float], NDArray[np.float64]]:
+    """Scales [m] up to `widest`, and which of them cells want, float64 (rows, columns), that want some scale [m]:
+    between two where it is no whole number."""
     scales = np.linspace(min(cell, widest), widest, _LEVELS)
-    level = np.interp(wanted, scales, np.arange(_LEVELS))
-    return ((float(scale), np.maximum(0.0, 1.0 - np.abs(level - k))) for k, scale in enumerate(scales))
+    return scales.tolist(), np.interp(wanted, scales, np.arange(_LEVELS))
 
 
 def _smoothed(surface: NDArray[np.float64], deviation: float) -> NDArray[np.float64]:
-    return np.asarray(scipy.ndimage.gaussian_filter(surface, deviation, mode="constant", truncate=_TRUNCATE))
+    """After a Gaussian of `deviation` [cells]."""
+    away = np.arange(int(_TRUNCATE * deviation + 0.5) + 1)
+    weights = np.exp(-0.5 / deviation**2 * away**2)
+    return np.asarray(smooth(surface, weights / np.concatenate([weights[:0:-1], weights]).sum()))
 
 
 def tops(surface: Canopy, cell: float, params: TreeParams) -> NDArray[np.int64]:
@@ -129,16 +134,10 @@ def round_crowns(
     out = np.zeros_like(surface)
     turn = 2.0 * np.pi * np.arange(_WAYS)[:, None] / _WAYS
     around = np.arange(int(params.reach / cell) + 1)
-    rows, cols = np.rint(around * np.sin(turn)).astype(np.int64), np.rint(around * np.cos(turn)).astype(np.int64)
-    most, lower = int(around[-1]), int(params.round * (_WAYS - 1))
-    padded, distance = np.pad(surface, most), np.hypot(*np.mgrid[-most : most + 1, -most : most + 1])
+    ways = np.rint(np.stack([around * np.sin(turn), around * np.cos(turn)], axis=2)).astype(np.int64)
     for row, col in tree_tops.tolist():
         wide = int(min(params.reach, params.spread * surface[row, col]) / cell)
-        seen = padded[row + most + rows[:, : wide + 1], col + most + cols[:, : wide + 1]]
-        height = np.minimum.accumulate(np.partition(seen, lower, axis=0)[lower])
-        part = _around(row, col, wide)
-        far = distance[_beside(part, row - most, col - most)][: out[part].shape[0], : out[part].shape[1]]
-        out[part] = np.maximum(out[part], np.interp(far, around[: wide + 1], height, right=0.0))
+        add_round_crown(out, surface, row, col, wide, ways, int(params.round * (_WAYS - 1)))
     return out
 
 
@@ -154,8 +153,9 @@ def tops_beside(
     """
     over = np.maximum(surface.smooth - round_crowns(surface.smooth, tree_tops, cell, params), 0.0)
     value = np.zeros_like(over)
-    for scale, weight in _scales(params.blur * surface.smooth, cell, params.widest):
-        value += weight * _smoothed(over, scale / cell)
+    scales, level = _scales(params.blur * surface.smooth, cell, params.widest)
+    for k, scale in enumerate(scales):
+        add_level(value, _smoothed(over, scale / cell), level, k)
     away = np.full(over.shape, params.reach)
     if len(tree_tops):
         others = np.ones(over.shape, bool)
@@ -184,11 +184,6 @@ def depth(passage: Passage, cell: float, params: TreeParams) -> NDArray[np.float
 def _around(row: int, col: int, wide: int) -> tuple[slice, slice]:
     """The cells up to `wide` rows and columns from one, as far as there are any."""
     return slice(max(0, row - wide), row + wide + 1), slice(max(0, col - wide), col + wide + 1)
-
-
-def _beside(part: tuple[slice, slice], row: int, col: int) -> tuple[slice, slice]:
-    """The same cells, counted from `row` and `col`."""
-    return slice(part[0].start - row, part[0].stop - row), slice(part[1].start - col, part[1].stop - col)
 
 
 def _disc(radius: int) -> NDArray[np.bool_]:
@@ -250,34 +245,25 @@ def trees(table: Table, counts: Counts, passage: Passage, window: Window, core: 
     highest = highest_around(table, window, params.codes, places, _ASIDE)
     highest = np.where(np.isnan(highest), surface.surface[tuple(places.T)], highest)
     rows, polygons = [], []
-    for k, piece in enumerate(scipy.ndimage.find_objects(tree, len(places)), 1):
-        row, col = places[k - 1] + (window.row, window.col)
-        if piece is None or not (0 <= row - core.row < core.nrows and 0 <= col - core.col < core.ncols):
+    met, cells = np.zeros(tree.shape, bool), np.empty((tree.size, 2), np.int64)
+    for k, (first_row, first_col) in enumerate(places.tolist()):
+        row, col = first_row + window.row, first_col + window.col
+        if not (0 <= row - core.row < core.nrows and 0 <= col - core.col < core.ncols):
             continue
-        labels, _ = scipy.ndimage.label(tree[piece] == k, EIGHT)
-        at = places[k - 1] - (piece[0].start, piece[1].start)
-        mine = labels == labels[at[0], at[1]]
-        echoes = int(counts.echoes[piece][mine].sum())
-        polygon = _outline(mine, window, piece)
-        size = sum(area(ring) for ring in polygon)
-        if size < params.least_area or echoes < params.least_echoes:
+        part = cells[: cells_around(tree, met, cells, first_row, first_col)]
+        mine = tuple(part.T)
+        echoes = int(counts.echoes[mine].sum())
+        if echoes < params.least_echoes:
             continue
-        rated, percent = int(counts.rated[piece][mine].sum()), int(counts.percent[piece][mine].sum())
+        outline = window.cell * (crown_outline(part) + np.array([window.col, window.row]))
+        size = area(outline)
+        if size < params.least_area:
+            continue
+        rated, percent = int(counts.rated[mine].sum()), int(counts.percent[mine].sum())
         sure = 0.01 * percent / rated if rated else math.nan
         x, y = (col + 0.5) * window.cell, (row + 0.5) * window.cell
-        rows.append((x, y, float(highest[k - 1]), size, sure, echoes))
-        polygons.append(polygon)
+        rows.append((x, y, float(highest[k]), size, sure, echoes))
+        polygons.append([outline])
     if not rows:
         return Shapes.of(Table.empty(COLUMNS), [])
     return Shapes.of(Table({n: np.array(v) for n, v in zip(COLUMNS, zip(*rows, strict=True), strict=True)}), polygons)
-
-
-def _outline(mine: NDArray[np.bool_], window: Window, piece: tuple[slice, ...]) -> list[Ring]:
-    """The outline of a crown without holes [m]."""
-    rows, cols = np.nonzero(mine)
-    mask, row, col = mask_of(rows, cols)
-    ring = rings(fill_holes(mask, mask.size))[0]
-    plain = ring[simplify(ring.astype(np.float64), 1.0)].astype(np.float64)
-    outline = plain if sound([plain]) else corners(ring).astype(np.float64)
-    low = np.array([col + piece[1].start + window.col, row + piece[0].start + window.row])
-    return [window.cell * (outline + low)]

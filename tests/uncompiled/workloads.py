@@ -80,7 +80,9 @@ from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_tree, grow_trees, out_of_bag, train
 from fwclass.units import METRES_PER_NS
-from fwclass.vectors.outline import fill_holes, rings, simplify
+from fwclass.vectors.cells import count_cells, count_passage
+from fwclass.vectors.outline import fill_holes, rings, simplify, sound
+from fwclass.vectors.trees import trees
 from fwclass.view.blocks import block
 from fwclass.view.pyramid import Pyramid, levels_of, order_blocks
 from fwclass.voxels.traversal import follow
@@ -542,7 +544,21 @@ def work_outlines(_: Path) -> Any:
     mask = np.zeros((22, 22), bool)
     mask[2:20, 2:20] = np.random.default_rng(13).random((18, 18)) < 0.6
     some = [ring.astype(np.float64) for ring in rings(fill_holes(mask, 1))]
-    return [simplify(ring, tolerance) for ring in some for tolerance in (0.5, 1.0, 3.0)]
+    plain = [ring[simplify(ring, tolerance)] for ring in some for tolerance in (0.5, 1.0, 3.0)]
+    return [*plain, np.array([sound([ring]) for ring in plain])]
+
+
+def work_trees(_: Path) -> Any:
+    rng = np.random.default_rng(14)
+    x, y = rng.uniform(0, 20, (2, 3000))
+    far = np.minimum(np.hypot(x - 7, y - 7) / 4.5, np.hypot(x - 13, y - 13) / 4.0)
+    height = np.where(far < 1, 10.0 - 4.0 * far**2 - rng.exponential(0.5, len(x)), 0.0)
+    kinds = {"classification": np.where(far < 1, 5, 2), "confidence": rng.random(len(x)).astype(np.float32)}
+    table = Table({"x": x, "y": y, "height_above_ground": height, **kinds})
+    params, window = conf.section("vectors").trees, Window(0.5, 0, 0, 40, 40)
+    passage = count_passage(table, np.ones(len(x), bool), window, params.codes, params.clear)
+    made = trees(table, count_cells(table, window, params.codes, 0.0), passage, window, window, params)
+    return [made.rows, made.corners]
 
 
 def work_blocks_of_the_viewer(_: Path) -> Any:

@@ -6,18 +6,18 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 import shapely
 
 from fwclass.vectors.outline import area, corners, cover, fill_holes, mask_of, rings, simplify, sound
+from fwclass.vectors.outline_kernels import cells_around, crown_outline
 from fwclass.vectors.regular import direction, middles, right_angled
 
 
 def one_piece(seed: int, size: int = 24, share: float = 0.6) -> np.ndarray:
     """The largest piece of a random mask, by sides and corners, with its margin."""
-    from scipy import ndimage
-
     rng = np.random.default_rng(seed)
-    labels, _ = ndimage.label(rng.random((size, size)) < share, np.ones((3, 3)))
+    labels, _ = scipy.ndimage.label(rng.random((size, size)) < share, np.ones((3, 3)))
     rows, cols = np.nonzero(labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1)
     return mask_of(rows, cols)[0]
 
@@ -42,6 +42,41 @@ def test_small_holes_are_filled_and_large_ones_are_rings():
     outline, hole = rings(fill_holes(mask, 4))
     assert area(outline) == 144 and area(hole) == -9
     assert corners(hole).shape == (4, 2)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_holes_and_corners_are_closed_as_another_program_does(seed):
+    """Cells that touch by a corner alone are joined all at a time, until there are none."""
+    mask = one_piece(seed, share=0.4 + 0.01 * seed)
+    labels, number = scipy.ndimage.label(~mask)
+    sizes = np.bincount(labels.ravel(), minlength=number + 1)
+    expected = mask | np.isin(labels, [k for k in range(1, number + 1) if sizes[k] < 5 and k != labels[0, 0]])
+    while True:
+        a, b, c, d = expected[:-1, :-1], expected[:-1, 1:], expected[1:, :-1], expected[1:, 1:]
+        rising, falling = a & d & ~b & ~c, b & c & ~a & ~d
+        if not (rising | falling).any():
+            break
+        expected = expected.copy()
+        expected[:-1, 1:] |= rising
+        expected[:-1, :-1] |= falling
+    before = mask.copy()
+    assert (fill_holes(mask, 5) == expected).all() and (mask == before).all()
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_crowns_outline_is_simplified_where_that_is_sound(seed):
+    """In one go what the functions for any polygon do one after the other."""
+    rng = np.random.default_rng(seed)
+    cells = np.argwhere(one_piece(seed, size=int(rng.integers(3, 30)), share=0.4 + 0.005 * seed)) + np.array([7, 400])
+    mask, row, col = mask_of(*cells.T)
+    ring = rings(fill_holes(mask, mask.size))[0].astype(float)
+    plain = ring[simplify(ring, 1.0)]
+    expected = plain if sound([plain]) else corners(ring)
+    assert (crown_outline(cells) == expected + np.array([col, row])).all()
+    some = fill_holes(mask, mask.size).astype(np.int32)
+    labels, seen, met = np.pad(some, 3), np.zeros(np.add(some.shape, 6), bool), np.empty((some.size, 2), np.int64)
+    number = cells_around(labels, seen, met, *(np.argwhere(labels)[-1]))
+    assert number == some.sum() and (seen == (labels > 0)).all() and labels[tuple(met[:number].T)].all()
 
 
 @pytest.mark.parametrize("seed", range(20))

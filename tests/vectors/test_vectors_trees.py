@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy
 import shapely
 
 from fwclass import conf
@@ -11,7 +12,7 @@ from fwclass.grid import Window
 from fwclass.schema import Table
 from fwclass.vectors.cells import Passage, count_cells, count_passage
 from fwclass.vectors.shapes import Shapes
-from fwclass.vectors.trees import bulge, canopy, depth, round_crowns, tops, tops_beside, trees, without_pits
+from fwclass.vectors.trees import _smoothed, bulge, canopy, depth, round_crowns, tops, tops_beside, trees, without_pits
 
 CELL = 0.5
 TREES = np.array([[12.2, 14.1, 9.0, 3.0], [17.9, 13.2, 12.0, 3.5], [31.4, 31.8, 15.0, 5.0], [50.0, 20.0, 6.0, 2.0]])
@@ -242,3 +243,36 @@ def test_a_ball_closes_what_is_narrower_and_nothing_else():
     closed = without_pits(surface, CELL, 0.9)
     assert closed[20, 20] > 8.8 and closed[35, 35] == 1.0
     assert (closed >= surface).all() and closed == pytest.approx(without_pits(closed, CELL, 0.9))
+
+
+@pytest.mark.parametrize("deviation", [0.8, 1.0, 2.3, 6.0])
+def test_surfaces_are_smoothed_as_another_program_does(deviation):
+    """To the last bit, also where the Gaussian is wider than the surface."""
+    some = np.random.default_rng(3).uniform(0, 30, (40, 27))
+    for surface in (some, some[:9, :5], some[:1, :1]):
+        theirs = scipy.ndimage.gaussian_filter(surface, deviation, mode="constant", truncate=3.0)
+        assert (_smoothed(surface, deviation) == theirs).all()
+
+
+def test_a_bulge_is_the_laplacian_of_the_scale_of_the_height():
+    """Held against scipy's Gaussians and Laplacians of all scales, which were taken before; round crowns likewise."""
+    surface, settings = np.random.default_rng(4).uniform(0, 30, (70, 60)), params()
+    smooth = scipy.ndimage.gaussian_filter(surface, 2.0)
+    scales = np.linspace(CELL, settings.widest, 8)
+    level, bent = np.interp(settings.scale * smooth, scales, np.arange(8)), np.zeros_like(surface)
+    for k, scale in enumerate(scales.tolist()):
+        after = scipy.ndimage.gaussian_filter(surface, scale / CELL, mode="constant", truncate=3.0)
+        laplacian = scipy.ndimage.laplace(after, mode="constant")
+        bent -= np.maximum(0.0, 1.0 - np.abs(level - k)) * (scale / CELL) ** 2 * laplacian
+    assert (bulge(surface, smooth, CELL, settings) == bent).all()
+
+
+def test_a_round_crown_is_by_distance_what_most_directions_are():
+    surface, settings, (row, col) = np.random.default_rng(5).uniform(5, 9, (30, 40)), params(), (3, 20)
+    wide = int(min(settings.reach, settings.spread * surface[row, col]) / CELL)
+    turn, away = 2.0 * np.pi * np.arange(16)[:, None] / 16, np.arange(wide + 1)
+    r, c = (np.rint(away * ratio).astype(int) + wide for ratio in (np.sin(turn), np.cos(turn)))
+    seen = np.sort(np.pad(surface, wide)[r + row, c + col], axis=0)[int(settings.round * 15)]
+    far = np.hypot(*(np.indices(surface.shape) - np.array([row, col])[:, None, None]))
+    expected = np.interp(far, away, np.minimum.accumulate(seen), right=0.0)
+    assert (round_crowns(surface, np.array([[row, col]]), CELL, settings) == expected).all()
