@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
 from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
-from fwclass.decompose.pulse_fit import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.recovery import recovered
 from fwclass.decompose.recurring import recurring_echoes
 from fwclass.decompose.system_pulse import SystemPulse

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import OVERLAPPING
 from fwclass.decompose.fitting import Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import Placement, offsets_of, phases_of
-from fwclass.decompose.pulse_fit import OVERLAPPING
 from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse

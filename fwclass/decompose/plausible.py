@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from fwclass.decompose import belonging
 from fwclass.decompose.envelope import Envelope
+from fwclass.decompose.fitted_echoes import POOR
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams
-from fwclass.decompose.pulse_fit import POOR
 from fwclass.decompose.quiet import QuietNoise
 from fwclass.decompose.water_column import BOTTOM
 from fwclass.units import LAND

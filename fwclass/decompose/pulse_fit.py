@@ -8,15 +8,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import (
+    by_time,
+    flags_of,
+    least_known,
+    leave_out,
+    mark_dropped,
+    rms_near,
+    standard_errors,
+    weakest,
+)
 from fwclass.decompose.least_squares import fit, lay, less, moments
-from fwclass.decompose.normal_equations import factorise, normal_equations, variances
 from fwclass.decompose.peaks import BINS, first_echoes, level_and_noise, match_filter, surer
 from fwclass.decompose.sample_weights import highest_sample, load_samples, weigh_doubt, weigh_samples, whiten
 from fwclass.decompose.second_look import posterior, second_look
-from fwclass.kernel import inlined, kernel, vectorised
+from fwclass.kernel import inlined, kernel
 from fwclass.units import FWHM_PER_SIGMA
 
-SATURATED, OVERLAPPING, POOR, EDGE = 1, 2, 4, 8
 PRUNE = 0.8
 """Share of the detection threshold below which a fitted echo goes: a wide one is surer than its peak."""
 WEAK = 0.1
@@ -28,9 +36,6 @@ CLIPPED = 0.85
 USUAL = 72.0
 """Samples of a waveform that `detection` is meant for; more samples are more chances, and a threshold z becomes
 sqrt(z^2 + 2 ln(n / USUAL)), which keeps the false echoes of a waveform as rare."""
-IDENTIFIED = 0.5
-"""Height over its standard error that each of several echoes must have: two echoes on one place explain samples
-better than one, and yet neither has a height."""
 FEWEST = 5
 """Samples without which nothing is fitted."""
 
@@ -66,103 +71,6 @@ class Echoes(NamedTuple):
     width_sigma: NDArray[np.float64]
     deviation: NDArray[np.float64]
     flags: NDArray[np.uint8]
-
-
-@vectorised
-def _energy(profile, weight, length):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for j in range(length):
-        total += weight[j] * profile[j] * profile[j]
-    return total
-
-
-@inlined
-def _weakest(p, count, weight, basis, window, noise):  # type: ignore[no-untyped-def]
-    """(significance, echo) of the least significant echo: its height over the noise of a filter of its shape."""
-    least, at = 1e300, -1
-    for k in range(count):
-        start = window[k, 0]
-        energy = _energy(basis[k, 0], weight[start:], window[k, 1] - start)
-        q = p[3 * k + 1] * math.sqrt(energy) / noise
-        if q < least:
-            least, at = q, k
-    return least, at
-
-
-@inlined
-def _by_time(p, count):  # type: ignore[no-untyped-def]
-    """Sort the echoes of `p` by time; whether any moved."""
-    moved = False
-    for a in range(1, count):
-        b = a
-        while b > 0 and p[3 * b + 2] < p[3 * b - 1]:
-            for c in range(1, 4):
-                p[3 * b + c], p[3 * (b - 1) + c] = p[3 * (b - 1) + c], p[3 * b + c]
-            b -= 1
-            moved = True
-    return moved
-
-
-@inlined
-def _mark_dropped(p, count, n, share, reach, drop):  # type: ignore[no-untyped-def]
-    """Mark echoes that are fitted but not reported: those that peak outside the segment, and those lower than `share`
-    of one up to `reach` samples before, the receiver's ringing."""
-    for k in range(count):
-        t = p[3 * k + 2]
-        drop[k] = t < -0.5 or t > n - 0.5
-        for m in range(k):
-            if t - p[3 * m + 2] <= reach and p[3 * k + 1] < share * p[3 * m + 1]:
-                drop[k] = True
-
-
-@inlined
-def _are_near(p, k, m):  # type: ignore[no-untyped-def]
-    """Whether echoes k and m are nearer to each other than their two widths allow to separate well."""
-    return abs(p[3 * m + 2] - p[3 * k + 2]) < 0.75 * FWHM_PER_SIGMA * (p[3 * k + 3] + p[3 * m + 3])
-
-
-@inlined
-def _overlaps(p, count, k):  # type: ignore[no-untyped-def]
-    """Whether another echo is near to echo k."""
-    for m in range(count):
-        if m != k and _are_near(p, k, m):
-            return True
-    return False
-
-
-@inlined
-def _at_edge(p, k, n):  # type: ignore[no-untyped-def]
-    """Whether echo k reaches beyond the first or the last of `n` samples."""
-    t, reach = p[3 * k + 2], FWHM_PER_SIGMA * p[3 * k + 3]
-    return t - reach < 0.0 or t + reach > n - 1.0
-
-
-@inlined
-def _flags(p, count, k, y, pad, n, top, misfit, poor, drop):  # type: ignore[no-untyped-def]
-    t, s = p[3 * k + 2], p[3 * k + 3]
-    flags = 0
-    for i in range(max(int(t - 2.0 * s), 0), min(int(t + 2.0 * s) + 2, n)):
-        if y[pad + i] >= top:
-            flags |= SATURATED
-    for m in range(count):
-        if m != k and not drop[m] and _are_near(p, k, m):
-            flags |= OVERLAPPING
-    if misfit > poor:
-        flags |= POOR
-    if _at_edge(p, k, n):
-        flags |= EDGE
-    return flags
-
-
-@inlined
-def _rms_near(residual, weight, pad, n, t, reach):  # type: ignore[no-untyped-def]
-    """Root mean square residual [DN] of the samples that count within `reach` of t."""
-    total, count = 0.0, 0
-    for i in range(max(int(math.ceil(t - reach)), 0), min(int(math.floor(t + reach)) + 1, n)):
-        if weight[pad + i] > 0.0:
-            total += residual[pad + i] ** 2
-            count += 1
-    return math.sqrt(total / count) if count > 0 else np.nan
 
 
 @inlined
@@ -255,18 +163,16 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     )
     while count > 0:
         final, freedom = posterior(chi, used - 3.0 * count - 1.0, known)
-        least, k = _weakest(p, count, weight, basis, window, math.sqrt(final))
+        least, k = weakest(p, count, weight, basis, window, math.sqrt(final))
         if least >= PRUNE * surer(settings.detection, freedom):
             break
-        for a in range(3 * k + 1, 3 * count - 2):
-            p[a] = p[a + 3]
-        count -= 1
+        count = leave_out(p, count, k)
         if count > 0:
             chi = fit(p, count, white, weight, pad, n, prior, limits, look, sums, work)
             lay(p, count, white, pad, n, look, residual, basis, window)
     if count == 0:
         return 0, base, marginal, np.nan
-    if _by_time(p, count):
+    if by_time(p, count):
         lay(p, count, white, pad, n, look, residual, basis, window)
     while True:
         freedom = max(used - 3.0 * count - 1.0, 1.0)
@@ -275,13 +181,11 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         information = WEAK
         if channel[3] > 0.0:
             information = _information(final, channel[1] * kind.level)
-        _standard_errors(p, count, weight, math.sqrt(final), information, sums, work, errors)
-        k = _least_known(p, count, n, errors) if count > 1 else -1
+        standard_errors(p, count, weight, math.sqrt(final), information, sums, work, errors)
+        k = least_known(p, count, n, errors) if count > 1 else -1
         if k < 0:
             break
-        for a in range(3 * k + 1, 3 * count - 2):
-            p[a] = p[a + 3]
-        count -= 1
+        count = leave_out(p, count, k)
         chi = fit(p, count, white, weight, pad, n, prior, limits, look, sums, work)
         lay(p, count, white, pad, n, look, residual, basis, window)
     return count, base, math.sqrt(final / kind.innovation), misfit
@@ -294,32 +198,12 @@ def _information(variance, sd):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _least_known(p, count, n, errors):  # type: ignore[no-untyped-def]
-    """The echo whose height is least sure, if it is less sure than `IDENTIFIED` and another one or the record's edge is
-    near; -1 otherwise. One that stands alone between two samples is there, whatever its height."""
-    least, at = IDENTIFIED, -1
-    for k in range(count):
-        sure = p[3 * k + 1] / errors[3 * k + 1]
-        if not sure >= least and (_overlaps(p, count, k) or _at_edge(p, k, n)):
-            least, at = sure if sure == sure else -1.0, k
-    return at
-
-
-@inlined
-def _standard_errors(p, count, weight, noise, prior_information, sums, work, out):  # type: ignore[no-untyped-def]
-    """Fill ``out[:3 count + 1]`` with the parameters' standard errors, after `lay` at `p`; NaN if singular."""
-    residual, basis, window, hessian, gradient, upper, move, _, frozen = work
-    size = 3 * count + 1
-    normal_equations(p, count, weight, residual, basis, window, sums[0], 0.0, hessian, gradient)
-    hessian[0, 0] += prior_information
-    for a in range(size):
-        frozen[a] = 0.0
-    if factorise(hessian, frozen, 0.0, size, upper):
-        variances(upper, size, move, out)
-        for a in range(size):
-            out[a] = noise * math.sqrt(out[a])
-    else:
-        out[:size] = np.nan
+def _write(echoes, at, row, p, errors, k):  # type: ignore[no-untyped-def]
+    """Echo k of waveform `row`, and its standard errors, at place `at` of `echoes`."""
+    a = 3 * k + 1
+    echoes.row[at] = row
+    echoes.amplitude[at], echoes.time[at], echoes.width[at] = p[a], p[a + 1], p[a + 2]
+    echoes.amplitude_sigma[at], echoes.time_sigma[at], echoes.width_sigma[at] = errors[a], errors[a + 1], errors[a + 2]
 
 
 @kernel
@@ -406,23 +290,17 @@ def fit_all(  # type: ignore[no-untyped-def]
         if fitted == 0:
             count[w] = 0
             continue
-        _mark_dropped(p, fitted, n, settings.tail_share, settings.tail_reach, drop)
-        written = 0
+        mark_dropped(p, fitted, n, settings.tail_share, settings.tail_reach, drop)
+        written = total
         for k in range(fitted):
             if drop[k]:
                 continue
-            a = 3 * k + 1
-            echoes.row[total] = w
-            echoes.amplitude[total], echoes.time[total], echoes.width[total] = p[a], p[a + 1], p[a + 2]
-            echoes.amplitude_sigma[total], echoes.time_sigma[total] = errors[a], errors[a + 1]
-            echoes.width_sigma[total] = errors[a + 2]
-            reach = FWHM_PER_SIGMA * p[a + 2]
-            rms = _rms_near(work[0], weight, pad, n, p[a + 1], reach)
-            echoes.deviation[total] = 1000.0 * rms / (math.sqrt(kind.innovation) * p[a])
-            echoes.flags[total] = _flags(p, fitted, k, y, pad, n, top[w] - base, chi, settings.poor_misfit, drop)
+            _write(echoes, total, w, p, errors, k)
+            rms = rms_near(work[0], weight, pad, n, p[3 * k + 2], FWHM_PER_SIGMA * p[3 * k + 3])
+            echoes.deviation[total] = 1000.0 * rms / (math.sqrt(kind.innovation) * p[3 * k + 1])
+            echoes.flags[total] = flags_of(p, fitted, k, y, pad, n, top[w] - base, chi, settings.poor_misfit, drop)
             total += 1
-            written += 1
-        count[w] = written
-        if written == 0:
+        count[w] = total - written
+        if total == written:
             misfit[w] = np.nan
     return total

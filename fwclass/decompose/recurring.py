@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits
-from fwclass.decompose.pulse_fit import SATURATED
 
 Floats = NDArray[np.float64]
 
@@ -76,9 +76,12 @@ def recurring_echoes(fits: Fits, fwhm: float, tolerance: float) -> tuple[Recurri
         (OVERLOADED, after[full], np.zeros(int(full.sum()))),
         (IN_RECORD, time[other], np.log(height[other])),
     )
+    every = np.stack([time / (IN_WIDTHS * fwhm), np.log(np.maximum(height, 1e-9)) / IN_HEIGHTS], axis=1)
     crowded = []
     for kind, at, high in kinds:
-        more, when, size = _crowded(at / (IN_WIDTHS * fwhm), high / IN_HEIGHTS)
+        points = np.stack([at / (IN_WIDTHS * fwhm), high / IN_HEIGHTS], axis=1)
+        # first echoes begin where the receiver was triggered, the highest ones as well as others
+        more, when, size = _crowded(points, every if kind == IN_RECORD else points)
         if more > 0:
             when, size = when * IN_WIDTHS * fwhm, 0.0 if kind == OVERLOADED else float(np.exp(size * IN_HEIGHTS))
             separate = kind == IN_RECORD or abs(when) > tolerance
@@ -86,19 +89,23 @@ def recurring_echoes(fits: Fits, fwhm: float, tolerance: float) -> tuple[Recurri
     return tuple(crowded)
 
 
-def _crowded(u: Floats, v: Floats) -> tuple[int, float, float]:
-    """(points, u, v) of the 2 x 2 cells of edge 1 that hold most, less `ABOVE` times those of the fuller side, and
-    their middle; no points where these are few."""
-    if len(u) < FEWEST:
+def _crowded(points: Floats, like: Floats) -> tuple[int, float, float]:
+    """(points, u, v) of the 2 x 2 cells of edge 1 that hold most `points`, (n, 2), less `ABOVE` times those of `like`,
+    (m, 2), on the fuller side, and their middle; no points where these are few."""
+    if len(points) < FEWEST:
         return 0, 0.0, 0.0
-    cells = np.stack([np.floor(u), np.floor(v)], axis=1).astype(np.int64)
-    corners = np.concatenate([cells - (i, j) for i in (0, 1) for j in (0, 1)])
-    kinds, count = np.unique(corners, axis=0, return_counts=True)
-    counts = {(int(a), int(b)): int(n) for (a, b), n in zip(kinds, count, strict=True)}
-    at = int(np.argmax(count))
-    a, b, most = int(kinds[at, 0]), int(kinds[at, 1]), int(count[at])
+    counts = _by_corner(points)
+    (a, b), most = max(counts.items(), key=lambda one: (one[1], one[0]))
+    beside = counts if like is points else _by_corner(like)
     sides = [[(a + way * d, b) for d in ASIDE_IN_TIME] for way in (-1, 1)]
     sides += [[(a, b + way * d) for d in ASIDE_IN_HEIGHT] for way in (-1, 1)]
-    beside = max(sum(counts.get(cell, 0) for cell in side) / len(side) for side in sides)
-    more = int(most - ABOVE * beside)
+    more = int(most - ABOVE * max(sum(beside.get(cell, 0) for cell in side) / len(side) for side in sides))
     return (more if most >= FEWEST else 0), a + 1.0, b + 1.0
+
+
+def _by_corner(points: Floats) -> dict[tuple[int, int], int]:
+    """How many `points`, (n, 2), lie in the 2 x 2 cells of edge 1 that begin at every corner near one."""
+    cells = np.floor(points).astype(np.int64)
+    corners = np.concatenate([cells - (i, j) for i in (0, 1) for j in (0, 1)])
+    kinds, count = np.unique(corners, axis=0, return_counts=True)
+    return {(int(a), int(b)): int(n) for (a, b), n in zip(kinds, count, strict=True)}

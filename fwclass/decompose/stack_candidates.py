@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of, signal_of
 from fwclass.decompose.params import DecomposeParams, StackParams
 from fwclass.decompose.placement import Placement, offsets_of
 from fwclass.decompose.placing import beams, origins_of, row_shifts
-from fwclass.decompose.pulse_fit import SATURATED
 from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.recovery import recovered
 from fwclass.decompose.shapes import Profiles

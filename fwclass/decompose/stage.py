@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.belonging import belonging
+from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.placement import AS_STORED, Placement
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
 from fwclass.decompose.plausible import UNKNOWN, Surroundings, flag_implausible, renumber
-from fwclass.decompose.pulse_fit import SATURATED
 from fwclass.decompose.recovery import recovered
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import place_water, with_water

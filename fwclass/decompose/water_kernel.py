@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.normal_equations import factorise, solve
-from fwclass.decompose.pulse_fit import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.sample_weights import load_samples, weigh_samples, whiten
 from fwclass.decompose.water_model import best_decay, descend, equations, make_white, project
 from fwclass.kernel import inlined, kernel

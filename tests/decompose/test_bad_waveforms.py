@@ -18,9 +18,9 @@ from commandline import fwclass
 from lasmaker import METRES_PER_NS, Descriptor, digitise, gaussian, write_las
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_fit import SATURATED
 from fwclass.decompose.stage import VENDOR_KEPT, _odd_waveforms, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import FwclassError

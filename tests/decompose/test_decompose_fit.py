@@ -11,11 +11,11 @@ from lasmaker import FWHM, digitise, gaussian
 from scipy.optimize import curve_fit
 
 from fwclass.decompose import fitting
+from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms, model_of
 from fwclass.decompose.least_squares import evaluate, fit, fit_one, lay, moments, place
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.peaks import BINS, level_and_noise
-from fwclass.decompose.pulse_fit import SATURATED
 from fwclass.decompose.shapes import Profiles, lookup, widths_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 

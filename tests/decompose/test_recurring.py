@@ -12,8 +12,8 @@ from commandline import fwclass
 from numpy.typing import NDArray
 from rawmaker import scene, write_parquet
 
+from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.placement import Placement
-from fwclass.decompose.pulse_fit import SATURATED
 from fwclass.decompose.recurring import BEHIND, IN_RECORD, OVERLOADED, Recurring, recurring_echoes
 from fwclass.report.recurring import recurring_facts, recurring_remarks
 
@@ -67,6 +67,17 @@ def test_what_stands_at_one_place_of_the_record_is_found() -> None:
     more = recurring(np.append(row, some), np.append(time, place), np.append(height, size))
     one = more[IN_RECORD]
     assert 0.08 < one.share <= 0.1 and abs(one.time - 77.0) <= 2.0 and 7.0 < one.height < 28.0
+
+
+def test_first_echoes_as_low_as_what_triggers_the_receiver_are_the_scenes() -> None:
+    """Records begin 23 ns before an echo of 12 DN or more: where it is the highest, and where it is not."""
+    rng = np.random.default_rng(5)
+    height = 12.0 + rng.exponential(30.0, 4000)
+    some = np.flatnonzero(height < 20.0)
+    row, time = np.arange(4000), 23.0 + rng.normal(0.0, 0.3, 4000)
+    more = np.append(row, some), np.append(time, time[some] + rng.uniform(8.0, 90.0, len(some)))
+    kinds = recurring(*more, np.append(height, rng.uniform(30.0, 200.0, len(some))))
+    assert IN_RECORD not in kinds or kinds[IN_RECORD].share < 0.01
 
 
 @pytest.mark.parametrize("first", [False, True])

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, POOR, SATURATED
 from fwclass.decompose.fitting import model_of, pulses_of, sample_limits
-from fwclass.decompose.pulse_fit import EDGE, OVERLAPPING, POOR, SATURATED
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.publish.wave_picture import WavePicture
 from fwclass.single_file.waveforms.shown import WaveformView

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.fitted_echoes import OVERLAPPING
 from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_fit import OVERLAPPING
 from fwclass.decompose.recovery import recovered
 from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse

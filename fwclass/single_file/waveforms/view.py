@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_fit import SATURATED
 from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.recorded_pulse import recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse
