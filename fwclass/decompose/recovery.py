@@ -80,10 +80,13 @@ class _Saturated:
 
 
 def with_recovery(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> SystemPulse:
-    """`pulse` whose channels tell how they recover from saturation, where their saturated waveforms show it.
+    """`pulse` whose channels tell how they recover from saturation, where their saturated waveforms show it, and
+    `params.recovery` does not keep the samples as they are.
 
     Depends on the set of waveforms only.
     """
+    if params.recovery == "keep":
+        return pulse
     return replace(pulse, channels=tuple(_measure(c, pulse, waves, params) for c in pulse.channels))
 
 
