@@ -25,7 +25,7 @@ from fwclass.decompose.recovery import recovered
 from fwclass.decompose.recurring import recurring_echoes
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
-from fwclass.units import SIGMA_PER_MAD
+from fwclass.units import METRES_PER_NS, SIGMA_PER_MAD
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 Floats = NDArray[np.float64]
@@ -38,6 +38,9 @@ PER_NODE, MOST_NODES = 60, 12
 
 SURE = 3.0
 """Standard errors by which a constant must differ from 0, and nodes (root mean square) from the constant."""
+
+ASTRAY = 0.1
+"""m, and as many standard errors of its fitted time, by which an echo lies off its return that is not where it is."""
 
 PHASE_SPREAD, PHASE_SHARE = 0.35, 0.98
 """Locations that lack the phase of the digitiser's clock lie evenly over one sample: their middle half then spans half
@@ -127,6 +130,9 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             curve = _curve(gap[near], fits.amplitude[near], float(spacing), float(saturation))
             if curve.phase and _placed_alike(sample, fits, near, gap):
                 curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False)
+            left = np.abs(gap[near] - curve.at(fits.amplitude[near]))
+            astray = float((left > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
+            curve = replace(curve, astray=0.0 if curve.phase else astray)
             curves += [curve] if curve.scatter < 0.5 * within else []
     return tuple(curves)
 

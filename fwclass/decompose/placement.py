@@ -28,6 +28,8 @@ class OffsetCurve:
     constant, scatter : median of all, and robust standard deviation about the curve [ns].
     echoes : that it was made of.
     phase : locations lack the phase of the digitiser's clock.
+    astray : share of the echoes whose time is not where the curve has it, by more than 0.1 m and their error; 0 where
+        locations lack the phase.
     """
 
     sample_spacing: float
@@ -38,6 +40,7 @@ class OffsetCurve:
     scatter: float
     echoes: int
     phase: bool
+    astray: float = 0.0
 
     def at(self, amplitude: Floats) -> Floats:
         """Offset of echoes of these heights [ns]."""

@@ -328,5 +328,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=13)
-PLACES = Computation(name="places", version=6)
+PLACES = Computation(name="places", version=7)
 DECOMPOSE = Computation(name="decompose", version=17, writes=ECHO_COLUMNS)

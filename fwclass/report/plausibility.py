@@ -30,6 +30,9 @@ PERIODIC = 0.2
 OFFSET = 0.05
 """ns between fitted times and the vendor's locations from which it is told: 7 mm."""
 
+SCATTERED = 0.15
+"""Share of the echoes off their returns from which it is told; 0.05 and less on the receivers measured."""
+
 UNREADABLE = (
     *("packet past the end", "packet cut short", "packet shared by too many returns"),
     "compressed packet damaged, or another file's",
@@ -297,6 +300,14 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
         lines.append(
             f"fitted times lie {worst['constant']:+.2f} ns ({metres:.2f} m) from the vendor's locations{walk}; this is "
             f"taken off (decompose.vendor_offset; {_names(_once(s for s, _ in some))})"
+        )
+    some = [(s, c) for s, c in offsets if c.get("astray", 0.0) > SCATTERED]
+    if some:
+        _, worst = max(some, key=lambda one: one[1]["astray"])
+        lines.append(
+            f"{percent_words(worst['astray'])} of the echoes lie more than 0.1 m off the returns that place them"
+            f"{_channel_words(worst)}: locations or samples of some pulses are not where they say, by a sample "
+            f"perhaps, and their echoes are off by as much ({_names(_once(s for s, _ in some))})"
         )
     some = [(s, c) for s, c in offsets if c["phase"]]
     if some:

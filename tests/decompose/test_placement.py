@@ -125,6 +125,16 @@ def test_places_without_the_samples_of_their_returns_pull_rows(tmp_path, rough):
     assert places["vendor_offset"][0]["phase"] and np.std(z - ground) < 0.002
 
 
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
+def test_locations_that_are_a_sample_off_in_some_pulses_are_told(tmp_path, share):
+    """The middle of all is right, and 0.15 m is not: nothing was said of it."""
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t - (rng.random(len(t)) < share))
+    z, _, words, places = echoes(path)
+    assert abs(places["vendor_offset"][0]["astray"] - share) < 0.05
+    assert ("off the returns that place them" in words) == (share > 0.2)
+    assert abs((np.abs(z) > 0.1).mean() - share) < 0.05
+
+
 def test_true_locations_change_nothing(tmp_path):
     path = strip(tmp_path / "a.las", lambda t, a, rng: t)
     z, _, words, places = echoes(path)
