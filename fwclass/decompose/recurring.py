@@ -27,6 +27,10 @@ IN_WIDTHS, IN_HEIGHTS = 0.25, 0.35
 ASIDE_IN_TIME, ASIDE_IN_HEIGHT = (3, 4, 5), (3, 4)
 """How many cells away, to either side, echoes are counted that are like any others."""
 
+FAR, HIGH = 3.0, 0.3
+"""Pulse widths from the highest echo from which on one more than so many times as high is a second surface, as a
+greenhouse's roof."""
+
 ABOVE = 3.0
 """Times as many as there that may lie together by the scene: on three receivers 0.9 to 3.0 lie in the fullest cells,
 where the scene is even 1.3."""
@@ -70,9 +74,10 @@ def recurring_echoes(fits: Fits, fwhm: float, tolerance: float) -> tuple[Recurri
     highest = np.append(True, row[1:] != row[:-1])[: len(row)]
     other = np.flatnonzero(~highest & (height > 0.0))
     top = np.maximum.accumulate(np.where(highest, np.arange(len(row)), 0))[other]
-    after, full = time[other] - time[top], fits.flags[order][top] & SATURATED > 0
+    after, share = time[other] - time[top], height[other] / height[top]
+    full, near = fits.flags[order][top] & SATURATED > 0, (np.abs(after) <= FAR * fwhm) | (share <= HIGH)
     kinds = (
-        (BEHIND, after, np.log(height[other] / height[top])),
+        (BEHIND, after[near], np.log(share[near])),
         (OVERLOADED, after[full], np.zeros(int(full.sum()))),
         (IN_RECORD, time[other], np.log(height[other])),
     )

@@ -80,6 +80,15 @@ def test_first_echoes_as_low_as_what_triggers_the_receiver_are_the_scenes() -> N
     assert IN_RECORD not in kinds or kinds[IN_RECORD].share < 0.01
 
 
+@pytest.mark.parametrize("gap", [-26.0, 26.0])
+def test_roofs_of_glass_are_the_scenes(gap: float) -> None:
+    rng = np.random.default_rng(6)
+    row, time, height = main_echoes(2000, rng)
+    some = rng.permutation(2000)[:400]
+    kinds = recurring(np.append(row, some), np.append(time, time[some] + gap), np.append(height, 0.5 * height[some]))
+    assert all(one.share < 0.01 for one in kinds.values())
+
+
 @pytest.mark.parametrize("first", [False, True])
 def test_what_scenes_make_is_not(first: bool) -> None:
     """Second echoes at any distance and of any height, of records that begin anywhere, or 30 ns before the first."""
