@@ -20,6 +20,7 @@ from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.filters import Flags
+from fwclass.ground.measure import ground_on_halls
 from fwclass.ground.params import GroundParams
 from fwclass.ground.raster.lattice import cells_of
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground, last_of
@@ -90,10 +91,15 @@ def filter_block(here: StageInputs, params: GroundParams) -> Result:
     """Ground and noise flags of a block's echoes, tile after tile."""
     params = parameters_at(here, params)
     around = around_block(here, params.halo)
-    return flags_of_block(around, filter_ground(around.table, params))
+    flags = filter_ground(around.table, params)
+    table, facts = flags_of_block(around, flags)
+    places = around.table.select("xyz").take(flags.ground)
+    width, on = ground_on_halls(places["x"], places["y"], places["z"], params.max_building_size)
+    halls = {"width": width, "ground": int((on & around.own[flags.ground]).sum())}
+    return table, {**facts, "halls": halls}
 
 
-def flags_of_block(around: BlockEchoes, flags: Flags) -> Result:
+def flags_of_block(around: BlockEchoes, flags: Flags) -> tuple[Table, dict[str, Any]]:
     """What a filter says of all echoes around a block, as the block's part: of its own ones alone."""
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
     seen = around.own & ((around.table["fit_flags"] & IMPLAUSIBLE) == 0)

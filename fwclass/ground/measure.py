@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window, whole_millimetres
 from fwclass.ground.raster.fill import fill_gaps
-from fwclass.ground.raster.lattice import window_over
+from fwclass.ground.raster.lattice import cells_of, lowest, window_over
 from fwclass.ground.raster.opening import disk_opening
 from fwclass.ground.raster.surface import gradient, low_limit
 from fwclass.kernel import kernel
@@ -290,7 +291,15 @@ def _widest(low: NDArray[np.float64], cell: float, slope: float) -> float:
 
 
 def _widest_hall(surface: NDArray[np.float64], edge: float, slope: float, widest: float) -> float:
-    """Width [m] of the widest smooth region with steep borders all around that an opening takes off, or `widest`.
+    """Width [m] of the widest hall (`_halls`), or `widest`."""
+    return max([widest, *(width for width, _, _ in _halls(surface, edge, slope, widest, WIDEST))])
+
+
+def _halls(
+    surface: NDArray[np.float64], edge: float, slope: float, wider: float, reach: float
+) -> Iterator[tuple[float, tuple[slice, ...], NDArray[np.bool_]]]:
+    """Smooth regions with steep borders all around, `wider` than that [m], which openings of up to `reach` [m] take
+    off: width [m], and the box of cells that holds each, and which of these it is.
 
     A hall of 8 m that is 60 m wide rises less over the opening than a hill of `OPEN_SLOPE`; its border and its roof
     tell it from one.
@@ -298,7 +307,7 @@ def _widest_hall(surface: NDArray[np.float64], edge: float, slope: float, widest
     rough = np.abs(surface - scipy.ndimage.uniform_filter(surface, 3, mode="nearest"))
     least = STEEP_BORDER + math.sqrt(2.0) * edge * slope
     last = surface
-    for radius in _radii(max(1, math.ceil(WIDEST / edge))):
+    for radius in _radii(max(1, math.ceil(reach / edge))):
         this = disk_opening(last, radius)
         taken, step = last - this > HIGH, last - scipy.ndimage.minimum_filter(last, 3, mode="nearest")
         last = this
@@ -307,13 +316,43 @@ def _widest_hall(surface: NDArray[np.float64], edge: float, slope: float, widest
         rim = taken & ~scipy.ndimage.binary_erosion(taken)
         widths = 2.0 * edge * scipy.ndimage.maximum(inside, names, np.arange(1, count + 1)) - edge
         for name, box in enumerate(scipy.ndimage.find_objects(names), 1):
-            if widths[name - 1] <= widest:
+            if widths[name - 1] <= wider:
                 continue
             own = names[box] == name
             steep = np.mean(step[box][own & rim[box]] >= least)
             if steep >= STEEP_SHARE and np.median(rough[box][own]) <= SMOOTH:
-                widest = float(widths[name - 1])
-    return widest
+                yield float(widths[name - 1]), box, own
+
+
+def ground_on_halls(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], wider: float
+) -> tuple[float, NDArray[np.bool_]]:
+    """Width [m] of the widest flat thing with steps down all around that stands in a ground, 0 for none; and bool (n,):
+    a point of that ground lies on one. Filters take roofs that are wider than they were told for ground.
+
+    Parameters
+    ----------
+    x, y, z : (n,) places of what a filter calls ground [m], in any order.
+    wider : width [m] from which on they are looked for.
+    """
+    on, widest = np.zeros(len(x), bool), 0.0
+    if len(x) == 0:
+        return widest, on
+    spacing, area, _ = _density(x, y)
+    edge, reach = 2.0 * _cell(spacing, area), WIDEST
+    for _ in range(2):  # the widest in cells twice as wide
+        window = window_over(x, y, edge, "the measuring raster")
+        surface = fill_gaps(lowest(x, y, z, window))
+        slope = _quantile(_slope(surface, edge), 0.9)
+        step = surface - scipy.ndimage.minimum_filter(surface, 3, mode="nearest")
+        if (step >= STEEP_BORDER).sum() * edge >= 2.0 * wider:  # else there is no such border
+            marked = np.zeros(window.shape, bool)
+            for width, box, own in _halls(surface, edge, slope, wider - 2.0 * edge, reach):  # its rim is not seen
+                widest = max(widest, width)
+                marked[box] |= own
+            on |= marked.reshape(-1)[cells_of(x, y, window)[0]]
+        edge, reach = 2.0 * edge, 2.0 * reach
+    return widest, on
 
 
 def _border_steps(

@@ -11,7 +11,7 @@ from fwclass.graph.ground_auto import AUTO, auto_facts
 from fwclass.model.ranges import RANGES
 from fwclass.report.drift import drift
 from fwclass.report.facts import receipts_of_run
-from fwclass.report.ground import ground_remarks
+from fwclass.report.ground import ground_remarks, hall_facts
 from fwclass.run.runner import Runner
 
 
@@ -111,6 +111,7 @@ def ground_facts(runner: Runner, config: Config, withheld: int) -> dict[str, Any
         "without_terrain": sum(r.meta["without_terrain"] for r in receipts_of_run(runner, "terrain")),
         "block": config.ground.block,
         "accuracy": judged,
+        "halls": hall_facts(blocks),
         "seams": dict(seams) if seams else None,
         "remarks": ground_remarks(blocks, withheld, config.ground, by_source, judged),
     }

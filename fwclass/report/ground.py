@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -34,6 +35,10 @@ LEAST_GROUND = 0.9
 """Share of the echoes that the sources call ground which it should: 0.997 to 1.000 on these five."""
 
 
+MOST_ON_HALLS = 0.05
+"""Share of the ground that may lie on things that look like halls (`measure.ground_on_halls`): none of it on ten ISPRS
+samples and eight other public tiles, 0.34 with a roof of 60 m in 170 m of a town."""
+
 SUNKEN = (1.0, 0.05)
 """Echoes further below a given ground than this [m], and the share of them, noise and water left out, from which it is
 none: five public tiles have 4e-5 of theirs so deep at most."""
@@ -64,6 +69,43 @@ def judge_sunken(remarks: Sequence[str], accepted: bool, where: object) -> None:
         expected=f"at most {100 * SUNKEN[1]:g} % of the points further below it",
         do="look at the file's classes (`fwclass info`), or let the ground be looked for (--method smrf); "
         "--accept-implausible (plausibility.accept=true) takes it as it is",
+    )
+
+
+def hall_facts(blocks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Of the ``halls`` of all `blocks`: the greatest ``width`` [m], 0 for none, and the ``ground`` echoes on them."""
+    halls = [b["halls"] for b in blocks if b.get("halls", {}).get("ground")]
+    return {"width": max((h["width"] for h in halls), default=0.0), "ground": sum(h["ground"] for h in halls)}
+
+
+def hall_remarks(halls: Mapping[str, Any], ground: int, params: GroundParams) -> list[str]:
+    """That ground lies on what looks like wide roofs. `halls`: of all blocks, `ground`: echoes that are."""
+    if not halls["ground"]:
+        return []
+    size = math.ceil(1.3 * halls["width"])
+    auto = "" if params.method == "auto" else ", or ground.method=auto (--auto), which measures it"
+    return [
+        f"{halls['ground']:,} ground echoes ({100 * halls['ground'] / ground:.1f} %) lie on something flat, up to "
+        f"{halls['width']:.0f} m wide, from which it goes down on all sides: a filter takes roofs that are wider than "
+        f"ground.max_building_size ({params.max_building_size:g} m) for ground; take {size}{auto}"
+    ]
+
+
+def judge_halls(facts: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
+    """`QualityError` where more than `MOST_ON_HALLS` of the ground lies on what looks like wide roofs (`hall_remarks`);
+    nothing where the user accepts it. `facts`: ``halls`` (`hall_facts`), and ``ground`` echoes in all."""
+    halls = facts["halls"] if facts else {"ground": 0}
+    if not facts or halls["ground"] <= MOST_ON_HALLS * facts["ground"]:
+        return
+    refuse_unsound(
+        [f"{halls['ground']:,} of {facts['ground']:,} ground echoes, on things up to {halls['width']:.0f} m wide"],
+        accepted,
+        "wide roofs are taken for ground",
+        where,
+        expected=f"at most {100 * MOST_ON_HALLS:g} % of the ground on flat things from which it goes down on all sides",
+        do=f"look for wider buildings: ground.max_building_size={math.ceil(1.3 * halls['width'])}, or "
+        "ground.method=auto (--auto), which measures them; --accept-implausible (plausibility.accept=true) takes it as "
+        "it is",
     )
 
 
@@ -105,6 +147,7 @@ def ground_remarks(
             "stretched over it: return numbers are wrong, or files without last returns were given; --set "
             "ground.last_returns=false lets all returns be ground"
         )
+    remarks += hall_remarks(hall_facts(blocks), sum(b["ground"] for b in blocks), params)
     kappa = _kappa(accuracy)
     if kappa is not None and kappa <= SLIGHT:
         remarks.append(
@@ -149,6 +192,8 @@ def _against_sources(by_source: Iterable[Mapping[str, Sequence[int]]], params: G
 def judge_ground(facts: Mapping[str, Any], accepted: bool, where: object) -> None:
     """`QualityError` where a filter looked at echoes and found no ground, or finds it where the reference has none;
     nothing where the user accepts it."""
+    if facts.get("halls"):
+        judge_halls(facts, accepted, where)
     kappa = _kappa(facts.get("accuracy"))
     refuse_unsound(
         [f"kappa {kappa:.2f}"] if kappa is not None and kappa <= 0.0 else [],

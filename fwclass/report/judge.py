@@ -16,7 +16,7 @@ from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
 from fwclass.report.facts import judge_place
-from fwclass.report.ground import judge_ground, judge_sunken
+from fwclass.report.ground import judge_ground, judge_halls, judge_sunken
 from fwclass.report.labels import judge_labels
 from fwclass.report.places import judge_file_places
 from fwclass.report.plausibility import judge_plausibility
@@ -27,14 +27,15 @@ from fwclass.report.returns import judge_returns
 
 def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
-    ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``radiometry``, ``strips``,
-    each where it is known."""
+    ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``halls``, ``radiometry``,
+    ``strips``, each where it is known."""
     if judged.get("plausibility"):
         judge_plausibility([judged["plausibility"]], bounds)
     judge_place(judged.get("place"), bounds.accept, where)
     judge_repeated(judged.get("repeated"), bounds)
     judge_returns(judged.get("returns"), bounds, where)
     judge_sunken(judged.get("ground", ()), bounds.accept, where)
+    judge_halls(judged.get("halls"), bounds.accept, where)
     judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
     if judged.get("strips"):
         judge_strips(judged["strips"], bounds.accept, where)

@@ -184,6 +184,10 @@ class FileTiles:
         """What is to be said of all tiles of a stage that is made."""
         return [self._facts[stage.name, key] for key in self._rows]
 
+    def facts_of_blocks(self, stage: Stage) -> list[Mapping[str, Any]]:
+        """Likewise of the blocks that were made of a stage over blocks."""
+        return [facts for (name, _), facts in self._facts.items() if name == stage.name]
+
 
 def heights_of_block(here: StageInputs, params: TerrainParams) -> Result:
     """As `make_terrain`, without its rasters."""

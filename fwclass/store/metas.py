@@ -249,6 +249,7 @@ META: dict[str, Shape] = {
         "seen": COUNT,
         "last": COUNT,
         "pieces": [(TILE, COUNT)],
+        "halls?": {"width": NUMBER, "ground": COUNT},
     },
     "noise-filter": {"rows": COUNT, "noise": COUNT, "pieces": [(TILE, COUNT)]},
     "terrain": {

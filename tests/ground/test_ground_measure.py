@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fwclass import conf
 from fwclass.ground.auto import PRINCIPLES, _kappa, adapt_filter, building_size
 from fwclass.ground.filters import ground_points
-from fwclass.ground.measure import measure, table
+from fwclass.ground.measure import ground_on_halls, measure, table
 from fwclass.ground.tuning_params import GroundAutoParams
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
@@ -80,6 +80,26 @@ def test_hills_are_no_buildings():
     x, y, _ = plane(2.0)
     hills = 100.0 + 6.0 * np.sin((x - ORIGIN[0]) / 15) * np.sin((y - ORIGIN[1]) / 15)
     assert told((x, y, hills)).building == 0.0
+
+
+@pytest.mark.parametrize("width, wider, halls", [(40.0, 36.0, 1), (70.0, 36.0, 1), (180.0, 36.0, 1), (70.0, 90.0, 0)])
+def test_ground_that_lies_on_a_hall_is_known_by_its_sides(width, wider, halls):
+    x, y, z = plane(1.0, 2 * width + 60, 0.02)
+    inside = np.maximum(abs(x - ORIGIN[0] - width - 30), abs(y - ORIGIN[1] - width - 30)) < width / 2
+    found, on = ground_on_halls(x, y, np.where(inside, 100 + 0.02 * (width + 30) + 9, z), wider)
+    assert found == (pytest.approx(width, abs=16) if halls else 0)
+    assert (on & ~inside).sum() <= 0.05 * inside.sum() and on[inside].mean() >= 0.5 * halls
+
+
+def test_terrain_with_steps_on_some_sides_is_no_hall():
+    """A terrace, a pit, a hill, a quay that is land on one side, and no point at all."""
+    x, y, z = plane(1.0, 240.0)
+    a, b = x - ORIGIN[0] - 120, y - ORIGIN[1] - 120
+    hill = 12 * np.exp(-(a**2 + b**2) / 1000)
+    pit, quay = np.where(np.hypot(a, b) < 40, -8.0, 0.0), np.where((a < -60) | (np.abs(b) < 35), 4.0, 0.0)
+    for shape in (np.where(a > 0, 8.0, 0.0), pit, hill, quay, 0.5 * a):
+        assert ground_on_halls(x, y, z + shape, 36.0)[0] == 0
+    assert ground_on_halls(x[:0], y[:0], z[:0], 36.0)[0] == 0
 
 
 def test_ground_share_is_what_is_not_built():

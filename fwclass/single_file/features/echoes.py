@@ -27,7 +27,7 @@ from fwclass.read.cloud import read_point_cloud
 from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
-from fwclass.report.ground import sunken_remarks
+from fwclass.report.ground import hall_facts, hall_remarks, sunken_remarks
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import IDENTITY, Table
@@ -234,11 +234,14 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
         f"; {without:,} echoes have no terrain below" if without else ""
     )
     sunken = sunken_remarks(heights["height_above_ground"], codes) if by.own else []
+    ground, wide, halls = int(flags["ground"].sum()), list[str](), hall_facts(tiles.facts_of_blocks(FILTER_GROUND))
+    if not by.own:
+        wide = hall_remarks(halls, ground, params)
     return replace(
         echoes,
         table=table.with_columns({**heights, "noise": flags["noise"]}),
-        notes=(*echoes.notes, note, *sunken),
-        judged={**echoes.judged, "ground": sunken},
+        notes=(*echoes.notes, note, *sunken, *wide),
+        judged={**echoes.judged, "ground": sunken, "halls": {"halls": halls, "ground": ground}},
     )
 
 

@@ -19,10 +19,12 @@ from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.filters import Flags
+from fwclass.ground.measure import ground_on_halls
 from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud, times_of
 from fwclass.read.las import LasSource
+from fwclass.report.ground import hall_remarks
 from fwclass.report.repeated import repeated_in_file
 from fwclass.report.returns import places_facts
 from fwclass.schema import Table
@@ -118,8 +120,9 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
     stray = stray_points(cloud, shown)
+    ground, halls = int(flags.ground.sum()), _halls_in(cloud, flags, params)
     judged, odd = judged_of_cloud(cloud, job.source)
-    odd += last_returns_lack(cloud) if params.last_returns else []
+    odd += [*(last_returns_lack(cloud) if params.last_returns else ()), *hall_remarks(halls, ground, params)]
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -133,14 +136,14 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "left_out": int((cloud.usable & ~shown).sum()),
         "stray": len(stray),
         "last_returns": int((shown & cloud.last).sum()),
-        "ground": int(flags.ground.sum()),
+        "ground": ground,
         "noise": int(flags.noise.sum()),
         "classes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
         "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
-        "judged": judged,
+        "judged": {**judged, "halls": {"halls": halls, "ground": ground}},
         "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *odd]),
         "seconds": {
             "filter": round(filtering, 3),
@@ -148,6 +151,13 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
             "all": round(time.perf_counter() - started, 3),
         },
     }
+
+
+def _halls_in(cloud: PointCloud, flags: Flags, params: GroundParams) -> dict[str, Any]:
+    """What of the ground lies on wide roofs, as `report.ground.hall_facts` has it."""
+    x, y, z = (values[flags.ground] for values in (cloud.x, cloud.y, cloud.z))
+    width, on = ground_on_halls(x, y, z, params.max_building_size)
+    return {"width": width, "ground": int(on.sum())}
 
 
 def shown_points(cloud: PointCloud, keep_classes: bool = False, use_flagged: bool = False) -> NDArray[np.bool_]:

@@ -1,0 +1,55 @@
+"""A roof wider than the filter was told is taken for ground: told by what stands there, without a label."""
+
+from __future__ import annotations
+
+import json
+
+import lasmaker
+import numpy as np
+import pytest
+from commandline import fwclass
+
+EDGE, WIDE = 130.0, 56.0
+"""m, of the meadow, and of the hall in its middle; the filter knows buildings of 36 m."""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """``a.las``: a meadow on a slope with a hall of 7 m on it, one point per m²."""
+    place, rng = tmp_path_factory.mktemp("halls"), np.random.default_rng(2)
+    x, y = rng.uniform(0, EDGE, (2, 17_000))
+    hall = (np.abs(x - EDGE / 2) < WIDE / 2) & (np.abs(y - EDGE / 2) < WIDE / 2)
+    z = 100 + np.where(hall, 0.03 * EDGE / 2 + 7, 0.03 * x) + rng.normal(0, 0.02, len(x))
+    lasmaker.write_las(place / "a.las", np.c_[500_000 + x, 5_400_000 + y, z], point_format=6)
+    (place / "g.yaml").write_text('survey: {name: g, sources: [a.las], crs: "EPSG:25832"}\n')
+    return place
+
+
+def test_one_file(place):
+    ended = fwclass("ground", "a.las", "o.las", cwd=place)
+    assert ended.returncode == 4 and (place / "o.las").is_file(), ended.stderr
+    assert "wide roofs are taken for ground" in ended.stderr
+    said = ended.stderr.split("ground.max_building_size=")[1].split(",")[0]
+    wider = fwclass("ground", "a.las", "o.las", "--overwrite", "--param", f"max_building_size={said}", cwd=place)
+    assert wider.returncode == 0 and "wide" not in wider.stderr, wider.stderr
+    measured = fwclass("ground", "a.las", "o.las", "--overwrite", "--auto", cwd=place)
+    assert measured.returncode == 0, measured.stderr
+    (place / "f.yaml").write_text("features: [height_above_ground]\n")
+    words = ("features", "a.las", "o.parquet", "--set", "f.yaml")
+    ended = fwclass(*words, cwd=place)
+    assert ended.returncode == 4 and "wide roofs are taken for ground" in ended.stderr, ended.stderr
+    assert fwclass(*words, "--overwrite", "--accept-implausible", cwd=place).returncode == 0
+
+
+def test_a_run(place):
+    words = ("run", "g.yaml", "--workflow", "ground", "--workers", 0, "--out", "r")
+    ended = fwclass(*words, cwd=place)
+    assert ended.returncode == 4 and "wide roofs are taken for ground" in ended.stderr, ended.stderr
+    facts = json.loads((place / "r" / "report.json").read_text())["ground"]
+    assert facts["halls"]["width"] == pytest.approx(WIDE, abs=8)  # two cells of the second raster
+    assert 0.6 < facts["halls"]["ground"] / (WIDE**2 / EDGE**2 * 17_000) < 1, "all but the corners"
+    assert any("it goes down on all sides" in r for r in facts["remarks"])
+    wider = fwclass(*words, "--set", "ground.max_building_size=80", cwd=place)
+    assert wider.returncode == 0, wider.stderr
+    facts = json.loads((place / "r" / "report.json").read_text())["ground"]
+    assert facts["halls"] == {"width": 0.0, "ground": 0}
