@@ -28,6 +28,23 @@ def place(tmp_path_factory):
     return place
 
 
+def test_a_line_that_lies_aside_is_told(place):
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 60, (2, 40_000))
+    second = rng.random(40_000) < 0.5
+    gables = np.where(y < 48, 0.6 * np.abs(np.where(y < 24, x, y) % 12 - 6), 0)  # and a meadow behind them
+    z = 100 + gables + rng.normal(0, 0.01, 40_000)
+    lasmaker.write_las(
+        place / "aside.las",
+        np.c_[500_000 + x + 0.6 * second, 5_400_000 + y, z],
+        point_format=6,
+        gps_time=np.where(second, 9000.0, 1000.0) + rng.uniform(0, 5, 40_000),
+    )
+    ended = features(place, "aside")
+    assert "line 2 lies 0.6" in ended.stderr or "line 1 lies 0.6" in ended.stderr, ended.stderr
+    assert (ended.returncode == 0 and "m east" in ended.stderr) or "m west" in ended.stderr, ended.stderr
+
+
 def features(place, name, *words):
     (place / "one.yaml").write_text("features: [height_range_c100]\n")
     words = ("--set", "one.yaml", "--overwrite", *words)

@@ -12,7 +12,7 @@ from fwclass.grid import TileGrid
 from fwclass.quality.block import READS, block_quality
 from fwclass.quality.compared import compare_strips
 from fwclass.quality.steps import step_remarks
-from fwclass.quality.strips import unsound_strips
+from fwclass.quality.strips import offset_remarks, unsound_strips
 from fwclass.schema import Table
 from fwclass.single_file.features.echoes import FileEchoes
 
@@ -20,7 +20,7 @@ from fwclass.single_file.features.echoes import FileEchoes
 def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> FileEchoes:
     """`echoes` of which is known how their lines lie, as a run's quality tells it: said from the same steps on, and
     `judged` as ``strips``. As they were where times do not part them, or are not known."""
-    params, table = conf.section("quality", settings), echoes.table
+    params, table = conf.section("quality", settings).model_copy(update={"strips": "times"}), echoes.table
     if not all(name in table for name in READS):
         return echoes
     sound = np.isfinite(table["gps_time"])
@@ -39,5 +39,5 @@ def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> Fil
     counts = np.sum([(len(q.pairs.dz), *q.between()) for q in of_block], axis=0).tolist()
     files = {int(k): path.stem for k in np.unique(table["strip"])}
     facts, _ = compare_strips(blocks, lambda key, only: arrays[key], tuple(counts), params, files)
-    said = (*unsound_strips(facts), *step_remarks(facts))
+    said = (*(unsound_strips(facts) or offset_remarks(facts)), *step_remarks(facts))
     return replace(echoes, notes=(*echoes.notes, *said), judged={**echoes.judged, "strips": facts})
