@@ -343,7 +343,7 @@ class LasRecording:
     def _angle(self, plane: NDArray[np.float64]) -> NDArray[np.float64]:
         """Of each point from where the scanner looks, upwards, roll taken off [rad]."""
         side = 1.0 if self.params.mounting.side == "left" else -1.0
-        angle = np.arctan2(plane[:, 2], side * plane[:, 1]) - math.radians(self.params.mounting.roll)
+        angle = np.arctan2(plane[:, 2], side * plane[:, 1]) - self.params.mounting.rise
         return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
     def _refused(self, what: str, expected: str, got: str, do: str) -> InputError:

@@ -147,7 +147,7 @@ class Geometry:
     @classmethod
     def of(cls, scan: Scan, mounting: MountingParams) -> Geometry:
         """The directions of `scan`'s beams, unit vectors, on a vehicle that carries it so."""
-        angle = scan.first + scan.step * np.arange(scan.beams) + math.radians(mounting.roll)
+        angle = scan.first + scan.step * np.arange(scan.beams) + mounting.rise
         side = 1.0 if mounting.side == "left" else -1.0
         plane = np.stack([np.zeros(scan.beams), side * np.cos(angle), np.sin(angle)], axis=1)
         turn = rotation(mounting)

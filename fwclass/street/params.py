@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -40,7 +41,8 @@ class MountingParams(Params):
     Attributes
     ----------
     side : where beam angle 0 looks; angles grow upwards. height : of the scanner above the road [m].
-    roll, pitch, yaw : turns about x, then y, then z [deg].
+    roll, pitch, yaw : turns about x, then y, then z [deg], right-handed whatever the side: roll lifts the vehicle's
+    left, pitch lowers its front, yaw turns it to the left.
     """
 
     side: Literal["right", "left"]
@@ -48,6 +50,11 @@ class MountingParams(Params):
     roll: float = Field(ge=-180, le=180)
     pitch: float = Field(ge=-60, le=60)
     yaw: float = Field(ge=-60, le=60)
+
+    @property
+    def rise(self) -> float:
+        """What roll adds to the angles of the beams [rad]."""
+        return math.radians(self.roll if self.side == "left" else -self.roll)
 
 
 class PrescriptionParams(Params):

@@ -25,7 +25,7 @@ def simulate_frames(params: StreetSceneParams, scanner: ScannerParams, mounting:
     street = build(params)
     scan = Scan.of(scanner)
     random = np.random.default_rng([params.seed, 2])
-    angles = scan.first + scan.step * np.arange(scan.beams) + math.radians(mounting.roll)
+    angles = scan.first + scan.step * np.arange(scan.beams) + mounting.rise
     side = 1.0 if mounting.side == "left" else -1.0
     place = 0.0
     sway = _Wander(random, 1.0 / scanner.period)

@@ -166,7 +166,7 @@ class Soundness:
         up, across = z[beside] * UNIT, y[beside] * UNIT
         self.road.add(float(np.median(up)))
         if np.ptp(across) > WIDE:
-            self.slope.add(math.degrees(math.atan(np.polyfit(across, up, 1)[0])))
+            self.slope.add(math.degrees(math.atan(_slope(across, up))))
 
     def facts(self) -> dict[str, Any]:
         """What was measured, plain data; None where nothing tells."""
@@ -196,6 +196,15 @@ class Soundness:
 
 OUTSIDE, SECOND = "outside the trajectory's time", "second in a beam"
 """Why frames, or points of a LAS file, have no place or no beam."""
+
+
+def _slope(across: NDArray[np.float64], up: NDArray[np.float64]) -> float:
+    """Of the line through points, by the median over pairs of which one lies in the left half: the side of a car that
+    stands beside the road lifts one end of a line of least squares."""
+    order, half = np.argsort(across, kind="stable"), len(across) // 2
+    first, second = order[:half], order[len(order) - half :]
+    apart = across[second] - across[first]
+    return float(np.median((up[second] - up[first])[apart > 0.0] / apart[apart > 0.0]))
 
 
 def recording_faults(

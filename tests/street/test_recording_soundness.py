@@ -15,7 +15,7 @@ from streetmaker import SHORT, config, directory, drive
 from fwclass.errors import InputError
 from fwclass.graph.street_recordings import TrajectoryFiles, Way
 from fwclass.schema import Table
-from fwclass.single_file.street.info import info
+from fwclass.single_file.street.info import describe, info
 
 BEAMS = 1081
 ALONE = ("--workers", 0)
@@ -98,7 +98,8 @@ def test_what_is_wrong_is_told(tmp_path: Path, what: str) -> None:
     ("setting", "words"),
     [
         ("street.mounting.height=2.6", "the road lies 1.80 m below the scanner, and street.mounting.height is 2.6 m"),
-        ("street.mounting.roll=10", "the road leans by"),
+        ("street.mounting.roll=10", "the road leans by "),  # a car's side hid it from a line of least squares
+        ("street.mounting.roll=-10", "the road leans by -"),
         ("street.mounting.roll=180", "is the scanner the other way up"),
     ],
 )
@@ -135,7 +136,9 @@ def test_a_trajectory_that_nothing_tests_is_told(tmp_path: Path, speed: str | No
     path = write(tmp_path / "a.parquet", {"place": None} | ({} if speed else {"speed": None}))
     (tmp_path / "way.csv").write_text("time,x,y,z\n" + "".join(f"{k},{1.5 * k},0,0\n" for k in range(-1, 9)))
     way = TrajectoryFiles((tmp_path / "way.csv",))
-    remarks = info(path, config("street.speed=null").street, way)["remarks"]
+    summary = info(path, config("street.speed=null").street, way)
+    assert "m (1.50 to " in describe(summary), "where places begin"
+    remarks = summary["remarks"]
     assert any("nothing tells whether the" in text for text in remarks) is said, remarks
     assert not any("nothing tells whether the" in text for text in info(path, config().street)["remarks"])
 

@@ -33,7 +33,7 @@ from fwclass.street.params import StreetParams
 from fwclass.street.prescription import seen_again, segments
 from fwclass.street.ring import Ring
 
-FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 4
+FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 5
 PART = "frames.bin"
 _COLUMNS = {"number": "<i8", "time": "<f8", "place": "<i8", "road": "<f8"}
 _GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "light": "<i4", "labels": "u1"}

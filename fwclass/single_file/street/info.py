@@ -66,6 +66,7 @@ def _facts(path: Path, params: StreetParams, trajectory: TrajectoryFiles) -> dic
         "period_ms": [round(1000 * float(f(steps)), 3) for f in (np.min, np.median, np.max)] if len(steps) else None,
         "moves": moves or params.speed is not None,
         "metres": float(np.ptp(way)) if len(way) else 0.0,
+        "begins": float(way.min()) if len(way) else 0.0,
         "speed": [round(float(v), 3) for v in _speeds(way, np.array(times))],
         "labels": {str(k): int(n) for k, n in enumerate(labels) if n},
     }
@@ -140,7 +141,9 @@ def describe(summary: dict[str, Any]) -> str:
         low, middle, high = summary["period_ms"]
         lines.append(f"time        {summary['seconds']:.2f} s, a frame every {middle:g} ms ({low:g} to {high:g})")
     speed = f", {summary['speed'][0]:g} to {summary['speed'][2]:g} m/s" if summary["speed"] else ""
-    lines.append(f"road        {summary['metres']:.2f} m{speed}")
+    begin, end = summary["begins"], summary["begins"] + summary["metres"]
+    between = f" ({begin:.2f} to {end:.2f})" if abs(begin) >= 0.01 else ""
+    lines.append(f"road        {summary['metres']:.2f} m{between}{speed}")
     beams = summary["used"] * scan.get("beams", 0)
     lines.append(f"returns     {summary['returns']} of {beams} ranges")
     lines += [f"            {n} {cause}" for cause, n in summary["missing"].items() if n]
