@@ -68,6 +68,7 @@ def test_a_shift_and_plants_are_told_apart(survey: Path, made: tuple[dict[str, A
     assert checked["open"]["count"] + checked["vegetated"]["count"] == 40
     assert any("above the check points on average" in r for r in facts["remarks"])
     layer = pyogrio.read_dataframe(survey / "run" / "quality.gpkg", layer="check_points")
+    assert ["check_points", "Point"] in pyogrio.list_layers(survey / "run" / "quality.gpkg").tolist()
     assert len(layer) == 40 and "32633" in str(layer.crs)
     assert np.sqrt((layer["dz"] ** 2).mean()) == pytest.approx(checked["all"]["rmse"], rel=1e-12)
     assert (layer.geometry.x.to_numpy() == points()[:, 0].round(3)).all()

@@ -135,7 +135,7 @@ def deliver_quality(
             layers.append(Layer(name, box_wkb([v.box for v in boxes[:LISTED]]), {"area_m2": areas}))
     if here.parts(CHECK_POINTS):
         points = here.inputs.arrays(CHECK_POINTS, "all", FILE)[0]
-        layers.append(Layer("check_points", point_wkb(points["x"], points["y"]), compared_points(points)))
+        layers.append(Layer("check_points", point_wkb(points["x"], points["y"]), compared_points(points), "Point"))
         checked = {k: v for k, v in here.inputs.meta(CHECK_POINTS, "all").items() if k in CHECKED}
     if layers:
         write_gpkg(layers, here.directory / POLYGONS, system)
@@ -237,7 +237,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    9,
+    10,
     "survey",
     "cell",
     deliver_quality,
