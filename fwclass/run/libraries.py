@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from fwclass.errors import several
 from fwclass.run.runner import Runner
 from fwclass.store.libraries import fingerprint, stale_by
 from fwclass.store.receipts import Receipt
@@ -61,13 +62,14 @@ def by_libraries(parts: Mapping[str, int], store: Store) -> list[dict[str, Any]]
 def text_of(row: Mapping[str, Any]) -> str:
     """A row of `by_libraries` as a line."""
     then, here = row["made_with"], fingerprint()
+    parts = several(row["parts"], "part")
     if then is None:
-        return f"{row['parts']} parts do not tell the libraries that they were made with; they count as done"
+        return f"{parts} without a word on the libraries that made them, counted as done"
     if not then:
-        return f"{row['parts']} parts: {row['changes'][0]}"
+        return f"{parts}: {row['changes'][0]}"
     same = all(then.get(n) == here[n] for n in ("fwclass", "source"))
     program = f"fwclass {then.get('fwclass')}, source {then.get('source')}{' (as here)' if same else ''}"
     if not same:
         program += f", not {here['fwclass']}, source {here['source']}"
     changes = f"; {', '.join(row['changes'])}" if row["changes"] else "; the same libraries as here"
-    return f"{row['parts']} parts were made by {program}{changes}"
+    return f"{parts} made by {program}{changes}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from streetmaker import config, drive
 
-from fwclass.single_file.street.train import train
+from fwclass.single_file.street.train import crown_lines, train
 from fwclass.street.recording_parquet import write_recording
 
 
@@ -25,3 +25,11 @@ def test_labels_that_no_class_counts_are_counted_and_told(tmp_path, share, place
     (text,) = [t for t in summary[place] if "no class counts" in t]
     other = "implausible" if place == "remarks" else "remarks"
     assert "77 (" in text and not any("no class counts" in t for t in summary[other])
+
+
+@pytest.mark.parametrize("blocks, said", [(4, True), (5, False)])
+def test_figures_without_intervals_say_why(blocks, said):
+    figures = dict.fromkeys(("error", "detection", "false_alarm", "error_interval"), None)
+    figures |= {"detection_interval": None, "false_alarm_interval": None, "kappa": None, "intervals": None}
+    lines = crown_lines({**figures, "rows": 9, "blocks": blocks})
+    assert ("too few for intervals" in lines[0]) is said

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.assess.intervals import LEAST
 from fwclass.assess.remarks import chance_remarks
 from fwclass.classes import ClassDef, class_index
 from fwclass.conf import Config
@@ -106,7 +107,8 @@ def describe(summary: dict[str, Any]) -> str:
 
 def crown_lines(accuracy: dict[str, Any]) -> list[str]:
     """Error, detection and false alarm with their intervals."""
-    lines = [f"tested on    {accuracy['rows']} returns in {accuracy['blocks']} blocks of road"]
+    few = f", too few for intervals: {LEAST} are wanted" if accuracy["blocks"] < LEAST else ""
+    lines = [f"tested on    {accuracy['rows']} returns in {accuracy['blocks']} blocks of road{few}"]
     for key, word in (("error", "error"), ("detection", "detection"), ("false_alarm", "false alarm")):
         value, ends = accuracy[key], accuracy[f"{key}_interval"]
         span = f"  [{100 * ends[0]:.2f}, {100 * ends[1]:.2f}]" if ends else ""
