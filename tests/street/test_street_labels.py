@@ -30,6 +30,6 @@ def test_labels_that_no_class_counts_are_counted_and_told(tmp_path, share, place
 @pytest.mark.parametrize("blocks, said", [(4, True), (5, False)])
 def test_figures_without_intervals_say_why(blocks, said):
     figures = dict.fromkeys(("error", "detection", "false_alarm", "error_interval"), None)
-    figures |= {"detection_interval": None, "false_alarm_interval": None, "kappa": None, "intervals": None}
+    figures |= {"detection_interval": None, "false_alarm_interval": None, "kappa": None, "confusion": [[9]]}
     lines = crown_lines({**figures, "rows": 9, "blocks": blocks})
     assert ("too few for intervals" in lines[0]) is said
