@@ -73,6 +73,12 @@ def test_two_generations(runs):
     )
     found["accuracy"]["tested"][1] -= 40
     assert "tested echoes, not the same ones" in describe(found)
+    assert found["labels"] == {}
+    found["labels"] = {"corrections": [0, 1200], "labelled": [None, 6000]}
+    found["accuracy"]["kappa"][1] = None
+    words = describe(found)
+    assert "corrections: 0 -> 1,200 echoes" in words and "labelled: none -> 6,000 echoes" in words
+    assert f"{found['accuracy']['kappa'][0]:.4f} -> unknown" in words, "it was left out without a word"
     with sqlite3.connect(runs / "d.gpkg") as layers:
         inside = layers.execute("select sum(changed) from places").fetchone()[0]
     assert 0.5 * echoes["changed"] < inside <= echoes["changed"]

@@ -124,12 +124,11 @@ def _delivery(run: Path, number: int | None) -> ComparedDelivery:
 def difference(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[str, Any], ClassChanges]:
     """What changed from `first` to `second` as plain data, and the echoes' classes.
 
-    ``settings``, ``libraries``: by key, before and after, null where it was not there. ``files``: ``added``,
-    ``removed``, ``changed``. ``accuracy``: figures before and after, of how many ``tested`` echoes; ``paired`` with
-    intervals where both are runs with the same test echoes, else null and ``why`` not. ``echoes``: counts (``apart``:
-    pairs of one name that lie apart and are not compared), ``classes``
-    and ``matrix`` (rows before, columns after). ``heights``: `raster_changes` of terrain and surface. ``places``: boxes
-    with most changed echoes.
+    ``settings``, ``labels``, ``libraries``: by key, before and after, null where it was not there. ``files``:
+    ``added``, ``removed``, ``changed``. ``accuracy``: figures before and after, of how many ``tested`` echoes;
+    ``paired`` with intervals where both are runs with the same test echoes, else null and ``why`` not. ``echoes``:
+    counts (``apart``: pairs of one name that lie apart and are not compared), ``classes`` and ``matrix`` (rows before,
+    columns after). ``heights``: `raster_changes` of terrain and surface. ``places``: boxes with most changed echoes.
     """
     changes = class_changes(_tiles(first), _tiles(second), _sizes(first, second))
     codes = [k for k in range(256) if changes.matrix[k].any() or changes.matrix[:, k].any()]
@@ -140,6 +139,7 @@ def difference(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[
         "second": _facts(second),
         "settings": _changed(_flat(first.report["config"]), _flat(second.report["config"])),
         "files": _files(first, second),
+        "labels": _changed(_labels(first), _labels(second)),
         "libraries": _changed(first.report["libraries"]["here"], second.report["libraries"]["here"]),
         "accuracy": {
             **{key: [_figure(first, key), _figure(second, key)] for key in FIGURES},
@@ -197,6 +197,13 @@ def _files(first: ComparedDelivery, second: ComparedDelivery) -> dict[str, list[
     }
 
 
+def _labels(delivery: ComparedDelivery) -> dict[str, int]:
+    """Echoes with a label, and corrections that label one; of a run that did not train none."""
+    sampled = delivery.report.get("sampling") or {}
+    corrections = sampled.get("corrections") or {}
+    return {"labelled": sampled["labelled"], "corrections": corrections.get("applied", 0)} if sampled else {}
+
+
 def _figure(delivery: ComparedDelivery, key: str) -> float | None:
     accuracy = delivery.report.get("accuracy") or {}
     return accuracy.get(key)
@@ -246,6 +253,9 @@ def _lines(difference: Mapping[str, Any]) -> Iterator[str]:
         yield from (f"{'file ' + what:<14}{visible(path)}" for path in paths[:SHOWN])
         if len(paths) > SHOWN:
             yield f"{'':<14}and {len(paths) - SHOWN} more"
+    for key, counts in difference["labels"].items():
+        before, after = ("none" if n is None else f"{n:,}" for n in counts)
+        yield f"{'labels':<12}{key}: {before} -> {after} echoes"
     yield from _pairs_lines("library", difference["libraries"])
     yield from _accuracy_lines(difference["accuracy"])
     yield from _echo_lines(difference["echoes"])
@@ -265,6 +275,9 @@ def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
         before, after = accuracy[key]
         if before is not None and after is not None:
             yield f"{key.replace('_', ' '):<18}{before:.4f} -> {after:.4f} ({after - before:+.4f})"
+        elif before is not None or after is not None:
+            words = ("unknown" if value is None else f"{value:.4f}" for value in (before, after))
+            yield f"{key.replace('_', ' '):<18}{' -> '.join(words)}"
     before, after = accuracy["tested"]
     if before and after and before != after:
         yield (
