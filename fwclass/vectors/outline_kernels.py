@@ -286,8 +286,8 @@ def _chosen(corners, first, which):  # type: ignore[no-untyped-def]
 
 @kernel
 def twice_area(corners, first, last):  # type: ignore[no-untyped-def]
-    """float64: twice the signed area [m^2] of the ring of `corners`, float64 (corners, 2) [m], from row `first` to before
-    `last`; positive where it runs counterclockwise."""
+    """Twice the signed area of the ring of `corners`, (corners, 2) in some unit, from row `first` to before `last`, in
+    its square; positive where the ring runs counterclockwise."""
     total = 0.0
     for k in range(first, last):
         before = k - 1 if k > first else last - 1

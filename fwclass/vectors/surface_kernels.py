@@ -56,8 +56,8 @@ def add_level(out, values, level, k):  # type: ignore[no-untyped-def]
 
 @kernel
 def add_bulge(out, values, level, k, factor):  # type: ignore[no-untyped-def]
-    """Add the Laplacian of `values`, float64 (rows, columns), 0 beyond them, turned over and times `factor` to `out`, of
-    their shape, as `add_level` does."""
+    """Add the Laplacian of `values`, float64 (rows, columns), 0 beyond them, turned over and times `factor` to `out`,
+    as `add_level` does."""
     rows, cols = out.shape
     for r in range(rows):
         for c in range(cols):
