@@ -63,6 +63,15 @@ def echoes_in(delivery: Delivery, places: Polygons) -> dict[str, NDArray[Any]]:
     return {n: np.concatenate([p[n] for p in parts]) if parts else np.empty(0) for n in COLUMNS}
 
 
+def away(delivery: Delivery, places: Polygons) -> int:
+    """How many places lie where no tile has echoes, by their extents."""
+    low_x, low_y, high_x, high_y = (v / 1000 for v in places.bounds)
+    near = np.zeros(places.parts, bool)
+    for area in map(_area, delivery.tiles):
+        near |= (low_x <= area.xmax) & (high_x >= area.xmin) & (low_y <= area.ymax) & (high_y >= area.ymin)
+    return int((~near).sum())
+
+
 def listed_places(delivery: Delivery, path: Path) -> WorkList:
     """The places of a file as a work list, in its order; those without an echo are left out.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from fwclass.delivery.checkout import read_note
 from fwclass.delivery.collect import codes_that_stand, run_of
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.delivery.places import COLUMNS, PLACE, echoes_in, no_echo, read_places
+from fwclass.delivery.places import COLUMNS, PLACE, away, echoes_in, no_echo, read_places
 from fwclass.delivery.worklist import check_geopackage
 from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
@@ -103,7 +103,8 @@ def _summary(useful: int, places: Sequence[SuggestedPlace], size: float, path: P
 @dataclass(frozen=True)
 class Confirmed:
     """What was confirmed: `echoes` by class code, `corrected` echoes that had been corrected before, and how many were
-    `passed_over`, as they have no class by the model, all in `places` places; `where` it was written."""
+    `passed_over`, as they have no class by the model, all in `places` places, `away` of which lie off the survey;
+    `where` it was written."""
 
     echoes: Mapping[int, int]
     corrected: int
@@ -111,13 +112,15 @@ class Confirmed:
     places: int
     names: Mapping[int, str]
     where: str
+    away: int = 0
 
     def __str__(self) -> str:
         total = sum(self.echoes.values())
         listed = ", ".join(f"{self.names.get(c, f'code {c}')} {n:,}" for c, n in sorted(self.echoes.items()))
         without = f", {self.passed_over:,} have no class to confirm" if self.passed_over else ""
+        off = f" ({self.away:,} of them away from the survey)" if self.away else ""
         return (
-            f"{several(self.places, 'place')}: {total:,} echoes keep their class ({listed or 'none'}), "
+            f"{several(self.places, 'place')}{off}: {total:,} echoes keep their class ({listed or 'none'}), "
             f"{self.corrected:,} had been corrected{without}; {self.where}"
         )
 
@@ -141,7 +144,7 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     rows = echoes_in(delivery, places)
     if not _classified(delivery, rows).any():
         raise no_echo(path, places)
-    return _confirm(delivery, rows, places.parts, who, time)
+    return replace(_confirm(delivery, rows, places.parts, who, time), away=away(delivery, places))
 
 
 def confirm_tiles(directory: Path, run: Path | None, who: str, time: int) -> Confirmed:

@@ -206,6 +206,19 @@ def test_places_elsewhere_are_refused(words, made, run, tmp_path):
     assert not (run / "labels").exists() and not (tmp_path / "out").exists()
 
 
+def test_places_away_from_the_survey_are_counted(run, tmp_path):
+    shown = package.open(run)
+    x, y, *_ = shown.tiles[0]["bounds"]
+    places = [Box(x, y, x + 5, y + 5), Box(0.0, 0.0, 10.0, 10.0)]
+    path = tmp_path / "some.gpkg"
+    write_gpkg([Layer("places", box_wkb(places), {"rank": np.array([1, 2])})], path, shown.crs)
+    ended = fwclass("label", "confirm", run, path)
+    assert ended.returncode == 0 and ended.stderr.startswith("2 places (1 of them away from the survey): "), (
+        ended.stderr
+    )
+    shutil.rmtree(run / "labels")
+
+
 def test_a_file_that_is_none_is_refused(run, tmp_path):
     (tmp_path / "a.gpkg").write_bytes(b"SQLite format 3\0" + bytes(100))
     ended = fwclass("label", "confirm", run, tmp_path / "a.gpkg")
