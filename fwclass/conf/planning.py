@@ -50,6 +50,8 @@ class PlanSection(Params):
     sizes : tile sizes that are compared [m].
     tiles_per_worker : fewer leave workers idle.
     stages : cost of every stage by name.
+    of_returns : of those that differ, for files without waveforms, whose echoes are their returns.
+    of_ground : of those that differ, where classes are by the ground filter.
     """
 
     sample_points: int = Field(ge=1000, le=100_000_000)
@@ -70,3 +72,5 @@ class PlanSection(Params):
     sizes: tuple[Annotated[float, Field(ge=5, le=100_000)], ...] = Field(min_length=1, max_length=100)
     tiles_per_worker: int = Field(ge=1, le=1_000_000)
     stages: dict[str, StageCost]
+    of_returns: dict[str, StageCost]
+    of_ground: dict[str, StageCost]

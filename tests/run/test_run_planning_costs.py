@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import lasmaker
+import numpy as np
 import pytest
 
 from fwclass import conf
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.operate.estimate.costs import costs_of_survey, density_known, too_dense
-from fwclass.operate.estimate.headers import PointSample, SurveyFacts, simulated_facts
+from fwclass.operate.estimate.forecast import make_forecast
+from fwclass.operate.estimate.headers import PointSample, SurveyFacts, simulated_facts, survey_facts
+from fwclass.operate.estimate.limits import room_at
+from fwclass.store.run_store import Store
 from fwclass.workflows import workflow_of
 
 SIX = ("height_range_r100", "height_std_r100", "height_std_c200", "planarity_r100", "planarity_k20", "echo_ratio_r100")
@@ -25,6 +32,43 @@ def facts_at(config: conf.Config, density: float, even: float = 1.0) -> SurveyFa
 @pytest.fixture(scope="module")
 def config() -> conf.Config:
     return conf.load(Path(__file__).parents[2] / "conf" / "surveys" / "demo.yaml", [])
+
+
+def test_files_without_waveforms_are_reckoned_by_costs_of_their_own(config: conf.Config) -> None:
+    """By their share of the echoes; classes by the ground filter too. Both were reckoned as a fit and a forest."""
+    facts, plan = simulated_facts(config), config.plan
+    with_waves = [True] * len(facts.sources)
+    for waves, share in ((with_waves, 0.0), ([False] * len(with_waves), 1.0), ([False, *with_waves[1:]], None)):
+        some = replace(facts, sources=tuple(replace(s, waves=w) for s, w in zip(facts.sources, waves, strict=True)))
+        costs = costs_of_survey(begin(config), some)
+        for name, other in plan.of_returns.items():
+            if share is None:
+                assert other.each < costs[name].each < plan.stages[name].each, name
+            else:
+                assert costs[name].each == (1.0 - share) * plan.stages[name].each + share * other.each, name
+                assert costs[name].held == plan.stages[name].held == other.held, name
+        assert costs["classify"] == plan.stages["classify"]
+    ground = replace(begin(config), names=())
+    assert costs_of_survey(ground, facts)["classify"] == plan.of_ground["classify"]
+
+
+@pytest.mark.slow
+def test_a_survey_of_returns_is_planned_by_what_it_takes(tmp_path: Path) -> None:
+    """Four to ten times as much was planned, and 16 to 39 times for its classes."""
+    rng = np.random.default_rng(0)
+    xyz = np.c_[rng.uniform(0, 120, (120_000, 2)), rng.uniform(0, 3, 120_000)].round(2)
+    lasmaker.write_las(tmp_path / "a.las", xyz, point_format=6, scale=0.01)
+    (tmp_path / "s.yaml").write_text("survey: {name: s, sources: [a.las], crs: 'EPSG:2154'}")
+    line = [sys.executable, "-m", "fwclass", "run", tmp_path / "s.yaml", "--workflow", "ground", "--workers", "0"]
+    subprocess.run([*line, "--accept-implausible", "--out", tmp_path / "run"], check=True, capture_output=True)
+    begun = workflow_of("ground").begin(conf.load(tmp_path / "s.yaml", classifies=False))
+    stages = workflow_of("ground").stages
+    forecast = make_forecast(begun, survey_facts(begun.config, tmp_path), 0, room_at(tmp_path), stages=stages)
+    planned, store = {s.name: s for s in forecast.estimate.stages}, Store(tmp_path / "run")
+    for name in ("decompose", "split", "tile", "classify"):
+        receipts = list(store.receipts(name))
+        assert planned[name].bytes < 2.5 * sum(o["bytes"] for r in receipts for o in r.outputs.values()) + 20_000, name
+        assert planned[name].seconds < 3.0 * sum(r.seconds for r in receipts), name
 
 
 def test_features_take_longer_where_neighbourhoods_hold_more(config: conf.Config) -> None:

@@ -43,6 +43,8 @@ HARMLESS = {
     "plan.base_mib",
     "plan.compile_seconds",
     "plan.stages",
+    "plan.of_returns",
+    "plan.of_ground",
     "assess.min_kappa",
     "pulse.bright",
     "pulse.worth",

@@ -1,5 +1,5 @@
-"""What raises the costs of a survey's stages: its features, its density, as every echo meets all that lie around it,
-and water."""
+"""What the costs of a survey's stages depend on: waveforms, its features, its density, as every echo meets all that lie
+around it, and water."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import math
 from fwclass.conf import Config
 from fwclass.conf.planning import StageCost
 from fwclass.graph.features import COMPUTE_FEATURES, neighbourhood_features
+from fwclass.graph.ground_classes import CLASSIFY_GROUND
 from fwclass.graph.outputs import DELIVER_TILE, delivered_features
 from fwclass.graph.stage import Plan
+from fwclass.operate.estimate.amounts import SurveyCounts
 from fwclass.operate.estimate.estimate import Costs
 from fwclass.operate.estimate.headers import SurveyFacts
 
@@ -26,8 +28,13 @@ def too_dense(config: Config, facts: SurveyFacts) -> bool:
 
 
 def costs_of_survey(begun: Plan, facts: SurveyFacts) -> Costs:
-    """`plan.stages` with what as many features take at the survey's density, and the time of a search for water."""
+    """`plan.stages`, or what stands instead of them, by the share of echoes without waveforms and for classes by the
+    ground filter; with what as many features take at the survey's density, and the time of a search for water."""
     plan, costs = begun.config.plan, dict(begun.config.plan.stages)
+    counts = SurveyCounts.of(begun.config, facts)
+    share = float(counts.echoes[~counts.waves].sum()) / max(float(counts.echoes.sum()), 1.0)
+    costs |= {n: _between(costs[n], cost, share) for n, cost in plan.of_returns.items() if n in costs}
+    costs |= plan.of_ground if CLASSIFY_GROUND.when(begun) else {}
     columns = len(COMPUTE_FEATURES.columns(begun))
     time = columns * plan.feature + _neighbours_met(begun, facts) * plan.neighbour * 1e-3
     more = {
@@ -37,6 +44,12 @@ def costs_of_survey(begun: Plan, facts: SurveyFacts) -> Costs:
     if begun.config.bathymetry.enabled and any(s.waves for s in facts.sources):
         more["decompose"] = (plan.water, 0.0)
     return costs | {n: _with_more(costs[n], *amounts) for n, amounts in more.items() if n in costs}
+
+
+def _between(cost: StageCost, other: StageCost, share: float) -> StageCost:
+    """`cost` without a `share` of it, 0 to 1, and that of `other`."""
+    both = cost.model_dump(), other.model_dump()
+    return StageCost(**{n: (1.0 - share) * value + share * both[1][n] for n, value in both[0].items()})
 
 
 def _with_more(cost: StageCost, each: float, stored: float) -> StageCost:
