@@ -201,6 +201,15 @@ def test_feet_and_the_same_file_twice(tmp_path, small):
     assert told(fwclass(*args, *both), 1, "the same file", "ab.las")
 
 
+@pytest.mark.parametrize(("other", "words"), [({4096: 7837}, "heights are not"), ({3072: 25833}, "into one system")])
+def test_files_of_two_systems_are_told_what_differs(tmp_path, other, words):
+    for name, keys in (("a", {3072: 25832}), ("ab", {3072: 25832} | other)):
+        write_las(tmp_path / f"{name}.las", np.arange(30).reshape(10, 3), point_format=1, keys=keys)
+    path = config(tmp_path / "c.yaml", sources="'*.las'")
+    refused = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r")
+    assert told(refused, 1, "different coordinate systems", words, "--set survey.crs=EPSG")
+
+
 def test_settings_out_of_range(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none")
     for setting in ("survey.sources=[]", "areas.gap=-1", "tile.size=0.5", "survey.name=../../x"):

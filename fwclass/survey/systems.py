@@ -68,9 +68,20 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
             "the files are in different coordinate systems",
             where=", ".join(str(path) for _, path in systems),
             got="; ".join(crs.name for crs, _ in systems),
-            do="bring them into one system first, or, if one names it wrongly, --set survey.crs=EPSG:<code>",
+            do=_way_out([crs for crs, _ in systems]),
         )
     return systems[0][0].to_wkt()
+
+
+def _way_out(systems: Sequence[CRS]) -> str:
+    """What to do with files of several systems."""
+    flat = [crs.sub_crs_list[0] if crs.is_compound else crs for crs in systems]
+    if all(crs.equals(flat[0], ignore_axis_order=True) for crs in flat):
+        return (
+            "x and y are in one system, and heights are not, or some files do not name theirs: bring them into one, "
+            "or, if they are, --set survey.crs=EPSG:<code>+<code of heights>"
+        )
+    return "bring them into one system first, or, if one names it wrongly, --set survey.crs=EPSG:<code>"
 
 
 def overruled_systems(config: Config, opened: Sequence[Source]) -> dict[str, str]:
