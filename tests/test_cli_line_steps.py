@@ -45,6 +45,15 @@ def test_a_line_that_lies_aside_is_told(place):
     assert (ended.returncode == 0 and "m east" in ended.stderr) or "m west" in ended.stderr, ended.stderr
 
 
+def test_noisy_heights_are_told(place):
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, 60, (2, 20_000))
+    z = 100 + rng.normal(0, 0.2, 20_000)
+    lasmaker.write_las(place / "noisy.las", np.c_[500_000 + x, 5_400_000 + y, z], point_format=6)
+    ended = features(place, "noisy")
+    assert ended.returncode == 0 and "heights are noisy" in ended.stderr, ended.stderr
+
+
 def features(place, name, *words):
     (place / "one.yaml").write_text("features: [height_range_c100]\n")
     words = ("--set", "one.yaml", "--overwrite", *words)

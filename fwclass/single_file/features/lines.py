@@ -1,4 +1,4 @@
-"""Whether the flight lines of one file lie at one height, and at one place."""
+"""Whether the flight lines of one file lie at one height and at one place, and see something smooth."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from fwclass import conf
 from fwclass.grid import TileGrid
 from fwclass.quality.block import READS, block_quality
 from fwclass.quality.compared import compare_strips
+from fwclass.quality.roughness import roughness_remarks
 from fwclass.quality.steps import step_remarks
 from fwclass.quality.strips import offset_remarks, unsound_strips
 from fwclass.schema import Table
@@ -18,14 +19,11 @@ from fwclass.single_file.features.echoes import FileEchoes
 
 
 def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> FileEchoes:
-    """`echoes` of which is known how their lines lie, as a run's quality tells it: said from the same steps on, and
-    `judged` as ``strips``. As they were where times do not part them, or are not known."""
+    """`echoes` of which is known how their lines lie, and how smooth the smoothest places are, as a run's quality tells
+    it: said from the same bounds on, and `judged` as ``strips``. As they were where a column that it takes is lacking;
+    without times all is one line."""
     params, table = conf.section("quality", settings).model_copy(update={"strips": "times"}), echoes.table
     if not all(name in table for name in READS):
-        return echoes
-    sound = np.isfinite(table["gps_time"])
-    spans = np.unique(np.floor(table["gps_time"][sound] / params.line_gap))
-    if not (np.diff(spans) > 1).any():
         return echoes
     grid = TileGrid(conf.section("terrain", settings).block)
     column, row = grid.indices(table["x"], table["y"])
@@ -40,4 +38,5 @@ def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> Fil
     files = {int(k): path.stem for k in np.unique(table["strip"])}
     facts, _ = compare_strips(blocks, lambda key, only: arrays[key], tuple(counts), params, files)
     said = (*(unsound_strips(facts) or offset_remarks(facts)), *step_remarks(facts))
+    said += (*roughness_remarks(facts["roughness"]),)
     return replace(echoes, notes=(*echoes.notes, *said), judged={**echoes.judged, "strips": facts})
