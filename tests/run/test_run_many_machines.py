@@ -142,6 +142,11 @@ def test_status_tells_of_a_run_on_object_storage(s3, stored, host):
     ended = fwclass("status", *words(*stored), "--set", "train.trees=11")
     assert ended.returncode == 3
     assert "parameter trees" in ended.stdout
+    shown = s3.read(stored[1])["current.json"]
+    s3.write(stored[1] / "current.json", shown[:-9])
+    ended = fwclass("status", *words(*stored))
+    assert ended.returncode == 3 and "readers do not see them yet" in ended.stdout
+    s3.write(stored[1] / "current.json", shown)
 
 
 @pytest.mark.slow
