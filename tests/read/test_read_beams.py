@@ -132,10 +132,11 @@ def test_mirrored_beams_of_pulses(tmp_path, params):
 def test_beams_that_are_turned_round_give_the_echoes_of_right_ones(tmp_path):
     """By command: refused with 1, mended by the option; a right file is refused with it."""
     right, wrong = las(tmp_path / "a.las"), las(tmp_path / "b.las", "mirrored")
-    assert process("decompose", right, tmp_path / "a.laz").returncode == 0
+    alike = "--accept-implausible"  # the same two echoes in every pulse
+    assert process("decompose", right, tmp_path / "a.laz", alike).returncode == 0
     refused = process("decompose", wrong, tmp_path / "b.laz")
     assert refused.returncode == 1 and "--mirror-beams" in refused.stderr and not (tmp_path / "b.laz").exists()
-    assert process("decompose", wrong, tmp_path / "b.laz", "--mirror-beams").returncode == 0
+    assert process("decompose", wrong, tmp_path / "b.laz", "--mirror-beams", alike).returncode == 0
     a, b = laspy.read(tmp_path / "a.laz"), laspy.read(tmp_path / "b.laz")
     assert len(a.points) == 2 * PULSES
     for axis in "xyz":
