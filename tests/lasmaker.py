@@ -368,7 +368,7 @@ def flat_survey(
 ) -> Path:
     """Single returns of gently sloping ground at 265 m, 0.7 m apart, in long records of `correlated` noise.
 
-    `extra` weak but clear echoes a pulse, 3 m apart, stand above the ground, as of leaves that the vendor has not. So
+    `extra` weak but clear echoes a pulse, some 3 m apart, stand above the ground, as leaves that the vendor has not. So
     large a share of the pulses as `ghosts` has an echo 15 m below the ground, as a reflection inside the receiver.
     """
     rng = np.random.default_rng([seed, 1])
@@ -379,12 +379,13 @@ def flat_survey(
     at = 100.0 + rng.uniform(-0.5, 0.5, pulses)
     height = rng.uniform(60.0, 150.0, pulses)
     quiet = noise * correlated(pulses, samples, lag1, wander, seed)
-    leaves = [(12.0, -3.0 * (k + 1) / METRES_PER_NS, 4.0) for k in range(extra)]
+    strewn = np.random.default_rng([seed, 2]).uniform(-0.8, 0.8, (pulses, extra))  # all at one distance no leaves are
+    leaves = -(3.0 * np.arange(1, extra + 1) + strewn) / METRES_PER_NS
     ghost = np.where(rng.random(pulses) < ghosts, 12.0, 0.0)
     deep = 15.0 / METRES_PER_NS
     waveforms = [
-        digitise(gaussian(samples, [(h, t, 4.0), (g, t + deep, 4.0), *((a, t + d, w) for a, d, w in leaves)], 12.0) + q)
-        for h, t, g, q in zip(height, at, ghost, quiet, strict=True)
+        digitise(gaussian(samples, [(h, t, 4.0), (g, t + deep, 4.0), *((12.0, t + d, 4.0) for d in leaf)], 12.0) + q)
+        for h, t, g, q, leaf in zip(height, at, ghost, quiet, leaves, strict=True)
     ]
     options.setdefault("descriptors", {1: Descriptor(8, samples, 1000)})
     return write_las(

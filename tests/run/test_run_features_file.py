@@ -283,5 +283,6 @@ def test_parameters_adapted_to_a_hall_make_it_stand_above_the_ground(tmp_path):
         table = pq.read_table(tmp_path / "a.parquet").to_pandas()
         middle = (abs(table.x - 500_080) < 20) & (abs(table.y - 5_400_080) < 20)
         heights[auto] = table.height_above_ground[middle].median()
-        assert any("max_building_size" in note for note in summary["notes"]) == auto, summary["notes"]
+        assert any("are wider than ground.max_building_size" in note for note in summary["notes"]) != auto
+        assert any("with max_building_size" in note for note in summary["notes"]) == auto, summary["notes"]
     assert abs(heights[False]) < 0.5 and abs(heights[True] - 8) < 0.2

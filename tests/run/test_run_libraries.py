@@ -112,7 +112,7 @@ def test_receipts_of_before_count_as_done_and_are_told(tmp_path, monkeypatch):
     looked = look_at(tmp_path, workflow)
     assert looked.all_done
     [row] = told.by_libraries(looked.libraries, looked.store)
-    assert row["made_with"] is None and "count as done" in told.text_of(row)
+    assert row["made_with"] is None and "counted as done" in told.text_of(row)
     assert "do not tell" in library_remarks(Store(tmp_path), False)[0]
 
 
