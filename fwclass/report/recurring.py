@@ -60,4 +60,7 @@ def recurring_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             "a receiver that rings, is overloaded or does not grow with the light, or a pulse that is not the same in "
             "all waveforms, makes such echoes"
         )
-    return [f"{share} of the waveforms with echoes have another one {where}: {cause}, a scene hardly ({names})"]
+    return [
+        f"{share} of the waveforms with echoes have another one {where}: {cause}; of scenes only a crop, or water, of one "
+        f"depth all over ({names})"
+    ]
