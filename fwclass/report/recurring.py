@@ -61,6 +61,6 @@ def recurring_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             "all waveforms, makes such echoes"
         )
     return [
-        f"{share} of the waveforms with echoes have another one {where}: {cause}; of scenes only a crop, or water, of one "
-        f"depth all over ({names})"
+        f"{share} of the waveforms with echoes have another one {where}: {cause}; of scenes only a crop, or water, of "
+        f"one depth all over ({names})"
     ]
