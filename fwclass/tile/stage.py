@@ -137,8 +137,8 @@ def twice_measured(table: Table) -> list[list[int]]:
     Parameters
     ----------
     table : x, y, z [m], gps_time [s] (NaN and 0: not known), echo_number and strip. Echoes that share all of this with
-        one of their own strip tell nothing. Nor do strips whose times are coarse, which
-        no tile can tell: see `count_times`.
+        one of their own strip tell nothing. Nor do strips whose times are coarse, which no tile can tell: see
+        `count_times`.
 
     Returns
     -------

@@ -19,12 +19,11 @@ from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.filters import Flags
-from fwclass.ground.measure import ground_on_halls
 from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud, times_of
 from fwclass.read.las import LasSource
-from fwclass.report.ground import hall_remarks
+from fwclass.report.ground import hall_facts, hall_remarks
 from fwclass.report.repeated import repeated_in_file
 from fwclass.report.returns import places_facts
 from fwclass.schema import Table
@@ -109,7 +108,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         params, measured = job.adapt(cloud, require_shown(cloud, shown), params)
         params = with_assignments(params, job.assignments)
     at, before = time.perf_counter(), compiling.spent()
-    flags = filter_cloud(cloud, shown, params, tell)
+    flags, halls = flags_and_halls(cloud, shown, params, tell)
     filtering = time.perf_counter() - at - (compiling.spent() - before)
     classes = classes_of(cloud, flags, job.keep_classes)
     if job.rasters:
@@ -120,7 +119,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
     stray = stray_points(cloud, shown)
-    ground, halls = int(flags.ground.sum()), _halls_in(cloud, flags, params)
+    ground = int(flags.ground.sum())
     judged, odd = judged_of_cloud(cloud, job.source)
     odd += [*(last_returns_lack(cloud) if params.last_returns else ()), *hall_remarks(halls, ground, params)]
     return {
@@ -153,13 +152,6 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     }
 
 
-def _halls_in(cloud: PointCloud, flags: Flags, params: GroundParams) -> dict[str, Any]:
-    """What of the ground lies on wide roofs, as `report.ground.hall_facts` has it."""
-    x, y, z = (values[flags.ground] for values in (cloud.x, cloud.y, cloud.z))
-    width, on = ground_on_halls(x, y, z, params.max_building_size)
-    return {"width": width, "ground": int(on.sum())}
-
-
 def shown_points(cloud: PointCloud, keep_classes: bool = False, use_flagged: bool = False) -> NDArray[np.bool_]:
     """Which points the filter may see: usable ones, not withheld or synthetic, with kept classes not noise."""
     shown = cloud.usable.copy()
@@ -178,7 +170,15 @@ def came_as_noise(cloud: PointCloud) -> NDArray[np.bool_]:
 
 
 def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams, tell: Tell = quiet) -> Flags:
-    """Flags of all points of `cloud`; only `shown` points take part.
+    """The flags alone of `flags_and_halls`."""
+    return flags_and_halls(cloud, shown, params, tell)[0]
+
+
+def flags_and_halls(
+    cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams, tell: Tell = quiet
+) -> tuple[Flags, dict[str, Any]]:
+    """Flags of all points of `cloud`, and what of its ground lies on wide roofs (`report.ground.hall_facts`); only
+    `shown` points take part.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
     flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
     for name, values in tiles.columns(GATHER_GROUND, ("ground", "noise")).items():
         getattr(flags, name)[rows] = values
-    return flags
+    return flags, hall_facts(tiles.facts_of_blocks(FILTER_GROUND))
 
 
 def require_shown(
