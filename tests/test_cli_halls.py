@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 from commandline import fwclass
 
+from fwclass.ground import measure
+from fwclass.ground.raster.lattice import window_over
+from fwclass.single_file.ground.file import GroundJob, ground_file
+
 EDGE, WIDE = 130.0, 56.0
 """m, of the meadow, and of the hall in its middle; the filter knows buildings of 36 m."""
 
@@ -39,6 +43,16 @@ def test_one_file(place):
     ended = fwclass(*words, cwd=place)
     assert ended.returncode == 4 and "wide roofs are taken for ground" in ended.stderr, ended.stderr
     assert fwclass(*words, "--overwrite", "--accept-implausible", cwd=place).returncode == 0
+
+
+def test_what_lies_between_sites_far_apart_is_not_looked_at(tmp_path, monkeypatch):
+    """Roofs are looked for in rasters; one over both sites would have millions of cells, each of hundreds of metres."""
+    xy = np.random.default_rng(3).uniform(0, 60, (8_000, 2)) + np.repeat([[3e5, 5.4e6], [8e5, 5.9e6]], 4_000, axis=0)
+    lasmaker.write_las(tmp_path / "a.las", np.c_[xy, 100 + 0.01 * xy[:, 1] % 1], point_format=6)
+    windows = []
+    monkeypatch.setattr(measure, "window_over", lambda *words: windows.append(window_over(*words)) or windows[-1])
+    ground_file(GroundJob(tmp_path / "a.las", tmp_path / "o.las"))
+    assert windows and max(w.ncols * w.nrows for w in windows) < 1e5
 
 
 def test_a_run(place):
