@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,15 +15,33 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 
-def ended(survey: Path, out: Path, *numbers: signal.Signals, workers: int = 0) -> tuple[int, str]:
+def heeding() -> None:
+    """Signals as a terminal leaves them, whatever started the tests (`nohup`, a service) ignores."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def ignoring_hangup() -> None:
+    heeding()
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+
+def ended(
+    survey: Path,
+    out: Path,
+    *numbers: signal.Signals,
+    workers: int = 0,
+    trees: int = 5000,
+    signals: Callable[[], None] = heeding,
+) -> tuple[int, str]:
     """Start a run, send it signals once a part was made, half a second apart; its exit code and what it said."""
-    words = ["run", str(survey), "--out", str(out), "--workers", str(workers), "--set", "train.trees=5000"]
+    words = ["run", str(survey), "--out", str(out), "--workers", str(workers), "--set", f"train.trees={trees}"]
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "fwclass", *words],
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=signals,
     )
     until = time.monotonic() + 120
     while not (out / "store" / "tile").is_dir() and process.poll() is None and time.monotonic() < until:
@@ -42,6 +61,13 @@ def test_a_signal_ends_a_run_in_words(tmp_path: Path, number: signal.Signals) ->
     assert code == 130 and "nothing half-written is left" in told and "Traceback" not in told
     again = fwclass("run", survey, "--out", tmp_path / "run", "--workers", "0", "--set", "train.trees=5")
     assert again.returncode == 0, again.stderr
+
+
+@pytest.mark.slow
+def test_nohup_keeps_a_run_whose_terminal_closes(tmp_path: Path) -> None:
+    survey = small_survey(tmp_path)
+    code, told = ended(survey, tmp_path / "run", signal.SIGHUP, trees=5, signals=ignoring_hangup)
+    assert code == 0, told
 
 
 @pytest.mark.slow
