@@ -43,6 +43,8 @@ def test_one_file(place):
     ended = fwclass(*words, cwd=place)
     assert ended.returncode == 4 and "wide roofs are taken for ground" in ended.stderr, ended.stderr
     assert fwclass(*words, "--overwrite", "--accept-implausible", cwd=place).returncode == 0
+    ended = fwclass("normalize", "a.las", "n.las", "--method", "smrf", cwd=place)
+    assert ended.returncode == 4 and "wide roofs are taken for ground" in ended.stderr, ended.stderr
 
 
 def test_what_lies_between_sites_far_apart_is_not_looked_at(tmp_path, monkeypatch):

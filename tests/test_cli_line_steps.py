@@ -71,6 +71,16 @@ def test_lines_at_two_heights_end_with_4(place):
     assert step["by"] == "times" and step["step"] == pytest.approx(-0.4, abs=0.01)
 
 
+@pytest.mark.parametrize("words", [("ground",), ("normalize", "--method", "smrf")])
+def test_ground_and_heights_of_lines_at_two_heights(place, words):
+    ended = fwclass(words[0], "lifted.las", f"{words[0]}.las", *words[1:], "--overwrite", cwd=place)
+    assert ended.returncode == 4 and (place / f"{words[0]}.las").is_file(), ended.stderr
+    assert "line 2 lies 0.40" in ended.stderr and "do not lie at one height" in ended.stderr
+    for name in ("sound", "bare"):
+        ended = fwclass(words[0], f"{name}.las", f"{words[0]}.las", *words[1:], "--overwrite", cwd=place)
+        assert ended.returncode == 0 and "line 1" not in ended.stderr, ended.stderr
+
+
 def test_a_small_step_is_told(place):
     ended = features(place, "told")
     assert ended.returncode == 0 and "line 2 lies 0.1" in ended.stderr, ended.stderr

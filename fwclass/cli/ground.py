@@ -91,7 +91,7 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
         click.echo(json.dumps(summary, indent=1))
     bounds = conf.section("plausibility").model_copy(update={"accept": accepted})
     judge_echoes(summary["judged"], bounds, source)
-    judge_ground({"echoes": summary["shown"], "ground": summary["ground"]}, accepted, source)
+    judge_ground({"echoes": summary["shown"], "ground": summary["ground"]}, bounds, source)
 
 
 def _adapting(options: dict[str, Any], tell: Any) -> Any:

@@ -157,6 +157,8 @@ class PlausibilityParams(Params):
     coarse_places : step that all places of a file are multiples of [m].
     max_intensity_ratio : between the files' medians of single returns, where features of amplitude decide.
     max_uncounted : share of the classified echoes whose reference is a code that no class counts.
+    max_on_halls : share of the ground that lies on things that look like halls.
+    sunken, max_sunken : so far below a given ground [m], more than this share of the points says that it is none.
     max_label_offset : that polygons or a cloud of labels are moved by to fit the echoes best [m].
     least : echoes, or returns, of that kind below which nothing is refused.
     accept : deliver all the same, and end as if nothing were wrong; it is still told.
@@ -180,6 +182,9 @@ class PlausibilityParams(Params):
     coarse_places: float = Field(gt=0.0, le=1000.0)
     max_intensity_ratio: float = Field(gt=1.0, le=100_000.0)
     max_uncounted: float = Field(ge=0.0, le=1.0)
+    max_on_halls: float = Field(ge=0.0, le=1.0)
+    sunken: float = Field(gt=0.0, le=10_000.0)
+    max_sunken: float = Field(ge=0.0, le=1.0)
     max_label_offset: float = Field(gt=0.0, le=1000.0)
     least: int = Field(ge=0, le=1_000_000_000)
     accept: bool

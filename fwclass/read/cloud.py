@@ -155,12 +155,18 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     return replace(cloud, cut_packets=remarks, beams=beams, several=several, lastless=lastless)
 
 
-def times_of(cloud: PointCloud) -> NDArray[np.float64]:
-    """GPS time of every point of a LAS file [s], NaN of those without; read when it is asked for."""
+def returns_of(cloud: PointCloud) -> dict[str, NDArray[Any]]:
+    """Of every point of a LAS file its ``gps_time`` [s], NaN of those without, and ``return_number`` and
+    ``number_of_returns``; read when they are asked for, and nothing of a text or where there are no times."""
     if not isinstance(cloud.source, LasSource) or not cloud.source.header.has_gps_time:
-        return np.full(cloud.points, np.nan)
+        return {}
     with PointReader(cloud.source, _FIELDS | _BEAM_FIELDS) as reader:
-        return np.concatenate([gps_times(cloud.source, points) for _, points in reader.blocks()])
+        parts = [
+            (gps_times(cloud.source, p), np.asarray(p["return_number"]), np.asarray(p["number_of_returns"]))
+            for _, p in reader.blocks()
+        ]
+    names = ("gps_time", "return_number", "number_of_returns")
+    return {name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)}
 
 
 def first_beams(source: LasSource, units: LinearUnits) -> dict[str, list[int]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.assess.remarks import SLIGHT
 from fwclass.classes import BUILDING, GROUND, HIGH_NOISE, LOW_NOISE, WATER
+from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import refuse_unsound
 from fwclass.ground.params import GroundParams
 
@@ -35,38 +36,29 @@ LEAST_GROUND = 0.9
 """Share of the echoes that the sources call ground which it should: 0.997 to 1.000 on these five."""
 
 
-MOST_ON_HALLS = 0.05
-"""Share of the ground that may lie on things that look like halls (`measure.ground_on_halls`): none of it on ten ISPRS
-samples and eight other public tiles, 0.34 with a roof of 60 m in 170 m of a town."""
-
-SUNKEN = (1.0, 0.05)
-"""Echoes further below a given ground than this [m], and the share of them, noise and water left out, from which it is
-none: five public tiles have 4e-5 of theirs so deep at most."""
-
-
-def sunken_remarks(height: NDArray[np.floating], codes: NDArray[np.uint8]) -> list[str]:
+def sunken_remarks(height: NDArray[np.floating], codes: NDArray[np.uint8], bounds: PlausibilityParams) -> list[str]:
     """What says that a ground which was given, class 2 of a file, is none: echoes that lie below it.
 
     `height` above it [m], NaN for none, and class of every echo, (n,) each.
     """
     known = np.isfinite(height) & ~np.isin(codes, (LOW_NOISE, HIGH_NOISE, WATER))
-    below = int((height[known] < -SUNKEN[0]).sum())
-    if below <= SUNKEN[1] * int(known.sum()):
+    below = int((height[known] < -bounds.sunken).sum())
+    if below <= bounds.max_sunken * int(known.sum()):
         return []
     return [
-        f"{below:,} of {int(known.sum()):,} points lie more than {SUNKEN[0]:g} m below what the file calls ground "
+        f"{below:,} of {int(known.sum()):,} points lie more than {bounds.sunken:g} m below what the file calls ground "
         "(class 2): that class is something else there, or stands alone high up"
     ]
 
 
-def judge_sunken(remarks: Sequence[str], accepted: bool, where: object) -> None:
+def judge_sunken(remarks: Sequence[str], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` with what `sunken_remarks` says; nothing where the user accepts it."""
     refuse_unsound(
         remarks,
-        accepted,
+        bounds.accept,
         "what the file calls ground is not its lowest surface",
         where,
-        expected=f"at most {100 * SUNKEN[1]:g} % of the points further below it",
+        expected=f"at most {100 * bounds.max_sunken:g} % of the points further below it",
         do="look at the file's classes (`fwclass info`), or let the ground be looked for (--method smrf); "
         "--accept-implausible (plausibility.accept=true) takes it as it is",
     )
@@ -91,18 +83,19 @@ def hall_remarks(halls: Mapping[str, Any], ground: int, params: GroundParams) ->
     ]
 
 
-def judge_halls(facts: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
-    """`QualityError` where more than `MOST_ON_HALLS` of the ground lies on what looks like wide roofs (`hall_remarks`);
+def judge_halls(facts: Mapping[str, Any] | None, bounds: PlausibilityParams, where: object) -> None:
+    """`QualityError` where more of the ground than `max_on_halls` lies on what looks like wide roofs (`hall_remarks`);
     nothing where the user accepts it. `facts`: ``halls`` (`hall_facts`), and ``ground`` echoes in all."""
     halls = facts["halls"] if facts else {"ground": 0}
-    if not facts or halls["ground"] <= MOST_ON_HALLS * facts["ground"]:
+    if not facts or halls["ground"] <= bounds.max_on_halls * facts["ground"]:
         return
     refuse_unsound(
         [f"{halls['ground']:,} of {facts['ground']:,} ground echoes, on things up to {halls['width']:.0f} m wide"],
-        accepted,
+        bounds.accept,
         "wide roofs are taken for ground",
         where,
-        expected=f"at most {100 * MOST_ON_HALLS:g} % of the ground on flat things from which it goes down on all sides",
+        expected=f"at most {100 * bounds.max_on_halls:g} % of the ground on flat things from which it goes down on all "
+        "sides",
         do=f"look for wider buildings: ground.max_building_size={math.ceil(1.3 * halls['width'])}, or "
         "ground.method=auto (--auto), which measures them; --accept-implausible (plausibility.accept=true) takes it as "
         "it is",
@@ -189,15 +182,15 @@ def _against_sources(by_source: Iterable[Mapping[str, Sequence[int]]], params: G
     return remarks
 
 
-def judge_ground(facts: Mapping[str, Any], accepted: bool, where: object) -> None:
+def judge_ground(facts: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` where a filter looked at echoes and found no ground, or finds it where the reference has none;
     nothing where the user accepts it."""
     if facts.get("halls"):
-        judge_halls(facts, accepted, where)
+        judge_halls(facts, bounds, where)
     kappa = _kappa(facts.get("accuracy"))
     refuse_unsound(
         [f"kappa {kappa:.2f}"] if kappa is not None and kappa <= 0.0 else [],
-        accepted,
+        bounds.accept,
         "the filter's ground is not what the reference calls ground",
         where,
         expected="agreement that chance does not give: kappa above 0",
@@ -206,7 +199,7 @@ def judge_ground(facts: Mapping[str, Any], accepted: bool, where: object) -> Non
     )
     refuse_unsound(
         [f"0 of {facts['echoes']:,}"] if facts["echoes"] and not facts["ground"] else [],
-        accepted,
+        bounds.accept,
         "no echo is ground",
         where,
         expected="some, or there is no terrain and no height",

@@ -34,8 +34,8 @@ def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: o
     judge_place(judged.get("place"), bounds.accept, where)
     judge_repeated(judged.get("repeated"), bounds)
     judge_returns(judged.get("returns"), bounds, where)
-    judge_sunken(judged.get("ground", ()), bounds.accept, where)
-    judge_halls(judged.get("halls"), bounds.accept, where)
+    judge_sunken(judged.get("ground", ()), bounds, where)
+    judge_halls(judged.get("halls"), bounds, where)
     judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
     if judged.get("strips"):
         judge_strips(judged["strips"], bounds.accept, where)
@@ -55,7 +55,7 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     judge_place(report.get("place") or report.get("input", {}).get("place"), accepted, where)
     judge_file_places(report.get("input", {}).get("places"), config.plausibility, where)
     if report.get("ground"):
-        judge_ground(report["ground"], accepted, where)
+        judge_ground(report["ground"], config.plausibility, where)
     judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), accepted, where)
     judge_repeated(report.get("repeated"), config.plausibility)
     judge_returns(report.get("returns"), config.plausibility, where)

@@ -47,10 +47,10 @@ from fwclass.single_file.features.echoes import (
     GroundChoice,
     read_echoes,
     with_heights,
+    with_lines,
     with_noise,
     with_radiometry,
 )
-from fwclass.single_file.features.lines import with_lines
 from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.tiles import HELD, FileConfig, FileTiles, Tell, quiet
 from fwclass.store.installed_models import model_location

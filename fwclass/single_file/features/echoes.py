@@ -33,6 +33,7 @@ from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
+from fwclass.single_file.lines import lines_of
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, points_of, with_noise_flags
 from fwclass.waveforms import IMPLAUSIBLE
@@ -187,6 +188,12 @@ def with_noise(echoes: FileEchoes, settings: tuple[str, ...], tell: Tell) -> Fil
     return replace(echoes, table=with_noise_flags(echoes.table, FileConfig(settings), tell))
 
 
+def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> FileEchoes:
+    """`echoes` of which is known how their flight lines lie (`lines_of`)."""
+    facts, said = lines_of(echoes.table, path, settings)
+    return replace(echoes, notes=(*echoes.notes, *said), judged={**echoes.judged, "strips": facts})
+
+
 def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
     """`echoes` with `height_above_ground` and `noise`: ground by a filter, or by class 2 of the file.
 
@@ -233,7 +240,9 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
     note = f"{note}: {int(flags['ground'].sum()):,} echoes" + (
         f"; {without:,} echoes have no terrain below" if without else ""
     )
-    sunken = sunken_remarks(heights["height_above_ground"], codes) if by.own else []
+    sunken = (
+        sunken_remarks(heights["height_above_ground"], codes, conf.section("plausibility", settings)) if by.own else []
+    )
     ground, wide, halls = int(flags["ground"].sum()), list[str](), hall_facts(tiles.facts_of_blocks(FILTER_GROUND))
     if not by.own:
         wide = hall_remarks(halls, ground, params)

@@ -30,10 +30,10 @@ from fwclass.single_file.features.echoes import (
     ranges,
     read_echoes,
     with_heights,
+    with_lines,
     with_noise,
     with_radiometry,
 )
-from fwclass.single_file.features.lines import with_lines
 from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet

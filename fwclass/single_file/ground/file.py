@@ -21,7 +21,7 @@ from fwclass.ground.auto import adapt_filter
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
-from fwclass.read.cloud import PointCloud, read_point_cloud, times_of
+from fwclass.read.cloud import PointCloud, read_point_cloud, returns_of
 from fwclass.read.las import LasSource
 from fwclass.report.ground import hall_facts, hall_remarks
 from fwclass.report.repeated import repeated_in_file
@@ -31,6 +31,7 @@ from fwclass.single_file.ground.output import check_copy, check_output, write_po
 from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.stray import describe_stray, stray_points
+from fwclass.single_file.lines import lines_of
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
 from fwclass.store.unchanged import of_unchanged
 from fwclass.survey.systems import given_crs
@@ -120,7 +121,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     codes, counts = np.unique(classes, return_counts=True)
     stray = stray_points(cloud, shown)
     ground = int(flags.ground.sum())
-    judged, odd = judged_of_cloud(cloud, job.source)
+    judged, odd = judged_of_cloud(cloud, flags.noise | ~shown, job.settings)
     odd += [*(last_returns_lack(cloud) if params.last_returns else ()), *hall_remarks(halls, ground, params)]
     return {
         "input": str(job.source),
@@ -266,26 +267,28 @@ def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
     return place_facts(cloud.crs, low, high, getattr(cloud.source, "header", None), own)
 
 
-def judged_of_cloud(cloud: PointCloud, source: Path) -> tuple[dict[str, Any], list[str]]:
-    """What `report.judge.judge_echoes` judges of the points of a file, and all that is to be said of them."""
-    places = [values[cloud.usable] for values in (cloud.x, cloud.y, cloud.z)]
-    returns = places_facts(places, cloud.beams, source.name, conf.section("plausibility"))
-    place, repeated = place_of_cloud(cloud), _repeated(cloud, source)
-    said = [*cloud.cut_packets, *place["remarks"], *returns["remarks"], *(repeated or {}).get("remarks", ())]
-    judged: dict[str, Any] = {"place": place, "returns": returns}
+def judged_of_cloud(
+    cloud: PointCloud, noise: NDArray[np.bool_], settings: tuple[str, ...] = ()
+) -> tuple[dict[str, Any], list[str]]:
+    """What `report.judge.judge_echoes` judges of the points of a file, and all that is to be said of them; `noise` (n,)
+    is no surface."""
+    name, rows = cloud.path.name, np.flatnonzero(cloud.usable)
+    table = Table({axis: getattr(cloud, axis)[rows] for axis in "xyz"})
+    returns = places_facts([table[axis] for axis in "xyz"], cloud.beams, name, conf.section("plausibility"))
+    judged: dict[str, Any] = {"place": place_of_cloud(cloud), "returns": returns}
+    of_points: Any = {name: values[rows] for name, values in returns_of(cloud).items()}
+    said: tuple[str, ...] = ()
     if isinstance(cloud.source, LasSource):  # points of a text have no times, and may lie that dense
-        judged["repeated"] = repeated
-    return judged, said
-
-
-def _repeated(cloud: PointCloud, source: Path) -> dict[str, Any] | None:
-    """Points that stand twice; times are read where places are alike."""
-    rows = np.flatnonzero(cloud.usable)
-    places = Table({axis: getattr(cloud, axis)[rows] for axis in "xyz"})
-    facts = repeated_in_file(places, source.name)
-    if facts is None or not facts["remarks"]:
-        return None
-    return repeated_in_file(places.with_columns({"gps_time": times_of(cloud)[rows]}), source.name)
+        times = {"gps_time": of_points["gps_time"]} if of_points else {}
+        judged["repeated"] = repeated_in_file(table.with_columns(times), name)
+    if of_points:
+        of_points["echo_number"], of_points["number_of_echoes"] = (
+            of_points.pop(of) for of in ("return_number", "number_of_returns")
+        )
+        of_points |= {"strip": np.zeros(len(rows), np.int16), "noise": noise[rows]}
+        judged["strips"], said = lines_of(table.with_columns(of_points), cloud.path, settings)
+    facts_of = (judged["place"], returns, judged.get("repeated") or {})
+    return judged, [*cloud.cut_packets, *(r for facts in facts_of for r in facts.get("remarks", ())), *said]
 
 
 def last_returns_lack(cloud: PointCloud) -> list[str]:

@@ -15,15 +15,16 @@ from fwclass.classes import GROUND
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.ground import GATHER_HEIGHT
 from fwclass.ground.filters import Flags
+from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.heights import NO_HEIGHT
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
-from fwclass.report.ground import sunken_remarks
+from fwclass.report.ground import hall_remarks, sunken_remarks
 from fwclass.single_file.ground.file import (
     came_as_noise,
     classes_of,
-    filter_cloud,
+    flags_and_halls,
     judged_of_cloud,
     last_returns_lack,
     require_shown,
@@ -92,7 +93,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     check_copy(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, True, job.use_flagged)
     check_extent(cloud, cloud.usable, params.cell)
-    flags, method = _ground(cloud, shown, job, tell)
+    flags, halls, by = _ground(cloud, shown, job, tell)
     tell("terrain and heights")
     rows = np.flatnonzero(cloud.usable)
     tiles = FileTiles(
@@ -104,25 +105,30 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     height[rows] = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)["height_above_ground"]
     tell("writing")
     written = _write(cloud, flags, height, job)
-    judged, odd = judged_of_cloud(cloud, job.source)
-    sunken = sunken_remarks(height, cloud.classes) if method is None and cloud.classes is not None else []
-    odd += last_returns_lack(cloud) if method is not None else []
+    judged, odd = judged_of_cloud(cloud, flags.noise | ~shown, job.settings)
+    ground = int(flags.ground.sum())
+    if by is not None:
+        judged["halls"] = {"halls": halls, "ground": ground}
+        odd += [*last_returns_lack(cloud), *hall_remarks(halls, ground, by)]
+    elif cloud.classes is not None:
+        judged["ground"] = sunken_remarks(height, cloud.classes, conf.section("plausibility"))
+        odd += judged["ground"]
     return {
         "input": str(job.source),
         "output": str(job.output),
         "height": params.height,
-        "method": method,
+        "method": None if by is None else by.method,
         "points": cloud.points,
-        "ground": int(flags.ground.sum()),
+        "ground": ground,
         "without": int(np.isnan(height).sum()),
         "keep_z": job.keep_z,
         "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
-        "judged": {**judged, "ground": sunken},
+        "judged": judged,
         "max_gap": params.max_gap,
         "heights_m": _spread(height[np.isfinite(height)]),
         "waveforms": written.get("wdp"),
-        "notes": [*written.get("notes", []), *odd, *sunken],
+        "notes": [*written.get("notes", []), *odd],
         "seconds": {"all": round(time.perf_counter() - started, 3)},
     }
 
@@ -135,23 +141,23 @@ def _spread(height: NDArray[np.float64]) -> dict[str, float] | None:
     return {"least": low, "median": middle, "greatest": high}
 
 
-def _ground(cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob, tell: Tell) -> tuple[Flags, str | None]:
-    """Ground and noise by a filter, or by the classes of the file; the filter's name."""
+def _ground(
+    cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob, tell: Tell
+) -> tuple[Flags, dict[str, Any], GroundParams | None]:
+    """Ground and noise by a filter, what of it lies on wide roofs, and the filter; or by the classes of the file."""
     if job.filters:
         params = ground_params(job.method, job.preset, job.assignments, job.settings)
         require_shown(cloud, shown, "give points another class than 7 and 18, which are noise")
-        flags, method = filter_cloud(cloud, shown, params, tell), params.method
-    elif cloud.classes is not None and (cloud.classes == GROUND).any():
-        flags, method = Flags((cloud.classes == GROUND) & shown, came_as_noise(cloud)), None
-    else:
-        raise InputError(
-            "the input has no ground",
-            where=cloud.path,
-            expected="points of class 2",
-            got="no classes" if cloud.classes is None else f"classes {_listed(cloud.classes)}",
-            do="run `fwclass ground` first, or let it be looked for: add --method, for example --method smrf",
-        )
-    return flags, method
+        return *flags_and_halls(cloud, shown, params, tell), params
+    if cloud.classes is not None and (cloud.classes == GROUND).any():
+        return Flags((cloud.classes == GROUND) & shown, came_as_noise(cloud)), {}, None
+    raise InputError(
+        "the input has no ground",
+        where=cloud.path,
+        expected="points of class 2",
+        got="no classes" if cloud.classes is None else f"classes {_listed(cloud.classes)}",
+        do="run `fwclass ground` first, or let it be looked for: add --method, for example --method smrf",
+    )
 
 
 def _listed(classes: NDArray[np.uint8]) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,16 +15,15 @@ from fwclass.quality.roughness import roughness_remarks
 from fwclass.quality.steps import step_remarks
 from fwclass.quality.strips import offset_remarks, unsound_strips
 from fwclass.schema import Table
-from fwclass.single_file.features.echoes import FileEchoes
 
 
-def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> FileEchoes:
-    """`echoes` of which is known how their lines lie, and how smooth the smoothest places are, as a run's quality tells
-    it: said from the same bounds on, and `judged` as ``strips``. As they were where a column that it takes is lacking;
-    without times all is one line."""
-    params, table = conf.section("quality", settings).model_copy(update={"strips": "times"}), echoes.table
+def lines_of(table: Table, path: Path, settings: tuple[str, ...]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """How the lines of the echoes in `table` (columns `READS`) lie, and how smooth the smoothest places are, as a run's
+    quality tells it (``strips`` of `report.judge.judge_echoes`), and what is to be said of them, from the same bounds
+    on. Without times all is one line; nothing where a column is lacking."""
     if not all(name in table for name in READS):
-        return echoes
+        return {}, ()
+    params = conf.section("quality", settings).model_copy(update={"strips": "times"})
     grid = TileGrid(conf.section("terrain", settings).block)
     column, row = grid.indices(table["x"], table["y"])
     order = np.lexsort((row, column))
@@ -38,5 +37,4 @@ def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> Fil
     files = {int(k): path.stem for k in np.unique(table["strip"])}
     facts, _ = compare_strips(blocks, lambda key, only: arrays[key], tuple(counts), params, files)
     said = (*(unsound_strips(facts) or offset_remarks(facts)), *step_remarks(facts))
-    said += (*roughness_remarks(facts["roughness"]),)
-    return replace(echoes, notes=(*echoes.notes, *said), judged={**echoes.judged, "strips": facts})
+    return facts, (*said, *roughness_remarks(facts["roughness"]))
