@@ -87,7 +87,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     breaklines = shape_file("breaklines", config.breaklines, config, directory, digests, crs, box)
     check_points = check_point_file(config, directory, digests, crs, box)
     area = shape_file("quality.area", config.quality.area, config, directory, digests, crs, box)
-    corrections = reference_corrections(config, directory, digests, runner.store.where)
+    corrections = reference_corrections(config, directory, digests, runner.store)
     digests.save()
     waves, both = config.survey.echoes != "returns", zip(places, opened, strict=True)
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
@@ -28,8 +29,11 @@ from fwclass.read.polygons import (
 )
 from fwclass.read.source import open_source
 from fwclass.store.corrections import CORRECTIONS
+from fwclass.store.digests import looks
+from fwclass.store.external_file import ExternalFile, digest_file
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, find_remote, local
+from fwclass.store.run_store import Store
 from fwclass.store.url import Url
 from fwclass.survey.area_of_interest import edges, shares_area
 from fwclass.survey.file_digests import Digests
@@ -156,10 +160,13 @@ def reference_echo_labels(
 
 
 def reference_corrections(
-    config: Config, directory: Path | Url, digests: Digests, run: Path | Url
+    config: Config, directory: Path | Url, digests: Digests, store: Store
 ) -> tuple[Location, FileDigests] | None:
-    """What corrects the labels: the file that the configuration names, or that of the `run`; None for nothing."""
-    reference = config.survey.reference
+    """What corrects the labels: the file that the configuration names, or that of the run; None for nothing.
+
+    A run goes by them as they are now, though somebody may add to them meanwhile: it reads a copy of its own.
+    """
+    reference, run = config.survey.reference, store.where
     if reference.kind == "none" or reference.corrections is False:
         return None
     if reference.corrections:
@@ -186,9 +193,23 @@ def reference_corrections(
         )
     if not places:
         return None
-    labels = read_echo_labels(local(places[0]), places[0]).standing()
-    reference_codes(labels.code[labels.code >= 0], config.classes, places[0])
-    return places[0], digests.of([local(places[0])], places[0])
+    place = places[0]
+    labels = read_echo_labels(local(place), place).standing()
+    reference_codes(labels.code[labels.code >= 0], config.classes, place)
+    if isinstance(place, Path) and isinstance(run, Path):
+        copy = _copied(place, store)
+        return copy, (ExternalFile(place.name, digest_file(copy), copy, looks(copy)),)
+    return place, digests.of([local(place)], place)
+
+
+def _copied(path: Path, store: Store) -> Path:
+    """The file, as it is now, where it goes with what else a run leaves behind; itself where nothing is written."""
+    if store.read_only:
+        return path
+    copy = store.directory / "staging" / "read" / path.name
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(path, copy)
+    return copy
 
 
 def check_polygons(config: Config, polygons: Iterable[Receipt], box: Box) -> None:

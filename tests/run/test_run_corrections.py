@@ -16,6 +16,7 @@ from fwclass.schema import canonical_key
 from fwclass.store.atomic import read_json
 from fwclass.store.corrections import add_corrections
 from fwclass.store.run_store import Store
+from fwclass.walk import steps
 
 GAP = 1.0
 PLACE = ("strip", "pulse", "echo_number", "x", "y", "z")
@@ -239,3 +240,28 @@ def test_a_code_of_no_class_is_told_with_its_count(first, tmp_path):
     made = CliRunner().invoke(cli, ["run", str(survey), "--out", str(tmp_path), "--workers", "0"])
     assert made.exception.exit_code == 2
     assert f"17 ({int(inside(before).sum())} rows)" in str(made.exception)
+
+
+def test_corrections_that_are_added_while_a_run_begins_are_the_next_run_s(tmp_path, monkeypatch):
+    """The run goes by those that it began with, and ends as one without the others; it ended with exit code 1."""
+    survey, root = small_survey(tmp_path), tmp_path / "run"
+    run(survey, root)
+    made = echoes(root)
+    rows = inside(made)
+    correct(root, rows, 2, made)
+    taken = steps.gather
+
+    def taken_and_more_are_added(*words):
+        survey = taken(*words)
+        correct(root, rows, 5, made)
+        return survey
+
+    monkeypatch.setattr(steps, "gather", taken_and_more_are_added)
+    assert run(survey, root)["sampling"]["corrections"]["standing"] == rows.sum()
+    assert (echoes(root)["reference"][rows] == 2).all()
+    assert not (root / "store" / "staging").exists()
+    monkeypatch.setattr(steps, "gather", taken)
+    assert CliRunner().invoke(cli, ["status", str(root)]).exit_code == 3
+    run(survey, root)
+    assert (echoes(root)["reference"][rows] == 5).all()
+    assert CliRunner().invoke(cli, ["status", str(root)]).exit_code == 0
