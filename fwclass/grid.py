@@ -231,6 +231,15 @@ class Window:
         nrows = -(-high_y // mm) + margin - row
         return cls(cell, col, row, ncols, nrows)
 
+    @classmethod
+    def of_points(cls, box: Box, cell: float) -> Window:
+        """The smallest window of cells of `cell` [m] that holds points of the half-open `box` [m], its own upper edges
+        included: points that lie exactly on these open no row and no column of cells."""
+        high_x, high_y = (
+            max(h - QUANTUM, low + QUANTUM) for low, h in zip(box.bounds[:2], box.bounds[2:], strict=True)
+        )
+        return cls.covering(Box(box.xmin, box.ymin, high_x, high_y), cell)
+
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the window's array."""

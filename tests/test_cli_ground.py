@@ -431,13 +431,14 @@ def test_waveforms_that_are_not_whole_are_told(tmp_path, fwclass):
 
 def test_rasters_of_the_terrain(tmp_path, fwclass):
     xyz, _ = scene()
+    xyz[1] = 500_060, 5_400_060, 103  # on both upper edges, which opens no cells
     source = las(tmp_path / "a.las", xyz)
     names = {n: tmp_path / f"{n}.tif" for n in ("dtm", "dsm", "ndsm", "hillshade", "slope", "roughness")}
     words = [w for n, p in names.items() for w in (f"--{n}", p)]
     assert fwclass("ground", source, tmp_path / "b.laz", *words)[0] == 0
     with rasterio.open(names["dtm"]) as file:
         dtm, box = file.read(1), file.bounds
-        assert file.crs.to_epsg() == 32633
+        assert file.crs.to_epsg() == 32633 and box == (500_000, 5_400_000, 500_060, 5_400_060)
     middle = np.arange(dtm.shape[1]) + 0.5 + box.left - 500_000
     plane = np.broadcast_to(100 + 0.05 * middle, dtm.shape)
     inner = (slice(3, -3), slice(3, -3))

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
+import rasterio
 import shapely
 from commandline import fwclass
 from smallsurvey import small_survey
@@ -28,6 +29,7 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
     points = laspy.read(place / "a.las")
     points.z[-40:] -= 30.0  # echoes of a beam that went astray
     points.z[-60:-50] += 200.0  # birds
+    points.X[:4], points.Y[:4] = 80_000, 40_000  # cut with both edges
     points.write(place / "a.las")
     path = place / "bare.yaml"
     path.write_text(LEAST)
@@ -94,7 +96,7 @@ def test_contours_are_lines_of_the_terrain(bare: Path, run: Path) -> None:
     for line, height in zip(shapely.from_wkb(shapes), elevation, strict=True):
         x, y = shapely.get_coordinates(line).T
         assert np.abs(200 + 0.05 * (x - 500_000) - height).max() < 0.25 + 0.1  # a share of the interval, and bushes
-        assert y.min() >= 5_400_000 and y.max() <= 5_400_041  # whole cells
+        assert y.min() >= 5_400_000 and y.max() <= 5_400_040  # whole cells
     with zipfile.ZipFile(run / "survey.qgz") as project:
         assert "contours.gpkg|layername=contours" in project.read("survey.qgs").decode()
     told = fwclass("run", bare, "--out", bare.parent / "none", *WORDS, "--set", "contours.enabled=false")
@@ -103,6 +105,14 @@ def test_contours_are_lines_of_the_terrain(bare: Path, run: Path) -> None:
         assert "contours" not in project.read("survey.qgs").decode()
     told = fwclass("run", bare, "--out", bare.parent / "bad", *WORDS, "--set", "contours.interval=0")
     assert told.returncode == 2 and "contours.interval" in told.stderr and not (bare.parent / "bad").exists()
+
+
+def test_points_on_the_upper_edge_open_no_cells(run: Path) -> None:
+    """The file reaches from 0 to 80 m and from 0 to 40 m, both included."""
+    for path in sorted((run / "rasters").resolve().glob("*.tif")):
+        with rasterio.open(path) as raster:
+            assert raster.bounds == (500_000, 5_400_000, 500_080, 5_400_040), path.name
+    assert json.loads((run / "quality.json").read_text())["pulses"] == 6000 - 50, "those in no cell are counted"
 
 
 def test_commands_know_the_run(bare: Path, run: Path) -> None:

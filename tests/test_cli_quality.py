@@ -89,7 +89,7 @@ def test_density_is_what_was_flown(made: tuple[Path, dict[str, Any]]) -> None:
         values = raster.read(1)
         left = values[10:110, 2:18]  # of one line alone
         assert raster.res == (2.0, 2.0) and np.nanmean(left) == pytest.approx(4.0, rel=0.05)
-        assert np.nansum(values) * 4 == facts["pulses"]
+        assert 0 <= facts["pulses"] - np.nansum(values) * 4 <= 3  # those exactly on the upper edges lie in no cell
 
 
 def test_a_lake_is_a_void(made: tuple[Path, dict[str, Any]]) -> None:

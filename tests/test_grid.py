@@ -78,6 +78,17 @@ def test_window_covers_its_box_and_no_cell_more():
     assert w.within(grown) == (slice(2, 5), slice(2, 6))
 
 
+@given(st.tuples(coordinate, coordinate), st.tuples(st.integers(0, 10**6), st.integers(0, 10**6)))
+def test_points_on_the_upper_edge_open_no_cell_of_their_own(low, lengths):
+    high = [a + b for a, b in zip(low, lengths, strict=True)]
+    box = Box(*(v / 1000.0 for v in low), *((v + 1) / 1000.0 for v in high))
+    w, wide = Window.of_points(box, 0.5), Window.covering(box, 0.5)
+    assert (w.col, w.row) == (wide.col, wide.row) and min(w.shape) > 0
+    for cells, every, first, last in ((w.ncols, wide.ncols, w.col, high[0]), (w.nrows, wide.nrows, w.row, high[1])):
+        assert (first + cells) * 500 >= last > (first + cells - 1) * 500 or cells == 1
+        assert every - cells == (last % 500 == 0 and every > 1)
+
+
 def test_common_cells_of_two_windows_index_the_same_ground():
     one, other = Window(1.0, 0, 0, 6, 5), Window(1.0, 4, 3, 6, 5)
     common = one.common(other)

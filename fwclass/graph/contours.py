@@ -169,7 +169,7 @@ def _inside(plan: Plan, block: Tile) -> Mapping[str, Any]:
     edge share their parameters."""
     cell = plan.config.terrain.cell
     own = _corners(block, cell)
-    part = own.common(Window.covering(plan.layout.box, cell)) or Window(cell, own.col, own.row, 1, 1)
+    part = own.common(Window.of_points(plan.layout.box, cell)) or Window(cell, own.col, own.row, 1, 1)
     if part == own:
         return {}
     return {"inside": (part.col - own.col, part.row - own.row, part.ncols, part.nrows)}

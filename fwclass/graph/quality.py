@@ -61,6 +61,7 @@ def measure_quality(here: StageInputs, params: QualityParams) -> Result:
     files, lines = quality.between()
     return {
         "echoes": int(quality.echoes.sum()),
+        "pulses": int(quality.pulses.sum()),
         "noise": quality.noise,
         "pairs": len(quality.pairs.dz),
         "between_files": files,
@@ -145,7 +146,7 @@ def deliver_quality(
         "echoes": echoes + noise,
         "noise": noise,
         "noise_share": noise / (echoes + noise) if echoes + noise else None,
-        "pulses": density.pulses,
+        "pulses": sum(int(m["pulses"]) for m in metas),
         "density": density_facts,
         "voids": void_facts(voids, least, density_facts["area"]),
         "strips": strips,
@@ -172,7 +173,7 @@ def _density_raster(
     counted: Mosaic, box: Box, density: Density, target: Path, crs: CRS | None, publish: PublishParams
 ) -> EmptyCells:
     """Write the raster, count into `density`, and return the cells without a pulse."""
-    window = Window.covering(box, density.cell)
+    window = Window.of_points(box, density.cell)
     check_cells(window, box)
     spread, empty, tags = Spread(), EmptyCells(window), {"what": "pulses per square metre, noise left out"}
     with cog(np.dtype(np.float32), window, target / "pulse_density.tif", crs, publish, np.nan, tags=tags) as put:
@@ -191,7 +192,7 @@ def _density_raster(
 def _difference_raster(
     differences: _Differences, box: Box, target: Path, crs: CRS | None, publish: PublishParams
 ) -> None:
-    window = Window.covering(box, differences.cell)
+    window = Window.of_points(box, differences.cell)
     spread, tags = Spread(), {"what": "largest difference in height of two strips' planes [m]"}
     with cog(np.dtype(np.float32), window, target / "strip_dz.tif", crs, publish, np.nan, tags=tags) as put:
         for stripe in stripes(window, STRIPE):
@@ -208,7 +209,7 @@ def _pictures(counted: Mosaic, differences: _Differences, box: Box, publish: Pub
     from fwclass.publish.figures import step_of
     from fwclass.publish.quality_page import density_picture, difference_picture
 
-    windows = [Window.covering(box, mosaic.cell) for mosaic in (counted, differences)]
+    windows = [Window.of_points(box, mosaic.cell) for mosaic in (counted, differences)]
     steps = [step_of(window, publish.figure_pixels) for window in windows]
     pulses, dz = (m.thinned(w, s) for m, w, s in zip((counted, differences), windows, steps, strict=True))
     views = [View.of(window, step) for window, step in zip(windows, steps, strict=True)]
@@ -225,7 +226,7 @@ def _style(path: Path, spread: Spread, unit: str) -> None:
 
 MEASURE_QUALITY = Stage(
     "quality-block",
-    4,
+    5,
     "block",
     "echo",
     measure_quality,
@@ -237,7 +238,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    10,
+    11,
     "survey",
     "cell",
     deliver_quality,

@@ -61,7 +61,7 @@ def deliver_rasters(
     target = here.directory / ("rasters" if here.part == WHOLE else f"rasters/{here.part}")
     target.mkdir(parents=True)
     box, grid = Box(*bounds), TileGrid(block)
-    windows = Window.covering(box, cell), Window.covering(box, params.class_cell)
+    windows = Window.of_points(box, cell), Window.of_points(box, params.class_cell)
     for window in windows:
         check_cells(window, box)
     system, blocks = crs_of_wkt(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
@@ -215,7 +215,7 @@ MAP_CLASSES = Stage(
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
-    7,
+    8,
     "survey",
     "cell",
     deliver_rasters,

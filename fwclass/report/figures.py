@@ -34,8 +34,8 @@ def report_figures(config: Config, runner: Runner, layout: Layout, report: Mappi
     if report["sampling"]:
         others["sampling"] = sampling_map(report["sampling"])
     inputs, areas, params = PartInputs(runner.store), report["areas"], config.publish
-    terrain = Window.covering(layout.box, config.terrain.cell)
-    window = Window.covering(layout.box, params.class_cell)
+    terrain = Window.of_points(layout.box, config.terrain.cell)
+    window = Window.of_points(layout.box, params.class_cell)
     grid = TileGrid(config.terrain.block)
     surfaces, blocks = (
         [grid.tile(r.part) for r in receipts_of_run(runner, stage)] for stage in ("terrain", "class-block")

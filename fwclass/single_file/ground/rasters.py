@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.graph.ground import MAKE_TERRAIN, terrain_of_block
 from fwclass.graph.stage_work import Result, StageInputs
-from fwclass.grid import Window
+from fwclass.grid import Box, Window
 from fwclass.ground.filters import Flags
 from fwclass.ground.raster.lattice import window_over
 from fwclass.ground.terrain.params import TerrainParams
@@ -25,6 +25,7 @@ from fwclass.read.cloud import PointCloud
 from fwclass.schema import Table
 from fwclass.single_file.ground.stray import describe_stray, stray_points
 from fwclass.single_file.tiles import FileConfig, FileTiles
+from fwclass.units import QUANTUM
 
 NO_LIGHT = 0
 """Value of a cell of the relief without terrain; the others have 1 to 255."""
@@ -79,10 +80,13 @@ def ground_table(
 
 
 def terrain_of(cloud: PointCloud, flags: Flags, shown: NDArray[np.bool_], settings: tuple[str, ...]) -> Rasters:
-    """Terrain and surface of the `shown` points, over the smallest window that holds them all."""
+    """Terrain and surface of the `shown` points, over the cells that hold them; those exactly on the upper edge of a
+    cell open none beyond it."""
     points = ground_table(cloud, np.flatnonzero(shown), flags.ground, flags.noise)
     config = FileConfig(settings)
-    window = window_over(points["x"], points["y"], config.terrain.cell, "terrain.cell")
+    x, y = points["x"], points["y"]
+    box = Box(x.min(), y.min(), x.max() + QUANTUM, y.max() + QUANTUM)
+    window = Window.of_points(box, config.terrain.cell)
     whole = {name: np.full(window.shape, np.nan, np.float32) for name in ("dtm", "dsm", "roughness")}
 
     def lay(here: StageInputs, params: TerrainParams) -> Result:

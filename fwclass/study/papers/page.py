@@ -36,7 +36,7 @@ def class_picture(config: Config, runner: Runner, layout: Layout, report: Mappin
     """The map of all classes."""
     from fwclass.publish.figures import class_map  # matplotlib is slow to load, and only a page needs it
 
-    window = Window.covering(layout.box, config.publish.class_cell)
+    window = Window.of_points(layout.box, config.publish.class_cell)
     grid = TileGrid(config.terrain.block)
     blocks = sorted(
         grid.tile(part) for stage, part in runner.outcomes if stage == "class-block" and runner.is_done(stage, part)
