@@ -156,8 +156,8 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
 
 
 def returns_of(cloud: PointCloud) -> dict[str, NDArray[Any]]:
-    """Of every point of a LAS file its ``gps_time`` [s], NaN of those without, and ``return_number`` and
-    ``number_of_returns``; read when they are asked for, and nothing of a text or where there are no times."""
+    """Of every point of a LAS file its ``gps_time`` [s], NaN of those without, ``echo_number`` and
+    ``number_of_echoes``, its return numbers; nothing of a text, or where there are no times. Reads the file anew."""
     if not isinstance(cloud.source, LasSource) or not cloud.source.header.has_gps_time:
         return {}
     with PointReader(cloud.source, _FIELDS | _BEAM_FIELDS) as reader:
@@ -165,7 +165,7 @@ def returns_of(cloud: PointCloud) -> dict[str, NDArray[Any]]:
             (gps_times(cloud.source, p), np.asarray(p["return_number"]), np.asarray(p["number_of_returns"]))
             for _, p in reader.blocks()
         ]
-    names = ("gps_time", "return_number", "number_of_returns")
+    names = ("gps_time", "echo_number", "number_of_echoes")
     return {name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)}
 
 

@@ -276,18 +276,16 @@ def judged_of_cloud(
     table = Table({axis: getattr(cloud, axis)[rows] for axis in "xyz"})
     returns = places_facts([table[axis] for axis in "xyz"], cloud.beams, name, conf.section("plausibility"))
     judged: dict[str, Any] = {"place": place_of_cloud(cloud), "returns": returns}
-    of_points: Any = {name: values[rows] for name, values in returns_of(cloud).items()}
+    of_points: Any = {column: values[rows] for column, values in returns_of(cloud).items()}
     said: tuple[str, ...] = ()
+    times = {"gps_time": of_points["gps_time"]} if of_points else {}
+    repeated = repeated_in_file(table.with_columns(times), name)
     if isinstance(cloud.source, LasSource):  # points of a text have no times, and may lie that dense
-        times = {"gps_time": of_points["gps_time"]} if of_points else {}
-        judged["repeated"] = repeated_in_file(table.with_columns(times), name)
+        judged["repeated"] = repeated
     if of_points:
-        of_points["echo_number"], of_points["number_of_echoes"] = (
-            of_points.pop(of) for of in ("return_number", "number_of_returns")
-        )
         of_points |= {"strip": np.zeros(len(rows), np.int16), "noise": noise[rows]}
         judged["strips"], said = lines_of(table.with_columns(of_points), cloud.path, settings)
-    facts_of = (judged["place"], returns, judged.get("repeated") or {})
+    facts_of = (judged["place"], returns, repeated or {})
     return judged, [*cloud.cut_packets, *(r for facts in facts_of for r in facts.get("remarks", ())), *said]
 
 
