@@ -14,7 +14,7 @@ PULSE_COLUMNS = (
     *("pulse", "gps_time"),
     *("anchor_x", "anchor_y", "anchor_z", "anchor_time"),
     *("step_x", "step_y", "step_z"),
-    *("segment_start", "anchor_range", "outgoing_start", "sample_spacing", "saturation", "gain"),
+    *("segment_start", "anchor_range", "outgoing_start", "sample_spacing", "saturation", "gain", "receiver"),
 )
 RETURN_COLUMNS = (
     *("pulse", "return_number", "number_of_returns"),

@@ -214,4 +214,5 @@ ECHOES = (
     Column("sample_spacing", "f4", "ns", "time between samples", low=0),
     Column("saturation", "f4", "DN", "highest value that the digitiser can record"),
     Column("gain", "f4", "", "volts a DN of the segment over those of the file's first waveform descriptor", low=0),
+    Column("receiver", "u1", "", "waveform descriptor of the segment, which may stand for a receiver; 0 none is told"),
 )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.autoregression import WHITE, Autoregression
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.least_squares import add_echoes
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_channels import in_steps
@@ -18,6 +19,7 @@ from fwclass.decompose.pulse_fit import FEWEST, HIGHEST, Echoes, Kind, fit_all
 from fwclass.decompose.second_look import Settings
 from fwclass.decompose.shapes import Lookup, Profiles, Widths, fits_spacing, lookup, widths_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
+from fwclass.schema import Table
 from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
 
@@ -78,8 +80,8 @@ def fit_waveforms(
     ----------
     waves : samples with their spacing and saturation; nothing else of the pulses is read.
     params : `DecomposeParams`.
-    pulse : the system's pulse; where one of its `channels` has a waveform's sample spacing and saturation, that
-        channel's own pulse counts, and its level and noise are prior knowledge for the waveform's.
+    pulse : the system's pulse; where one of its `channels` recorded a waveform (`channel_rows`), that channel's own
+        pulse counts, and its level and noise are prior knowledge for the waveform's.
     doubt : variance that every sample has beside the noise's [DN^2], float64 (samples,), or empty.
 
     Returns
@@ -89,9 +91,7 @@ def fit_waveforms(
     """
     n, most = waves.pulses.rows, params.max_echoes
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
-    top = waves.pulses["saturation"].astype(np.float64)
-    top = np.where(np.isnan(top), np.inf, top)
-    channels, values, channel_of = channels_of(pulse, spacing, top)
+    channels, values, channel_of = channels_of(pulse, waves.pulses)
     top = sample_limits(waves, pulse)
     steps, channel_of = _steps_of(waves, top, channels, channel_of)
     waves, top = in_steps(waves, steps), top / steps
@@ -228,29 +228,19 @@ def _settings(
     )
 
 
-def channels_of(
-    pulse: SystemPulse, spacing: NDArray[np.float64], top: NDArray[np.float64]
-) -> tuple[list[Channel], NDArray[np.float64], NDArray[np.int64]]:
+def channels_of(pulse: SystemPulse, pulses: Table) -> tuple[list[Channel], NDArray[np.float64], NDArray[np.int64]]:
     """The receiver's channels, also as (c + 1, 4) numbers, the last for an unknown channel; every row's channel."""
     known = [c for c in pulse.channels if c.freedom > 0.0]
     values = [(c.baseline, c.baseline_sd, c.noise, c.freedom) for c in known]
-    channel_of = np.full(len(spacing), len(known), np.int64)
-    for i, c in enumerate(known):
-        channel_of[np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (top == c.saturation)] = i
-    return known, np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_of
+    return known, np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_rows(known, pulses)
 
 
 def sample_limits(waves: Waveforms, pulse: SystemPulse) -> NDArray[np.float64]:
     """The highest value that every waveform's samples can reach [DN]: the saturation, or its channel's clip level where
     that is lower; infinite where neither is known."""
-    spacing = waves.pulses["sample_spacing"].astype(np.float64)
     saturation = waves.pulses["saturation"].astype(np.float64)
-    saturation = np.where(np.isnan(saturation), np.inf, saturation)
-    reached = saturation.copy()
-    for c in pulse.channels:
-        mine = np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (saturation == c.saturation)
-        reached[mine] = np.minimum(saturation[mine], c.clip)
-    return reached
+    clip = np.array([c.clip for c in pulse.channels] + [np.inf])[channel_rows(pulse.channels, waves.pulses)]
+    return np.minimum(np.where(np.isnan(saturation), np.inf, saturation), clip)
 
 
 def _room(capacity: int) -> Echoes:
@@ -305,8 +295,7 @@ def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: Decompos
 
 def pulses_of(waves: Waveforms, pulse: SystemPulse) -> tuple[list[SystemPulse], NDArray[np.int64]]:
     """The pulses of the channels, the strip's last, and int64 (waveforms,): which of them each is fitted with."""
-    spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
-    known, _, channel_of = channels_of(pulse, spacing, np.where(np.isnan(top), np.inf, top))
+    known, _, channel_of = channels_of(pulse, waves.pulses)
     return [pulse.of(channel) for channel in (*known, None)], channel_of
 
 

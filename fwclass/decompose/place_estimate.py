@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
@@ -115,10 +116,11 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
     gap = fits.time - sample.pulses["anchor_time"].astype(np.float64)[fits.row]
     within = max(params.vendor_tolerance, pulse.fwhm)
     plain = (fits.flags & (SATURATED | OVERLAPPING | EDGE)) == 0
-    kinds = np.stack([sample.pulses["sample_spacing"], sample.pulses["saturation"]], axis=1)
+    channel = channel_rows(pulse.channels, sample.pulses)
+    kinds = np.stack([sample.pulses["sample_spacing"], sample.pulses["saturation"], channel], axis=1)
     curves = []
-    for spacing, saturation in np.unique(kinds[~np.isnan(kinds).any(axis=1)], axis=0):
-        mine = ((kinds == (spacing, saturation)).all(axis=1))[fits.row]
+    for spacing, saturation, k in np.unique(kinds[~np.isnan(kinds).any(axis=1)], axis=0):
+        mine = ((kinds == (spacing, saturation, k)).all(axis=1))[fits.row]
         constant = 0.0
         for _ in range(2):  # which echo is nearest depends on the constant
             near = _nearest(gap - constant, fits.row, mine)
@@ -132,7 +134,8 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
                 curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False)
             left = np.abs(gap[near] - curve.at(fits.amplitude[near]))
             astray = float((left > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
-            curve = replace(curve, astray=0.0 if curve.phase else astray)
+            receivers = next((c.receivers for c in pulse.channels[int(k) : int(k) + 1]), ())
+            curve = replace(curve, astray=0.0 if curve.phase else astray, receivers=receivers)
             curves += [curve] if curve.scatter < 0.5 * within else []
     return tuple(curves)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitting import Fits
 from fwclass.decompose.recurring import Recurring
 from fwclass.schema import Table
@@ -23,7 +24,7 @@ class OffsetCurve:
 
     Attributes
     ----------
-    sample_spacing, saturation : what the channel is told by [ns, DN].
+    sample_spacing, saturation, receivers : what the channel is told by [ns, DN].
     heights, offsets : nodes of the curve [DN, ns], lowest first; straight over log height between, level beyond.
     constant, scatter : median of all, and robust standard deviation about the curve [ns].
     echoes : that it was made of.
@@ -41,6 +42,7 @@ class OffsetCurve:
     echoes: int
     phase: bool
     astray: float = 0.0
+    receivers: tuple[int, ...] = ()
 
     def at(self, amplitude: Floats) -> Floats:
         """Offset of echoes of these heights [ns]."""
@@ -80,7 +82,7 @@ class Placement:
     def from_json(cls, plain: Mapping[str, Any]) -> Placement:
         """The placement that `to_json` wrote."""
         curves = tuple(
-            OffsetCurve(**{**c, "heights": tuple(c["heights"]), "offsets": tuple(c["offsets"])})
+            OffsetCurve(**{**c, **{name: tuple(c[name]) for name in ("heights", "offsets", "receivers")}})
             for c in plain["curves"]
         )
         pairs = {name: None if plain[name] is None else tuple(plain[name]) for name in ("places", "ranges")}
@@ -94,26 +96,24 @@ AS_STORED = Placement()
 
 def offsets_of(fits: Fits, pulses: Table, placement: Placement) -> Floats:
     """How much later than its vendor would have it every echo was fitted [ns]; 0 in channels without a curve."""
-    late = np.zeros(len(fits.row))
-    for curve in placement.curves:
-        mine = _of_channel(pulses, curve)[fits.row]
+    late, channel = np.zeros(len(fits.row)), channel_rows(placement.curves, pulses)[fits.row]
+    for k, curve in enumerate(placement.curves):
+        mine = channel == k
         late[mine] = curve.at(fits.amplitude[mine])
     return late
 
 
 def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Two masks, bool (rows,): locations known to lack the clock's phase, and rows of which nothing is known."""
-    lacking, unknown = np.zeros(pulses.rows, np.bool_), np.ones(pulses.rows, np.bool_)
-    for curve in placement.curves:
-        mine = _of_channel(pulses, curve)
-        lacking[mine], unknown[mine] = curve.phase, False
-    return lacking, unknown
+    channel = channel_rows(placement.curves, pulses)
+    return np.array([*(c.phase for c in placement.curves), False])[channel], channel == len(placement.curves)
 
 
 def describe_placement(placement: Placement) -> dict[str, Any]:
     """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None, and
     ``recurring`` echoes."""
-    channels = [{**asdict(c), "heights": list(c.heights), "offsets": list(c.offsets)} for c in placement.curves]
+    lists = ("heights", "offsets", "receivers")
+    channels = [{**asdict(c), **{name: list(getattr(c, name)) for name in lists}} for c in placement.curves]
     recorded = {
         "from_outgoing": placement.from_outgoing,
         "range_from_outgoing": placement.range_from_outgoing,
@@ -127,8 +127,3 @@ def describe_placement(placement: Placement) -> dict[str, Any]:
         "outgoing_time": recorded if placement.outgoing else None,
         "recurring": [asdict(one) for one in placement.recurring],
     }
-
-
-def _of_channel(pulses: Table, curve: OffsetCurve) -> NDArray[np.bool_]:
-    mine = pulses["sample_spacing"] == np.float32(curve.sample_spacing)
-    return np.asarray(mine & (pulses["saturation"] == np.float32(curve.saturation)))

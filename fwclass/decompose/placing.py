@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import OVERLAPPING
 from fwclass.decompose.fitting import Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
@@ -97,12 +98,8 @@ def detection_limits(waves: Waveforms, params: DecomposeParams, pulse: SystemPul
 
     The height at which the matched filter reaches `detection`; from the channel's noise, the same for all its pulses.
     """
-    limit = np.full(waves.pulses.rows, np.nan)
-    for channel in pulse.channels:
-        mine = waves.pulses["sample_spacing"] == np.float32(channel.sample_spacing)
-        mine &= waves.pulses["saturation"] == np.float32(channel.saturation)
-        limit[mine] = params.detection * channel.noise * height_error(pulse.of(channel), channel)
-    return limit
+    limits = [params.detection * c.noise * height_error(pulse.of(c), c) for c in pulse.channels]
+    return np.array([*limits, np.nan])[channel_rows(pulse.channels, waves.pulses)]
 
 
 def beams(waves: Waveforms) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

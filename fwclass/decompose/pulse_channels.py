@@ -138,8 +138,8 @@ def rough_levels(waves: Waveforms, group: NDArray[np.int64]) -> tuple[Floats, Fl
 
 def estimate_channels(
     waves: Waveforms, kinds: Floats, group: NDArray[np.int64], level: Floats, noise: Floats, fwhm: float, tail: float
-) -> tuple[tuple[Channel, ...], Floats]:
-    """Every channel with echo-free samples, and the level of every waveform on its own [DN].
+) -> tuple[dict[int, Channel], Floats]:
+    """Every channel with echo-free samples, by its number, and the level of every waveform on its own [DN].
 
     A waveform's own level is its mean where no echo reaches, drawn towards its channel's by their variances.
     """
@@ -148,21 +148,21 @@ def estimate_channels(
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     pulse_scan.echo_free(waves.wide, waves.offsets, spacing, level, noise, fwhm, tail, mean, variance, count)
     own = level.copy()
-    channels = []
+    channels = {}
     for k in range(len(kinds)):
         here = group == k
         clear = here & (count >= FEWEST)
         if clear.sum() < 2:
             continue
         channel = channel_from(kinds[k], mean[clear], variance[clear], count[clear])
-        channels.append(channel)
+        channels[k] = channel
         share = np.maximum(count[here], 1) / channel.noise**2
         prior = 1.0 / max(channel.baseline_sd, 1e-3) ** 2
         value = np.where(count[here] > 0, mean[here], channel.baseline)
         own[here] = (np.where(count[here] > 0, share, 0.0) * value + prior * channel.baseline) / (
             np.where(count[here] > 0, share, 0.0) + prior
         )
-    return tuple(channels), own
+    return channels, own
 
 
 def channel_from(kind: Floats, mean: Floats, variance: Floats, count: NDArray[np.int64]) -> Channel:

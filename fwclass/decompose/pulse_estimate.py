@@ -35,7 +35,8 @@ from fwclass.decompose.pulse_shape import (
     template_of,
 )
 from fwclass.decompose.pulse_template import gaussian_template, rise_time
-from fwclass.decompose.system_pulse import Channel, SystemPulse
+from fwclass.decompose.receivers import part_groups
+from fwclass.decompose.system_pulse import MOST_CHANNELS, SystemPulse
 from fwclass.waveforms import Waveforms
 
 Floats = NDArray[np.floating]
@@ -82,26 +83,70 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
     peak, height, width = bright_peaks(waves, level, noise, params)
     guess = half_sample_mode(width[peak >= 0]) if (peak >= 0).sum() >= FEWEST else math.nan
     fwhm = params.width or (guess if math.isfinite(guess) else params.fallback_width)
-    channels, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
-    by_kind = dict(zip(map(tuple, kinds.tolist()), clips.tolist(), strict=True))
-    channels = tuple(replace(c, clip=by_kind[c.sample_spacing, c.saturation]) for c in channels)
-    noise = _channel_noise(channels, kinds, group, noise)
+    group, parted = _part_receivers(waves, group, (peak, height, level, noise), width, fwhm, params)
+    if len(parted) > len(kinds):
+        level, noise = rough_levels(waves, group)
+        peak, height, width = bright_peaks(waves, level, noise, params)
+    of = [k for k, _ in parted]
+    kinds, clips, steps = kinds[of], clips[of], steps[of]
+    known, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
+    for k, channel in known.items():
+        noise[group == k] = channel.noise
     pulses: dict[int, SystemPulse] = {}
     bright = (peak >= 0) & (group >= 0)
     for k in np.argsort(-np.bincount(group[bright], minlength=len(kinds)), kind="stable").tolist():
         rows = np.flatnonzero(bright & (group == k))
-        wide = fwhm if params.width or len(rows) < FEWEST else half_sample_mode(width[rows])
+        wide = _about(width[rows], fwhm, params)
         main = next(iter(pulses.values()), None)
         pulse, echoes = _pulse_of(waves, rows, float(kinds[k, 0]), (peak, height, level, noise), wide, params)
-        known = _prefer_recorded(pulse, echoes, recorded, tuple(kinds[k].tolist()), params)
-        own = pulse.echoes >= params.min_echoes and (known.outgoing or not _agree(main or pulse, pulse, echoes, params))
-        if main is None or own:
-            pulses[k] = known
+        preferred = _prefer_recorded(pulse, echoes, recorded, tuple(kinds[k].tolist()), params)
+        agrees = not preferred.outgoing and _agree(main or pulse, pulse, echoes, params)
+        if main is None or (pulse.echoes >= params.min_echoes and not agrees):
+            pulses[k] = preferred
     strip = pulses.pop(next(iter(pulses)))
-    by_key = {tuple(kinds[k].tolist()): pulse for k, pulse in pulses.items()}
-    step = dict(zip(map(tuple, kinds.tolist()), steps.tolist(), strict=False))
-    channels = tuple(c.times(step[c.key]) if step[c.key] > 1.0 else c for c in channels)
-    return replace(strip, channels=tuple(replace(c, pulse=by_key.get(c.key), step=step[c.key]) for c in channels))
+    channels = [
+        replace(
+            channel.times(steps[k]) if steps[k] > 1.0 else channel,
+            clip=float(clips[k]),
+            pulse=pulses.get(k),
+            step=float(steps[k]),
+            receivers=parted[k][1],
+        )
+        for k, channel in known.items()
+    ]
+    return replace(strip, channels=tuple(channels))
+
+
+def _part_receivers(
+    waves: Waveforms,
+    group: NDArray[np.int64],
+    facts: tuple[NDArray, Floats, Floats, Floats],
+    width: Floats,
+    fwhm: float,
+    params: PulseParams,
+) -> tuple[NDArray[np.int64], list[tuple[int, tuple[int, ...]]]]:
+    """`part_groups` by the shape of the pulses; `facts` as `_pulse_of` has them, `width` of the peaks [ns]."""
+    receiver, bright = waves.pulses["receiver"], facts[0] >= 0
+    whole: list[tuple[int, tuple[int, ...]]] = [(k, ()) for k in range(group.max(initial=-1) + 1)]
+    kinds, each = np.unique(receiver, return_inverse=True)
+    if len(kinds) == 1:
+        return group, whole
+    _, noise = rough_levels(waves, group * len(kinds) + each)
+
+    def shape_of(rows: NDArray[np.int64]) -> tuple[SystemPulse, Echoes | None]:
+        spacing = float(waves.pulses["sample_spacing"][rows[0]])
+        return _pulse_of(waves, rows, spacing, facts, _about(width[rows], fwhm, params), params)
+
+    def alike(one: tuple[SystemPulse, Echoes | None], other: tuple[SystemPulse, Echoes | None]) -> bool:
+        return one[1] is None or other[1] is None or _agree(one[0], *other, params)
+
+    numbers, parted = part_groups(group, receiver, bright, noise, params.min_echoes, shape_of, alike)
+    return (numbers, parted) if len(parted) <= MOST_CHANNELS else (group, whole)
+
+
+def _about(width: Floats, fwhm: float, params: PulseParams) -> float:
+    """About how wide the pulse of peaks of these widths is; `fwhm` where it is given, or they are few [ns]."""
+    return fwhm if params.width or len(width) < FEWEST else half_sample_mode(width)
 
 
 def _pulse_of(
@@ -163,7 +208,7 @@ def _prefer_recorded(
     """The `recorded` pulse of `channel`, where the `echoes` do not show theirs; else `pulse`."""
     if recorded is None or params.width:
         return pulse
-    left = recorded.of(next((c for c in recorded.channels if c.key == channel), None))
+    left = recorded.of(next((c for c in recorded.channels if c.key[:2] == channel), None))
     if left.echoes < FEWEST:
         return pulse
     if echoes is not None and (pulse.fwhm < FAR * left.fwhm or _share_a_width(echoes)):
@@ -221,16 +266,6 @@ def bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulsePa
         if (peak >= 0).sum() >= params.min_echoes:
             break
     return peak, height, width
-
-
-def _channel_noise(channels: tuple[Channel, ...], kinds: Floats, group: NDArray, noise: Floats) -> Floats:
-    """`noise` with that of the estimated channels put in."""
-    noise = noise.copy()
-    by_kind = {(c.sample_spacing, c.saturation): c.noise for c in channels}
-    for k, (spacing, saturation) in enumerate(kinds.tolist()):
-        if (spacing, saturation) in by_kind:
-            noise[group == k] = by_kind[spacing, saturation]
-    return noise
 
 
 def describe(pulse: SystemPulse) -> dict[str, float | int | str]:

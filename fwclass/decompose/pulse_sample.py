@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.params import PulseParams
 from fwclass.decompose.system_pulse import Channel
 from fwclass.hashing import hash_keys
@@ -49,8 +50,7 @@ def join_samples(parts: Iterable[Waveforms]) -> Waveforms:
 
 
 def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
-    """Waveforms `rows`, int64 (some,) or bool (waveforms,), of `waves`, in that order, without returns and outgoing
-    pulses."""
+    """Waveforms `rows`, int64 (some,), of `waves`, in that order, without returns and outgoing pulses."""
     length = np.diff(waves.offsets)[rows]
     offsets = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
     at = np.arange(offsets[-1]) + np.repeat(waves.offsets[rows] - offsets[:-1], length)
@@ -62,11 +62,10 @@ def outgoing_of(waves: Waveforms, rows: NDArray) -> Waveforms:
     return rows_of(Waveforms(waves.pulses, waves.returns, waves.outgoing, waves.outgoing_offsets), rows)
 
 
-def of_channel(waves: Waveforms, channel: Channel, most: int) -> Waveforms:
-    """The waveforms of a channel of the receiver, by (pulse, segment); every n-th of them where they hold more than
-    `most` samples."""
-    spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
+def of_channel(waves: Waveforms, channel: Channel, channels: Sequence[Channel], most: int) -> Waveforms:
+    """The waveforms of one of the `channels` of the receiver, by (pulse, segment); every n-th of them where they hold
+    more than `most` samples."""
     order = np.lexsort((waves.pulses["segment_start"], waves.pulses["pulse"]))
-    mine = order[((spacing == channel.sample_spacing) & (top == channel.saturation))[order]]
+    mine = order[(channel_rows(channels, waves.pulses) == [c.key for c in channels].index(channel.key))[order]]
     length = int(np.diff(waves.offsets)[mine].sum())
     return rows_of(waves, mine[:: max(-(-length // most), 1)])

@@ -220,7 +220,7 @@ def _channels(
 ) -> Iterator[tuple[Waveforms, Channel, _Quiet]]:
     """Of every known channel waveforms and their samples less the echoes fitted to them."""
     for channel in pulse.channels:
-        part = of_channel(waves, channel, MOST_SAMPLES)
+        part = of_channel(waves, channel, pulse.channels, MOST_SAMPLES)
         if len(part.samples):
             yield part, channel, _quiet(part, channel, pulse, params)
 

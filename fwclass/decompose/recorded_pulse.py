@@ -21,10 +21,11 @@ def recorded_pulse(outgoing: Waveforms, params: PulseParams) -> SystemPulse | No
 
 
 def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: DecomposeParams) -> list[dict[str, Any]]:
-    """Of every channel of the receiver, or of the strip where none is known: spacing [ns], saturation [DN], the width
-    of its pulse [ns], how many echoes or outgoing pulses it stands on, how wide the outgoing pulse was recorded, what
-    bright single echoes leave over the noise (`Channel.misfit`), the share of the threshold that is therefore asked
-    of further echoes, whether its noise is correlated, the step of its samples [DN], and its `recovery` [ns, DN]."""
+    """Of every channel of the receiver, or of the strip where none is known: spacing [ns], saturation [DN], the
+    `receivers` that it has of several that share these, its noise [DN], the width of its pulse [ns], how many echoes or
+    outgoing pulses it stands on, how wide the outgoing pulse was recorded, what bright single echoes leave over the
+    noise (`Channel.misfit`), the share of the threshold that is therefore asked of further echoes, whether its noise is
+    correlated, the step of its samples [DN], and its `recovery` [ns, DN]."""
     known = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
     rows = []
     for channel in pulse.channels or (None,):
@@ -33,6 +34,8 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
             {
                 "sample_spacing": channel and channel.sample_spacing,
                 "saturation": channel and channel.saturation,
+                "receivers": list(channel.receivers) if channel else [],
+                "noise": channel and channel.noise,
                 "fwhm": own.fwhm,
                 "echoes": own.echoes,
                 "outgoing": own.outgoing,

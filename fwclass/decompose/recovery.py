@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitting import NOTHING, fit_waveforms, sample_limits, signal_of
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_sample import of_channel, rows_of
@@ -114,12 +115,12 @@ def recovered(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> 
 
 
 def _measure(channel: Channel, pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> Channel:
-    mine = of_channel(waves, channel, len(waves.samples) + 1)
+    mine = of_channel(waves, channel, pulse.channels, len(waves.samples) + 1)
     if len(mine.samples) == 0:
         return channel
     full = np.flatnonzero(np.maximum.reduceat(mine.samples, mine.offsets[:-1]) >= channel.clip)
     mine = rows_of(mine, full[:: max(-(-len(full) // MOST), 1)])
-    trial = replace(channel, recovery=1.0, recovery_doubt=0.5)
+    trial = replace(channel, recovery=1.0, recovery_doubt=0.5, receivers=())
     known = _saturated(mine, replace(pulse, channels=(trial,))) if len(full) >= FEWEST else None
     if known is None or known[0].waves.pulses.rows < FEWEST:
         return channel
@@ -152,11 +153,8 @@ def _saturated(waves: Waveforms, pulse: SystemPulse) -> tuple[_Saturated, NDArra
     """The waveforms of channels that recover with saturated samples that others follow, and their rows; None without
     any."""
     limit = sample_limits(waves, pulse)
-    channels = np.full(waves.pulses.rows, -1)
-    for k, c in enumerate(pulse.channels):
-        spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
-        if c.recovery > 0.0:
-            channels[np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (top == c.saturation)] = k
+    channels = channel_rows(pulse.channels, waves.pulses)
+    channels[~np.array([c.recovery > 0.0 for c in pulse.channels] + [False])[channels]] = -1
     length = np.diff(waves.offsets)
     row = np.repeat(np.arange(len(length)), length)
     saturated = (waves.samples >= limit[row]) & (channels[row] >= 0)

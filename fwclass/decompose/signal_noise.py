@@ -106,7 +106,7 @@ class _Single(NamedTuple):
 
 
 def _single(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: DecomposeParams) -> _Single:
-    part = of_channel(waves, channel, MOST_SAMPLES)
+    part = of_channel(waves, channel, pulse.channels, MOST_SAMPLES)
     fits = fit_waveforms(part, params, pulse)
     lengths, rows = np.diff(part.offsets), part.pulses.rows
     row = np.repeat(np.arange(rows), lengths)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of, signal_of
 from fwclass.decompose.params import DecomposeParams, StackParams
@@ -149,10 +150,9 @@ def _first_samples(waves: Waveforms, late: Floats, beam: Floats, speed: Floats) 
 
 def _faint_offset(waves: Waveforms, placement: Placement, fits: Fits) -> Floats:
     """What a vendor's location of an echo as high as the noise would be off by [ns]."""
-    late = np.zeros(waves.pulses.rows)
-    spacing, top = waves.pulses["sample_spacing"], waves.pulses["saturation"]
-    for curve in placement.curves:
-        mine = (spacing == np.float32(curve.sample_spacing)) & (top == np.float32(curve.saturation))
+    late, channel = np.zeros(waves.pulses.rows), channel_rows(placement.curves, waves.pulses)
+    for k, curve in enumerate(placement.curves):
+        mine = channel == k
         late[mine] = curve.at(np.nan_to_num(fits.noise[mine], nan=1.0))
     return late
 

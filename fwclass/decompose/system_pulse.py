@@ -17,7 +17,7 @@ from fwclass.units import FWHM_PER_SIGMA
 DISAGREE = 1.15
 """From this ratio of two widths on, either way, one of the two is not the system's pulse."""
 
-MOST_VALUES, MOST_CHANNELS, MOST_ORDER = 100_000, 64, 64
+MOST_VALUES, MOST_CHANNELS, MOST_ORDER, MOST_RECEIVER = 100_000, 64, 64, 255
 """Limits of a stored pulse."""
 
 
@@ -27,7 +27,7 @@ class Channel:
 
     Attributes
     ----------
-    sample_spacing : [ns], with `saturation` tells the channel.
+    sample_spacing : [ns], with `saturation` and `receivers` tells the channel.
     saturation : highest value that the digitiser can record [DN].
     baseline, baseline_sd : mean level of its waveforms, and how it differs between waveforms beyond the noise [DN].
     noise : standard deviation of the noise within a waveform, rounding included [DN].
@@ -44,6 +44,7 @@ class Channel:
     recovery : time constant with which it comes back to its level behind saturated samples [ns]; 0: at once.
     recovery_depth : how far below its level it is right behind them, median [DN].
     recovery_doubt : how far the first samples behind them depart from that, as a share of the depth.
+    receivers : which it has of several that share spacing and saturation, and are not alike; empty: all the others.
     """
 
     sample_spacing: float
@@ -61,6 +62,7 @@ class Channel:
     recovery: float = 0.0
     recovery_depth: float = 0.0
     recovery_doubt: float = 0.0
+    receivers: tuple[int, ...] = ()
 
     @property
     def special(self) -> bool:
@@ -74,9 +76,9 @@ class Channel:
         )
 
     @property
-    def key(self) -> tuple[float, float]:
-        """Sample spacing [ns] and saturation [DN], which tell channels apart."""
-        return self.sample_spacing, self.saturation
+    def key(self) -> tuple[float, float, tuple[int, ...]]:
+        """Sample spacing [ns], saturation [DN] and receivers, which tell channels apart."""
+        return self.sample_spacing, self.saturation, self.receivers
 
     @property
     def autoregression(self) -> Autoregression:
@@ -244,6 +246,7 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             recovery=_number(one, "recovery", where, 0.0, 1e6),
             recovery_depth=_number(one, "recovery_depth", where, 0.0, 2.0**32),
             recovery_doubt=_number(one, "recovery_doubt", where, 0.0, 1.0),
+            receivers=_receivers(one["receivers"], where),
         )
         for one in stored
     )
@@ -251,7 +254,8 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
 
 def _channel_json(channel: Channel) -> dict[str, Any]:
     plain = {f.name: getattr(channel, f.name) for f in fields(channel)}
-    return {**plain, "phi": list(channel.phi), "pulse": channel.pulse and channel.pulse.to_json()}
+    own = channel.pulse and channel.pulse.to_json()
+    return {**plain, "phi": list(channel.phi), "receivers": list(channel.receivers), "pulse": own}
 
 
 def _own_pulse(stored: object, where: object) -> SystemPulse | None:
@@ -260,6 +264,12 @@ def _own_pulse(stored: object, where: object) -> SystemPulse | None:
     if not isinstance(stored, Mapping) or stored.get("channels"):
         raise _refusal("a channel's pulse of another kind", where, "a pulse without channels", _names(stored))
     return SystemPulse.from_json(stored, where)
+
+
+def _receivers(stored: object, where: object) -> tuple[int, ...]:
+    if not isinstance(stored, list | tuple) or len(stored) > MOST_RECEIVER or not all(type(v) is int for v in stored):
+        raise _refusal("receivers of another kind", where, f"at most {MOST_RECEIVER} whole numbers", stored)
+    return tuple(stored)
 
 
 def _coefficients(stored: object, where: object) -> tuple[float, ...]:

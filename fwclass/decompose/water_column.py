@@ -177,8 +177,7 @@ def _answers(
     if len(fits.row) == 0:
         return answers
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
-    top = waves.pulses["saturation"].astype(np.float64)
-    channels, _, channel_of = channels_of(pulse, spacing, np.where(np.isnan(top), np.inf, top))
+    channels, _, channel_of = channels_of(pulse, waves.pulses)
     starts_of = np.searchsorted(fits.row, np.arange(n + 1))
     signal, limits, lengths = signal_of(fits, waves, pulse, params), sample_limits(waves, pulse), np.diff(waves.offsets)
     up = waves.pulses["step_z"] <= 0.0

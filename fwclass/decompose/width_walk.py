@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.params import PulseParams
 from fwclass.decompose.pulse_align import narrowest
 from fwclass.decompose.pulse_channels import rough_levels
 from fwclass.decompose.pulse_estimate import bright_peaks, usable, with_clips
+from fwclass.decompose.pulse_sample import rows_of
+from fwclass.decompose.system_pulse import Channel
 from fwclass.waveforms import Waveforms
 
 CLASSES = 8
@@ -22,13 +27,16 @@ ROUGH, COARSE = 1.2, 0.01
 crossings of a Gaussian and its top), and by where the samples fall."""
 
 
-def width_walk(waves: Waveforms, params: PulseParams) -> list[tuple[float, float]]:
+def width_walk(waves: Waveforms, params: PulseParams, channels: Sequence[Channel] = ()) -> list[tuple[float, float]]:
     """(median height [DN], narrowest shared width at half maximum [ns]) of bright single echoes, by classes of height.
 
-    All channels of the commonest sample spacing count alike, for digitisers may store bright echoes in wider numbers.
+    All `channels` of the commonest sample spacing count alike, for digitisers may store bright echoes in wider numbers;
+    but not those of receivers that are known to differ.
     Classes whose echoes share no width, of slopes or plants, are left out. Empty where there are too few.
     """
     waves = usable(waves)
+    others = np.array([len(c.receivers) > 0 for c in channels] + [False])[channel_rows(channels, waves.pulses)]
+    waves = rows_of(waves, np.flatnonzero(~others))
     if waves.pulses.rows == 0:
         return []
     waves, _, group, _ = with_clips(waves)

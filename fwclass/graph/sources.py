@@ -197,7 +197,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         "pulse": describe(pulse),
         "noise": max((c.noise for c in pulse.channels), default=None),
         "channels": channel_pulses(pulse, recorded, fit),
-        "widths": width_walk(sample, params) if sampled else [],
+        "widths": width_walk(sample, params, pulse.channels) if sampled else [],
         "sampled": sampled,
         **noise.facts,
     }

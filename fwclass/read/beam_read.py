@@ -93,6 +93,7 @@ def read_beam_rows(source: BeamSource, span: Span) -> Waveforms:
         "sample_spacing": one.spacing,
         "saturation": top[head],
         "gain": np.full(len(head), source.scaling.step),
+        "receiver": np.zeros(len(head), np.uint8),
     }
     return Waveforms(
         Table({name: columns[name] for name in PULSE_COLUMNS}),

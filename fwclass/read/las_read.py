@@ -150,5 +150,6 @@ def _pulses(columns: dict[str, NDArray], refs: References, packets: Packets, fir
         "sample_spacing": packets.spacing,
         "saturation": packets.saturation,
         "gain": packets.gain,
+        "receiver": packets.descriptor,
     }
     return Table({name: rows[name] for name in PULSE_COLUMNS})

@@ -190,6 +190,7 @@ class Packets:
     pulse : pulse of those segments.
     start : first sample of the segment after that of the pulse's first [ns].
     spacing, saturation, gain : [ns], [DN], relative to the file's first descriptor.
+    descriptor : index of each.
     samples, offsets : ragged samples, one row per segment.
     has_packet : per point, whether its packet is usable.
     shift : per point the first sample of its packet after that of its pulse's first [ns]; 0 without packet.
@@ -202,6 +203,7 @@ class Packets:
     spacing: NDArray[np.float64]
     saturation: NDArray[np.float32]
     gain: NDArray[np.float32]
+    descriptor: NDArray[np.uint8]
     samples: NDArray[np.uint8] | NDArray[np.uint16]
     offsets: NDArray[np.int64]
     has_packet: NDArray[np.bool_]
@@ -257,6 +259,7 @@ def gather_packets(
         table.spacing[index[layout.head]],
         table.top[index[layout.head]],
         table.gain[index[layout.head]],
+        index[layout.head],
         samples,
         ends[first_of_row],
         has_packet,

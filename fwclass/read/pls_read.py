@@ -145,6 +145,7 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
         "sample_spacing": spacing,
         "saturation": top,
         "gain": np.ones(len(top)),
+        "receiver": np.zeros(len(top), np.uint8),
     }
     return Waveforms(
         Table({name: rows[name] for name in PULSE_COLUMNS}),

@@ -100,4 +100,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 11)
+READ = Computation("read", 12)

@@ -51,8 +51,8 @@ LOOK = (
 """What to do where a bound is passed."""
 
 SHAPES = (
-    f"{LOOK}; detectors with pulses of their own count as one where descriptors alone tell them apart: give each a "
-    "file of its own"
+    f"{LOOK}; detectors with pulses of their own count as one where no descriptor tells them apart: give each a file "
+    "of its own"
 )
 
 FLOOR = (
@@ -254,6 +254,7 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"recorded outgoing pulses{_channel_words(worst)}: look at info --waveforms, and fix it by pulse.width, "
             f"a Gaussian's ({_names(_once(s for s, _ in some))})"
         )
+    lines += _receiver_remarks(strips)
     lines += _recovery_remarks(strips)
     some = [(s, c) for s, c in known if c["outgoing"]]
     if some:
@@ -263,6 +264,28 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"{_channel_words(one)} ({_names(_once(s for s, _ in some))})"
         )
     return lines
+
+
+def _receiver_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("receivers")]
+    if not some:
+        return []
+    strip, one = some[0]
+    others = next(c for c in strip["channels"] if not c["receivers"] and _kind(c) == _kind(one))
+    of = ", ".join(f"{c['fwhm']:.2f} ns wide, noise {c['noise']:.2f} DN" for c in (one, others))
+    return [
+        f"waveform descriptors tell receivers of different pulses or noise apart: {_numbers(one)} ({of} of the "
+        "others); each is fitted with its own pulse and noise, and heights of one do not compare with another's "
+        f"({_names(_once(s for s, _ in some))})"
+    ]
+
+
+def _kind(channel: Mapping[str, Any]) -> tuple[float, float]:
+    return channel["sample_spacing"], channel["saturation"]
+
+
+def _numbers(channel: Mapping[str, Any]) -> str:
+    return f"descriptor {', '.join(map(str, channel['receivers']))}"
 
 
 def _walks(strip: Mapping[str, Any]) -> bool:
@@ -283,7 +306,8 @@ def _channel_words(channel: Mapping[str, Any]) -> str:
     """Which channel, where one is known."""
     if channel["sample_spacing"] is None:
         return ""
-    return f" (channel of {channel['sample_spacing']:g} ns samples up to {channel['saturation']:g} DN)"
+    own = f", {_numbers(channel)}" if channel.get("receivers") else ""
+    return f" (channel of {channel['sample_spacing']:g} ns samples up to {channel['saturation']:g} DN{own})"
 
 
 def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,9 +36,9 @@ def receiver_picture(
         frequency = np.linspace(0.0, 0.5 * rate, FREQUENCIES)
         turn = np.exp(-2j * np.pi * np.outer(frequency / rate, np.arange(len(noise.filter))))
         power = noise.innovation / np.abs(turn @ noise.filter) ** 2
-        spectra.append((_channel(channel.sample_spacing, channel.saturation), frequency, power))
+        spectra.append((_channel(*channel.key), frequency, power))
     offsets = [
-        (_channel(c["sample_spacing"], c["saturation"]), np.array(c["heights"]), np.array(c["offsets"]))
+        (_channel(c["sample_spacing"], c["saturation"], c["receivers"]), np.array(c["heights"]), np.array(c["offsets"]))
         for c in (places or {}).get("vendor_offset", ())
     ]
     gaussian = SystemPulse.gaussian(pulse.fwhm).at(time)
@@ -46,8 +46,8 @@ def receiver_picture(
     return draw_receiver(ReceiverPicture(_title(pulse, source), time, pulse.at(time), gaussian, left, spectra, offsets))
 
 
-def _channel(spacing: float, saturation: float) -> str:
-    return f"{spacing:g} ns, up to {saturation:g} DN"
+def _channel(spacing: float, saturation: float, receivers: Sequence[int]) -> str:
+    return f"{spacing:g} ns, up to {saturation:g} DN" + "".join(f", {r}" for r in receivers)
 
 
 def _times(pulse: SystemPulse) -> np.ndarray:

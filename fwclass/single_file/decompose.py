@@ -172,6 +172,7 @@ def _pulse_words(pulse: SystemPulse) -> str:
     words = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
     own = "".join(
         f"; {c.pulse.fwhm:.2f} ns of samples up to {c.saturation:g} DN each {c.sample_spacing:g} ns"
+        + (f", descriptor {', '.join(map(str, c.receivers))}" if c.receivers else "")
         for c in pulse.channels
         if c.pulse
     )

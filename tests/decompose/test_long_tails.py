@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
+import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
@@ -71,24 +73,57 @@ def test_a_tail_far_longer_than_the_rise_makes_no_echoes(tail):
     assert abs(np.median(fits.time[single] - first[fits.row[single]])) * METRES_PER_NS < 0.01
 
 
-def test_two_detectors_of_one_spacing_are_named_among_the_causes(tmp_path):
-    rng, n = np.random.default_rng(2), 800
+def two_detectors(path, descriptors, n=2000):
+    """Every second pulse is a detector's of other shape, of a sixth of the gain, with a sixth of the noise; the number
+    of echoes, a return each."""
+    rng = np.random.default_rng(2)
     at, top = crest(4.0)
     t, first = np.arange(90), rng.uniform(25.0, 26.0, n)
-    height = rng.uniform(40.0, 180.0, n)
-    y = 12.0 + rng.normal(0.0, 1.0, (n, len(t)))
-    for i in range(n):
-        gaussian = np.exp(-0.5 * ((t - first[i]) / 4.0 * FWHM) ** 2)
-        y[i] += height[i] * (gaussian if i % 2 else exgaussian(t - first[i] + at, 4.0) / top)
+    two = rng.random(n) < 0.2
+    height = np.exp(rng.uniform(np.log(40.0), np.log(220.0), (n, 2))) / np.where(np.arange(n) % 2, 6.0, 1.0)[:, None]
+    y = 12.0 + rng.normal(0.0, 1.0, (n, len(t))) * np.where(np.arange(n) % 2, 0.5, 3.0)[:, None]
+    time = first[:, None] + np.c_[np.zeros(n), np.where(two, rng.uniform(10.0, 30.0, n), np.nan)]
+    for i, k in np.argwhere(np.isfinite(time)):
+        gaussian = np.exp(-0.5 * ((t - time[i, k]) / 4.0 * FWHM) ** 2)
+        y[i] += height[i, k] * (gaussian if i % 2 else exgaussian(t - time[i, k] + at, 4.0) / top)
+    pulse, echo = np.nonzero(np.isfinite(time))
+    ground = np.c_[500000.0 + 0.5 * (pulse % 50), 5400000.0 + 0.5 * (pulse // 50), 200.0 + 0.0 * pulse]
     write_las(
-        tmp_path / "two.las",
-        np.c_[500000.0 + 0.5 * (np.arange(n) % 20), 5400000.0 + 0.5 * (np.arange(n) // 20), np.full(n, 200.0)],
+        path,
+        ground - np.outer(time[pulse, echo] - first[pulse], (0.0, 0.0, METRES_PER_NS)),
         waveforms=list(np.clip(np.rint(y), 0, 255).astype(np.uint8)),
-        descriptor_of=1 + np.arange(n) % 2,
-        descriptors={k: Descriptor(8, len(t), 1000) for k in (1, 2)},
-        pulse=np.arange(n),
-        location=first,
-        gps_time=1000.0 + 1e-5 * np.arange(n),
+        return_number=echo + 1,
+        number_of_returns=1 + two[pulse],
+        intensity=np.rint(10.0 * height[pulse, echo]),
+        descriptor_of=descriptors(np.arange(n)),
+        descriptors={k: Descriptor(8, len(t), 1000) for k in (1, 2, 3)},
+        pulse=pulse,
+        location=time[pulse, echo],
+        gps_time=1000.0 + 1e-5 * pulse,
     )
+    return len(pulse)
+
+
+@pytest.mark.parametrize("descriptors", [lambda i: 1 + i % 2, lambda i: np.where(i % 2, 3, 1 + i // 2 % 2)])
+def test_detectors_that_descriptors_tell_apart_have_pulses_of_their_own(tmp_path, descriptors):
+    echoes = two_detectors(tmp_path / "two.las", descriptors)
+    ended = fwclass("decompose", tmp_path / "two.las", tmp_path / "two.laz")
+    assert ended.returncode == 0 and "tell receivers of different pulses or noise apart" in ended.stderr, ended.stderr
+    las = laspy.read(tmp_path / "two.laz")
+    assert abs(len(las) - echoes) < 0.01 * echoes
+    assert np.median(np.abs(np.asarray(las.z)[np.asarray(las.return_number) == 1] - 200.0)) < 0.02
+    odd = np.asarray(las["noise"]) < 1.2  # each detector has its own noise
+    assert abs(odd.mean() - 0.5) < 0.03, odd.mean()
+
+
+def test_detectors_that_nothing_tells_apart_are_named_among_the_causes(tmp_path):
+    two_detectors(tmp_path / "two.las", lambda i: np.ones(len(i), int), 800)
     ended = fwclass("decompose", tmp_path / "two.las", tmp_path / "two.laz")
     assert ended.returncode == 4 and "detectors with pulses of their own" in ended.stderr, ended.stderr
+
+
+def test_descriptors_of_one_detector_stay_one_channel():
+    waves, *_ = recorded(4.0)
+    turn = np.arange(waves.pulses.rows) % 3
+    several = replace(waves, pulses=waves.pulses.with_columns({"receiver": turn.astype(np.uint8)}))
+    assert estimate_pulse(several, PULSE).to_json() == estimate_pulse(waves, PULSE).to_json()

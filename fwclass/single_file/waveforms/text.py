@@ -46,7 +46,8 @@ def further_words(channels: list[dict[str, Any]]) -> list[str]:
     """Of every channel, how high further echoes of a waveform must be, and why."""
     lines = []
     for c in (c for c in channels if c["sample_spacing"] is not None):
-        of = f"channel of {c['sample_spacing']:g} ns up to {c['saturation']:g} DN: " if len(channels) > 1 else ""
+        own = f", descriptor {', '.join(map(str, c['receivers']))}" if c["receivers"] else ""
+        of = f"channel of {c['sample_spacing']:g} ns up to {c['saturation']:g} DN{own}: " if len(channels) > 1 else ""
         share = f"further echoes of a waveform need {c['further_detection']:.0%} of the threshold"
         why = "too few single ones are bright"
         if c["misfit"] is not None:
