@@ -19,6 +19,7 @@ from fwclass.delivery.worklist import check_geopackage
 from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
 from fwclass.grid import Box, millimetres, whole_millimetres
+from fwclass.label.crossings import crossing_parts
 from fwclass.label.params import SuggestParams
 from fwclass.label.places import PlaceCounts, SuggestedPlace
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
@@ -26,6 +27,11 @@ from fwclass.store.corrections import add_corrections, place_of, read_correction
 from fwclass.store.run_location import RunLocation
 
 LAYER = "places"
+
+CROSSES = (
+    "with an outline that crosses itself: confirmed are the echoes from which a line to one side crosses it an odd "
+    "number of times, as QGIS fills it (docs/labels.md); look whether these are those that you mean"
+)
 
 
 def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool) -> str:
@@ -103,8 +109,8 @@ def _summary(useful: int, places: Sequence[SuggestedPlace], size: float, path: P
 @dataclass(frozen=True)
 class Confirmed:
     """What was confirmed: `echoes` by class code, `corrected` echoes that had been corrected before, and how many were
-    `passed_over`, as they have no class by the model, all in `places` places, `away` of which lie off the survey;
-    `where` it was written."""
+    `passed_over`, as they have no class by the model, all in `places` places, `away` of which lie off the survey and
+    `crossing` of which cross themselves; `where` it was written."""
 
     echoes: Mapping[int, int]
     corrected: int
@@ -113,6 +119,7 @@ class Confirmed:
     names: Mapping[int, str]
     where: str
     away: int = 0
+    crossing: int = 0
 
     def __str__(self) -> str:
         total = sum(self.echoes.values())
@@ -122,6 +129,7 @@ class Confirmed:
         return (
             f"{several(self.places, 'place')}{off}: {total:,} echoes keep their class ({listed or 'none'}), "
             f"{self.corrected:,} had been corrected{without}; {self.where}"
+            + (f"\nnote: {several(self.crossing, 'place')} {CROSSES}" if self.crossing else "")
         )
 
 
@@ -144,7 +152,8 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     rows = echoes_in(delivery, places)
     if not _classified(delivery, rows).any():
         raise no_echo(path, places)
-    return replace(_confirm(delivery, rows, places.parts, who, time), away=away(delivery, places))
+    confirmed = _confirm(delivery, rows, places.parts, who, time)
+    return replace(confirmed, away=away(delivery, places), crossing=int(crossing_parts(places).sum()))
 
 
 def confirm_tiles(directory: Path, run: Path | None, who: str, time: int) -> Confirmed:

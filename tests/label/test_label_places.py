@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from commandline import fwclass
 from smallsurvey import small_survey
 
@@ -216,6 +217,18 @@ def test_places_away_from_the_survey_are_counted(run, tmp_path):
     assert ended.returncode == 0 and ended.stderr.startswith("2 places (1 of them away from the survey): "), (
         ended.stderr
     )
+    shutil.rmtree(run / "labels")
+
+
+def test_places_that_cross_themselves_are_told(run, tmp_path):
+    shown = package.open(run)
+    x, y, *_ = shown.tiles[0]["bounds"]
+    corners = [(x, y), (x + 9, y + 9), (x + 9, y), (x, y + 9)]
+    path = tmp_path / "tie.gpkg"
+    places = [shapely.to_wkb(shapely.Polygon(corners)), *box_wkb([Box(x, y, x + 5, y + 5)])]
+    write_gpkg([Layer("places", places, {"rank": np.array([1, 2])})], path, shown.crs)
+    ended = fwclass("label", "confirm", run, path)
+    assert ended.returncode == 0 and "note: 1 place with an outline that crosses itself" in ended.stderr, ended.stderr
     shutil.rmtree(run / "labels")
 
 
