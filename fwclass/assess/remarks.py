@@ -22,6 +22,10 @@ ONE_CLASS = 0.99
 """A block is of one class from this share of its echoes on: a few strays make no border."""
 
 
+UNSORTED = frozenset({"0", "1"})
+"""Codes that say nothing of an echo (LAS: never classified, unclassified): no class to learn."""
+
+
 @dataclass(frozen=True)
 class Extent:
     """What was tested, and where.
@@ -61,11 +65,14 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     sentences, blocks, pure = [], int(accuracy["blocks"]), accuracy["pure_share"]
     edge = f"{params.block:g} m"
     sentences += chance_remarks(accuracy)
+    narrow = params.block < tested.reach
     if blocks < FEW:
         without = f", and no interval is told below {LEAST}" if blocks < LEAST else ""
+        hang = f", and even of neighbours, as what decides reaches {tested.reach:g} m" if narrow else ""
+        wanted = f" of {2 * tested.reach:g} m, which takes a larger survey or smaller training areas" if narrow else ""
         sentences.append(
             f"The accuracy is uncertain: it was tested in {blocks} squares of {edge} (assess.block), and echoes of a "
-            f"square are right or wrong together{without}: test on {FEW} squares or more."
+            f"square{hang} are right or wrong together{without}: test on {FEW} squares or more{wanted}."
         )
     if pure is not None and pure >= params.pure:
         sentences.append(
@@ -79,7 +86,7 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
             f"decides reaches {tested.reach:g} m, so that the classifier has seen part of what it is tested on: "
             f"--set areas.gap={tested.reach:g} or more."
         )
-    if params.block < tested.reach:
+    if narrow and blocks >= FEW:
         sentences.append(
             f"The intervals of the accuracy are too narrow: errors hang together over the {tested.reach:g} m that what "
             f"decides reaches, and squares of {edge} (assess.block) are smaller: "
@@ -94,10 +101,15 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     lost = sum(tested.others.values())
     if tested.echoes and lost > params.unscored * tested.echoes:
         codes = ", ".join(f"{code} ({n:,} echoes)" for code, n in tested.others.items())
+        sorted_codes = set(tested.others) - UNSORTED
+        advice = (
+            "add them to survey.classes, or know that they are missing here"
+            if sorted_codes
+            else ("nobody has sorted them; know that they are missing here, or label some")
+        )
         sentences.append(
             f"The accuracy leaves out {percent_words(lost / tested.echoes)} of the echoes, whose reference no class "
-            f"counts: they are classified, and not scored; codes {codes}: add them to survey.classes, or know that "
-            "they are missing here."
+            f"counts: they are classified, and not scored; codes {codes}: {advice}."
         )
     return sentences
 

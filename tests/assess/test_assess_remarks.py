@@ -46,6 +46,13 @@ def test_nothing_is_said_beside_a_large_mixed_and_distant_test(params):
     [
         ({"blocks": 19}, SOUND, ("19 squares of 25 m", "test on 20 squares or more")),
         ({"blocks": 4}, SOUND, ("4 squares", "no interval is told below 5")),
+        (
+            {"blocks": 19},
+            replace(SOUND, apart=30.0, reach=27.0),
+            ("19 squares of 25 m", "20 squares or more of 54 m", "larger survey or smaller training areas"),
+        ),
+        ({}, replace(SOUND, apart=30.0, reach=27.0), ("intervals of the accuracy are too narrow", "assess.block=54")),
+        ({}, replace(SOUND, others={"1": 300, "0": 9}), ("1 (300 echoes)", "nobody has sorted them")),
         (CHANCE, SOUND, ("Kappa is -0.030 (-0.060 to 0.010)", "labels those of these echoes")),
         ({"pure_share": 0.95}, SOUND, ("95 % of the tested echoes", "label whole places")),
         ({}, replace(SOUND, apart=2.0), ("tested 2 m", "reaches 12 m", "--set areas.gap=12")),
