@@ -69,7 +69,7 @@ def test_a_shift_and_plants_are_told_apart(survey: Path, made: tuple[dict[str, A
     assert any("above the check points on average" in r for r in facts["remarks"])
     layer = pyogrio.read_dataframe(survey / "run" / "quality.gpkg", layer="check_points")
     assert ["check_points", "Point"] in pyogrio.list_layers(survey / "run" / "quality.gpkg").tolist()
-    assert len(layer) == 40 and "32633" in str(layer.crs)
+    assert len(layer) == 40 and "32633" in str(layer.crs) and "name" not in layer
     assert np.sqrt((layer["dz"] ** 2).mean()) == pytest.approx(checked["all"]["rmse"], rel=1e-12)
     assert (layer.geometry.x.to_numpy() == points()[:, 0].round(3)).all()
     page = (survey / "run" / "quality.html").read_text()
@@ -88,12 +88,14 @@ def test_another_system_and_other_columns(survey: Path, made: tuple[dict[str, An
     rows = points()
     rows[:, 0], rows[:, 1] = Transformer.from_crs(32633, 32632, always_xy=True).transform(rows[:, 0], rows[:, 1])
     head, lines = "name;height;northing;easting;remark\n", []
-    lines = [f"P{k};{z:.3f};{y:.4f};{x:.4f};stone\n" for k, (x, y, z, _) in enumerate(rows)]
+    lines = [f"Höhe {k};{z:.3f};{y:.4f};{x:.4f};stone\n" for k, (x, y, z, _) in enumerate(rows)]
     (survey / "d.csv").write_text(head + "".join(lines))
     words = ("--set", "quality.check_points.file=d.csv", "--set", "quality.check_points.crs=EPSG:32632")
     facts, _ = run(survey, *words)
     assert facts["check_points"]["all"]["mean"] == pytest.approx(made[0]["check_points"]["all"]["mean"], abs=0.002)
     assert facts["check_points"]["vegetated"] is None
+    layer = pyogrio.read_dataframe(survey / "run" / "quality.gpkg", layer="check_points")
+    assert layer["name"].tolist() == [f"Höhe {k}" for k in range(40)], "they were left out"
 
 
 @pytest.mark.parametrize("code", ["4", "GCP"])

@@ -18,20 +18,26 @@ from fwclass.survey.shape_files import source_of
 CHECK_POINTS = "check-points"
 FILE = "points"
 
+NAME = 64
+"""Bytes of a point's name that are kept."""
+
 SQUARE = 64.0
 """m, points in one square are held against the echoes around it together."""
 
 
 def compare_heights(here: StageInputs, reach: float, own_crs: str | None, crs: str | None) -> Result:
     """The ground at every check point [m], and how far its nearest ground echo is [m]."""
-    x, y, z, code = read_check_points(here.file(), own_crs, crs)
+    x, y, z, code, names = read_check_points(here.file(), own_crs, crs)
     height, near = np.full(len(x), np.nan), np.full(len(x), np.nan)
     for rows, box in _together(x, y, reach):
         echoes = here.inputs.inside(box, here.tile_size, here.columns, here.present)
         echoes = echoes.take(echoes["ground"] & ~echoes["noise"])
         ground = echoes["x"], echoes["y"], echoes["z"]
         height[rows], near[rows] = ground_heights((x[rows], y[rows]), ground, reach)
-    write_arrays(here.directory / FILE, {"x": x, "y": y, "z": z, "code": code, "height": height, "near": near})
+    arrays = {"x": x, "y": y, "z": z, "code": code, "height": height, "near": near}
+    if names is not None:
+        arrays["name"] = np.array([n.encode() for n in names], f"S{NAME}").view(np.uint8).reshape(-1, NAME)
+    write_arrays(here.directory / FILE, arrays)
     return facts_of((x, y, z), height, near, code)
 
 
@@ -52,7 +58,7 @@ def has_check_points(plan: Plan) -> bool:
 
 MEASURE_CHECK_POINTS = Stage(
     CHECK_POINTS,
-    3,
+    4,
     "survey",
     "part",
     compare_heights,

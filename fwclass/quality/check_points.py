@@ -205,10 +205,13 @@ def _shifted(figures: Mapping[str, Any]) -> str:
     return f"the survey lies {abs(mean):.2f} m {side} the check points on average, more than chance explains{kind}"
 
 
-def compared_points(points: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def compared_points(points: Mapping[str, NDArray]) -> dict[str, NDArray | list[str]]:
     """Columns of a layer of check points: heights of point and ground, their difference, and the distance to the
-    nearest ground echo, each (n,) [m] and NaN where there is none, and the class code, -1 for none."""
+    nearest ground echo, each (n,) [m] and NaN where there is none, the class code, -1 for none, and names if points
+    have any, uint8 (n, bytes)."""
+    names = [row.tobytes().rstrip(b"\0").decode(errors="ignore") for row in points.get("name", ())]
     return {
+        **({"name": names} if names else {}),
         "z": points["z"],
         "ground_z": points["height"],
         "dz": points["height"] - points["z"],

@@ -44,6 +44,7 @@ class TextCloud:
     label : uint8 (n,) as it stands there, or None.
     kind : what a label is: ``isprs`` (0 ground, 1 object) or a class ``code``.
     dropped : names of further columns.
+    names : what a column that was asked for calls every point; None without one.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class TextCloud:
     label: NDArray[np.uint8] | None
     kind: Literal["isprs", "code"]
     dropped: tuple[str, ...] = ()
+    names: tuple[str, ...] | None = None
 
     @property
     def xyz(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -76,8 +78,9 @@ def is_text(path: str | Path) -> bool:
         return file.read(4) != b"LASF"
 
 
-def read_text(path: str | Path, ignored: Collection[str] = ()) -> TextCloud:
-    """Every point of a text file, without the columns of the names `ignored`.
+def read_text(path: str | Path, ignored: Collection[str] = (), named: Collection[str] = ()) -> TextCloud:
+    """Every point of a text file, without the columns of the names `ignored`; the first further column of the names
+    `named` (lower case) tells what points are called.
 
     A fourth column is a label: class codes where the header calls it so (``classification``, ``class``, ``code``) or
     where it holds anything but 0 and 1, else the labels of the ISPRS filter test, 0 ground and 1 object.
@@ -92,10 +95,10 @@ def read_text(path: str | Path, ignored: Collection[str] = ()) -> TextCloud:
     data = _text_of(path)
     layout = layout_of(path, data, ignored)
     body = _tidy(data[layout.start :], layout.delimiter == " ")
-    values = _parse_columns(path, body, layout)
+    values, names = _parse_columns(path, body, layout, named)
     label, kind = _labels(path, values, layout, body)
     dropped = tuple(n.removeprefix("?") for n in layout.columns if n.startswith("?"))
-    return TextCloud(path, values["x"], values["y"], values["z"], label, kind, dropped)
+    return TextCloud(path, values["x"], values["y"], values["z"], label, kind, dropped, names)
 
 
 def _text_of(path: Path) -> bytes:
@@ -136,17 +139,21 @@ def _tidy(data: bytes, collapse: bool) -> bytes:
     return out[: tidy(text, collapse, out)].tobytes()
 
 
-def _parse_columns(path: Path, body: bytes, layout: Layout) -> dict[str, NDArray[np.float64]]:
+def _parse_columns(
+    path: Path, body: bytes, layout: Layout, named: Collection[str]
+) -> tuple[dict[str, NDArray[np.float64]], tuple[str, ...] | None]:
     wanted = [c for c in layout.columns if not c.startswith("?")]
     columns = [f"{c}{i}" if c.startswith("?") else c for i, c in enumerate(layout.columns)]
+    own = zip(columns, layout.columns, strict=True)
+    names = next((c for c, name in own if name.startswith("?") and name.strip("? ").lower() in named), None)
     try:
         table = csv.read_csv(
             io.BytesIO(body),
             csv.ReadOptions(column_names=columns, block_size=1 << 24, use_threads=False),
             csv.ParseOptions(delimiter=layout.delimiter, quote_char=False if layout.delimiter == " " else '"'),
             csv.ConvertOptions(
-                column_types=dict.fromkeys(wanted, pa.float64()),
-                include_columns=wanted,
+                column_types={**dict.fromkeys(wanted, pa.float64()), **({names: pa.binary()} if names else {})},
+                include_columns=[*wanted, *([names] if names else [])],
                 null_values=NULLS,
                 decimal_point=layout.decimal,
             ),
@@ -154,7 +161,10 @@ def _parse_columns(path: Path, body: bytes, layout: Layout) -> dict[str, NDArray
     except (pa.ArrowException, UnicodeDecodeError) as fault:
         raise _explain(path, body, layout, str(fault)) from fault
     missing = pa.scalar(float("nan"))
-    return {c: table[c].combine_chunks().fill_null(missing).to_numpy(zero_copy_only=False) for c in wanted}
+    values = {c: table[c].combine_chunks().fill_null(missing).to_numpy(zero_copy_only=False) for c in wanted}
+    return values, tuple(
+        (w or b"").decode(errors="replace").strip() for w in table[names].to_pylist()
+    ) if names else None
 
 
 def _explain(path: Path, body: bytes, layout: Layout, reason: str) -> InputError:

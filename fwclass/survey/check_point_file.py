@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,18 @@ MOST = 100_000
 FAR = 1e9
 """m; larger numbers are no coordinates."""
 
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
-"""x, y, z [m], and class code, -1 for none."""
+NAMES = ("name", "id", "point", "point_id", "point_name", "pt", "nr", "no", "number")
+"""What the column of points' names is called."""
+
+
+class CheckPoints(NamedTuple):
+    """Points of a file: x, y, z float64 (n,) [m]; code int64 (n,), of the class, -1 for none; names, None without."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    code: NDArray[np.int64]
+    names: tuple[str, ...] | None
 
 
 def check_point_file(
@@ -44,7 +55,7 @@ def check_point_file(
             f"{SETTING}.file is one file", where=config.path, got=f"{len(places)} files match", do="name one"
         )
     path, own = local(places[0]), user_crs.to_wkt() if user_crs is not None else None
-    x, y, _, _ = read_check_points(path, own, crs)
+    x, y = read_check_points(path, own, crs)[:2]
     if not box.contains(x, y).any():
         raise InputError(
             "no check point lies in the survey",
@@ -56,14 +67,14 @@ def check_point_file(
     return PolygonFile(places[0], digests.of([path], places[0]), "", own)
 
 
-def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Points:
+def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> CheckPoints:
     """Check points in the survey's system `crs` (WKT), from a text file in `own_crs`, or in the survey's.
 
     Raises
     ------
     InputError : no text of x, y, z, a point without one of them, or more than `MOST` points.
     """
-    cloud = read_text(path, ignored=("code",))  # in a surveyor's file: what the point is, no class
+    cloud = read_text(path, ignored=("code",), named=NAMES)  # in a surveyor's file: what the point is, no class
     if len(cloud.x) > MOST:
         raise InputError("too many check points", where=path, expected=f"at most {MOST:,}", got=f"{len(cloud.x):,}")
     unknown = np.flatnonzero(~(np.abs(np.stack(cloud.xyz)) <= FAR).all(axis=0))
@@ -85,4 +96,4 @@ def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Point
                 do=f"check {SETTING}.crs, and the order of the columns",
             )
     code = np.full(len(x), -1) if cloud.label is None else cloud.label.astype(np.int64)
-    return x, y, cloud.z, code
+    return CheckPoints(x, y, cloud.z, code, cloud.names)
