@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -12,7 +13,10 @@ from commandline import fwclass, process
 
 from fwclass.conf import load
 from fwclass.errors import QualityError
+from fwclass.report import write
 from fwclass.report.judge import judge_report
+from fwclass.run import libraries as told
+from fwclass.store import libraries
 
 CONFIG = """
 survey:
@@ -87,3 +91,20 @@ def test_report_of_a_workflow_without_sources_is_judged(survey: Path) -> None:
     nowhere = {"accuracy": None, "input": {"place": {"elsewhere": True, "remarks": ["far"]}}}
     with pytest.raises(QualityError, match="do not lie where"):
         judge_report(nowhere, config, replaces=False)
+
+
+def test_other_code_writes_the_report_anew_though_no_part_is(survey, monkeypatch):
+    """Its words and figures are those of the code that is there; by the same code the report stays."""
+
+    def run() -> tuple[str, str]:
+        words = ("--workers", 0, "--workflow", "ground", "--set", "survey.reference={kind: none}")
+        ended = fwclass("run", "c.yaml", "--out", "r", *words, cwd=survey)
+        assert ended.returncode == 0, ended.stderr
+        shown = survey / "r" / "current"
+        return json.loads((shown / "report.json").read_text())["libraries"]["here"]["source"], shown.resolve().name
+
+    assert run() == run() == (libraries.source_digest(), "0001")
+    other = {**libraries.fingerprint(), "source": "0123456789abcdef"}
+    for module in (told, write):
+        monkeypatch.setattr(module, "fingerprint", lambda: other)
+    assert run() == run() == ("0123456789abcdef", "0002")

@@ -41,5 +41,7 @@ def test_times_of_another_kind_tell_no_date(
     place = json.loads((tmp_path / "r/report.json").read_text())["place"]
     assert place["flown"] == (date and [date, date])
     assert not standard or (told in " ".join(place["remarks"]) and bool(place["remarks"]) == bool(told))
+    weekly = "GPS times of a.las are called seconds of the week and are beyond one"
+    assert (weekly in ended.stderr) == (not standard and bool(told)), ended.stderr
     item = json.loads((tmp_path / "r/laz/survey.vpc").read_text())["features"][0]
     assert item["properties"]["datetime"][:10] == (date or "1980-01-06")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_named, visible
+from fwclass.formats.area_of_use import kind_faults
 from fwclass.graph.quantities import quantity_of_feature
 from fwclass.graph.sources import strip_of
 from fwclass.read.return_counts import (
@@ -46,12 +47,17 @@ ANOTHER_SCALE = 4.0
 
 
 def returns_facts(
-    receipts: Iterable[Receipt], strips: Iterable[Strip], names: Iterable[str], params: PlausibilityParams
+    receipts: Iterable[Receipt],
+    strips: Iterable[Strip],
+    names: Iterable[str],
+    params: PlausibilityParams,
+    weekly: Iterable[str] = (),
 ) -> dict[str, Any] | None:
     """``remarks`` on the returns of the files, and what of them is not sound: ``coarse``, ``scales``, ``backward`` and
     ``units``, of which each is what `judge_returns` refuses, or ""; None where nothing was counted.
 
-    `receipts`: of the parts that counted returns; `names`: the features that decide.
+    `receipts`: of the parts that counted returns; `names`: the features that decide; `weekly`: names of the files that
+    call their GPS times seconds of the week.
     """
     by_strip: dict[int, list[Mapping[str, Any]]] = {}
     points, unnumbered = Counter[int](), Counter[int]()
@@ -76,7 +82,7 @@ def returns_facts(
         "remarks": [t for t in (coarse, scales, backward, units) if t]
         + _numbers(counted, many, waves)
         + _unnumbered({n: (unnumbered[s], points[s]) for s, n in files.items() if n in many})
-        + _times(counted),
+        + _times(counted, {visible(name) for name in weekly}),
         "coarse": coarse if step >= params.coarse_places else "",
         "scales": scales if ratio >= params.max_intensity_ratio else "",
         "backward": backward,
@@ -230,8 +236,8 @@ def _unnumbered(counts: Mapping[str, tuple[int, int]]) -> list[str]:
     ]
 
 
-def _times(counted: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """That GPS times do not pass, or are of two kinds."""
+def _times(counted: Mapping[str, Mapping[str, Any]], called_weekly: Container[str]) -> list[str]:
+    """That GPS times do not pass, are of two kinds, or of another kind than their file says."""
     still = [n for n, f in counted.items() if f["times"] and f["times"][0] == f["times"][1]]
     known = {n: f["times"] for n, f in counted.items() if f["times"] and n not in still}
     weekly = [n for n, (first, last) in known.items() if first >= 0 and last <= WEEK]
@@ -246,5 +252,12 @@ def _times(counted: Mapping[str, Mapping[str, Any]]) -> list[str]:
         said.append(
             f"GPS times of {first_few(weekly, NAMED)} are seconds of the week, those of {first_few(others, NAMED)} are "
             "not: lines, trajectories and dates mean something else in both; bring them to one kind"
+        )
+    other = [n for n in known if n in called_weekly and kind_faults(known[n][0], known[n][1], standard=False)]
+    if other:
+        said.append(
+            f"GPS times of {first_few(other, NAMED)} are called seconds of the week and are beyond one: where they "
+            "are adjusted standard time, their headers must say so (global encoding, bit 0), or what is delivered has "
+            "no dates"
         )
     return said

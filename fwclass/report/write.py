@@ -59,6 +59,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import read_json, write_json
+from fwclass.store.libraries import fingerprint
 from fwclass.store.links import link
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Layout, Survey
@@ -171,7 +172,7 @@ def _of_the_survey(
         "radiometry": radiometry_of_run(runner, survey, config),
         "repeated": repeated_facts((r.meta for r in tiled), survey.strips, receipts_of_run(runner, "decompose")),
         "returns": returns_facts(
-            read, survey.strips, names if "classify" in runner.tallies else (), config.plausibility
+            read, survey.strips, names if "classify" in runner.tallies else (), config.plausibility, survey.weekly
         ),
         "ground": ground_facts(runner, config, withheld_returns(runner)),
         "water": [body for bodies in metas_of_run(runner, LEVELS, "bodies") for body in bodies],
@@ -318,7 +319,7 @@ def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] 
     if (
         standing.get("config") != _plain(config.raw)
         or standing.get("failed")
-        or "thresholds" not in standing  # of before it was there
+        or (standing.get("libraries") or {}).get("here") != dict(fingerprint())  # told, and shown, by other code
         or standing.get("outputs") != delivered_files(runner)
         or ((standing.get("sampling") or {}).get("corrections") is None) != (survey.corrections is None)
     ):

@@ -82,12 +82,12 @@ def _linked(package: str, attribute: str) -> str:
 
 @cache
 def source_digest() -> str:
-    """Digest of this program's own code, 16 hex digits: two commits of one version differ in it."""
+    """Digest of this program's own code and pages, 16 hex digits: two commits of one version differ in it."""
     state = hashlib.blake2b(digest_size=8)
     package = Path(fwclass.__file__).parent
     beside = [] if (package / "_workflows").is_dir() else [package.parent / "workflows"]  # of a checkout
     for top in (package, *beside):
-        for path in sorted(top.rglob("*.py")):
+        for path in sorted(p for ending in ("*.py", "*.j2") for p in top.rglob(ending)):
             state.update(f"{path.relative_to(package.parent).as_posix()}\0".encode() + path.read_bytes())
     return state.hexdigest()
 

@@ -92,7 +92,8 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     waves, both = config.survey.echoes != "returns", zip(places, opened, strict=True)
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}
     more_files: dict[str, Any] = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
-    more = more_files | {"overruled": overruled_systems(config, full)}
+    weekly = tuple(s.path.name for s in full if isinstance(s, LasSource) and not s.standard_gps_time)
+    more = more_files | {"overruled": overruled_systems(config, full), "weekly": weekly}
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more)
 
 

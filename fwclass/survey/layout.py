@@ -59,7 +59,7 @@ class Survey:
     the reference's labels by echo; `corrections`: what corrects labels of any kind, `water`: what is
     flattened, `breaklines`: what the terrain passes through, `check_points`: what heights are held against, `area`:
     what was to be flown, all None for nothing; `overruled`: by name of the file the system (WKT) that it names where
-    the user names another.
+    the user names another; `weekly`: names of the files whose header calls their GPS times seconds of the week.
     """
 
     strips: tuple[Strip, ...]
@@ -76,6 +76,7 @@ class Survey:
     check_points: PolygonFile | None = None
     area: PolygonFile | None = None
     overruled: Mapping[str, str] = field(default_factory=dict)
+    weekly: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
