@@ -206,6 +206,28 @@ def _write(echoes, at, row, p, errors, k):  # type: ignore[no-untyped-def]
     echoes.amplitude_sigma[at], echoes.time_sigma[at], echoes.width_sigma[at] = errors[a], errors[a + 1], errors[a + 2]
 
 
+@inlined
+def _buffers(most, length, look, correlated):  # type: ignore[no-untyped-def]
+    """Room for one waveform of up to `length` samples and `most` echoes, of `correlated` noise or white."""
+    size, padded = 3 * most + 1, length + look.before + look.after + 4
+    work = (
+        np.zeros(padded),
+        np.empty((most, 3, look.table.shape[2])),
+        np.zeros((most, 4), np.int64),
+        np.empty((size, size)),
+        np.empty(size),
+        np.empty((size, size)),
+        np.empty(size),
+        np.empty(size),
+        np.zeros(size),
+    )
+    spare = (np.zeros(padded), np.empty(length), np.empty(size), np.empty(size), np.zeros(most, np.bool_))
+    y, weight, p, errors = np.zeros(padded), np.zeros(padded), np.empty(size), np.empty(size)
+    white = np.zeros(padded) if correlated else y
+    bins, drop = np.empty((3, BINS + 1), np.int32), np.zeros(most, np.bool_)
+    return p, errors, y, white, weight, bins, drop, work, spare
+
+
 @kernel
 def fit_all(  # type: ignore[no-untyped-def]
     samples,
@@ -242,36 +264,20 @@ def fit_all(  # type: ignore[no-untyped-def]
     count, baseline, noise, misfit : per waveform, filled at `rows`.
     echoes : `Echoes`, filled from the start in the order of `rows`.
     """
-    size = 3 * most + 1
-    padded = length + look.before + look.after + 4
-    longest = look.table.shape[2]
-    work = (
-        np.zeros(padded),
-        np.empty((most, 3, longest)),
-        np.zeros((most, 4), np.int64),
-        np.empty((size, size)),
-        np.empty(size),
-        np.empty((size, size)),
-        np.empty(size),
-        np.empty(size),
-        np.zeros(size),
-    )
-    spare = (np.zeros(padded), np.empty(length), np.empty(size), np.empty(size), np.zeros(most, np.bool_))
-    y, weight, p, errors = np.zeros(padded), np.zeros(padded), np.empty(size), np.empty(size)
-    white = np.zeros(padded) if len(kind.phi) > 0 else y
-    bins, drop = np.empty((3, BINS + 1), np.int32), np.zeros(most, np.bool_)
+    p, errors, y, white, weight, bins, drop, work, spare = _buffers(most, length, look, len(kind.phi) > 0)
     pad = look.before + 2
     total = 0
     for w in rows:
         first, n = offsets[w], offsets[w + 1] - offsets[w]
-        channel = channels[channel_of[w]]
         spare[0][pad + n : pad + n + look.after + 2] = 0.0
+        own = doubt[first : first + n] if len(doubt) > 0 else doubt
+        channel = channels[channel_of[w]]
         fitted, base, sigma, chi = fit_pulse(
             samples,
             first,
             n,
             top[w],
-            doubt[first : first + n] if len(doubt) > 0 else doubt,
+            own,
             channel,
             kind,
             settings,
