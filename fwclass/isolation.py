@@ -27,6 +27,9 @@ SUMS = "OPENBLAS_NUM_THREADS"
 CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF"}
 """For this process's own children: nothing is imported from where they start, no grid of a datum is fetched."""
 
+NETWORK = {"laspy": "requests"}
+"""Libraries that can read from a network, which no command has them do, and by what: that takes as long to load."""
+
 _fresh = ExitStack()
 """The directory of compiled code that ends with this process, where there is one."""
 
@@ -168,11 +171,25 @@ def away_from(*names: str) -> Iterator[None]:
         os.close(back)
 
 
+@contextmanager
+def without(*names: str) -> Iterator[None]:
+    """Modules `names` that are not loaded cannot be, as if they were not installed; only where `isolate` was called,
+    here or by the process that started this one: a program that imports fwclass keeps all that its libraries can do."""
+    hidden = [n for n in names if n not in sys.modules] if os.environ.items() >= CHILDREN.items() else []
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: Python's word for it
+    try:
+        yield
+    finally:
+        for name in hidden:
+            sys.modules.pop(name, None)
+
+
 class _Guard:
-    """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files."""
+    """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files, and
+    those of `NETWORK` without their way to it."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name not in CONFIGURATIONS:
+        if name not in CONFIGURATIONS and name not in NETWORK:
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
@@ -184,7 +201,7 @@ def _guard(name: str, execute: Callable[[ModuleType], None]) -> Callable[[Module
     def exec_module(module: ModuleType) -> None:
         if name == "numba":
             kernel_cache()
-        with away_from(CONFIGURATIONS[name]):
+        with away_from(*CONFIGURATIONS.get(name, "").split()), without(*NETWORK.get(name, "").split()):
             execute(module)
         if name == "numba":
             _settle_numba()

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 class Params(BaseModel):
     """Base of every stage's parameters: frozen, closed, without defaults (the numbers live in `conf/base.yaml`)."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False, defer_build=True)
 
     @field_validator("*", mode="before")
     @classmethod

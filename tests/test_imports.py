@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from fwclass.isolation import CHILDREN
+
 ROOT = Path(__file__).parents[1]
 KERNELS = ("fwclass/features/sums.py", "fwclass/ground/methods/undercut.py", "fwclass/train/bag.py")
 """Files with compiled functions that the parameters of their room are planted in, one way and another."""
@@ -69,6 +71,20 @@ def test_parts_of_scipy_are_loaded_when_they_are_used() -> None:
     ended = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[1] for name in ended.stdout.split()}
     assert not loaded & {"ndimage", "sparse", "spatial", "special", "linalg", "optimize", "interpolate"}, loaded
+
+
+def test_a_command_reads_points_without_a_way_to_the_network_and_a_program_keeps_it() -> None:
+    """`requests` takes as long to load as all else of laspy; what another stage or program imports, it gets."""
+    own = "import fwclass, laspy.copc, requests, sys; sys.exit(laspy.copc.requests is not requests)"
+    command = (
+        "from fwclass.isolation import isolate; isolate(); import laspy.copc, sys; assert 'requests' not in sys.modules;"
+        "assert laspy.copc.requests is None; import requests; sys.exit(not requests.get)"
+    )
+    child = "import fwclass, laspy.copc, sys; sys.exit('requests' in sys.modules)"
+    environment = {n: v for n, v in os.environ.items() if n not in CHILDREN}
+    subprocess.run([sys.executable, "-c", own], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", command], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", child], env=environment | CHILDREN, check=True)
 
 
 FLOOR = (

@@ -46,6 +46,14 @@ def little_garbage() -> None:
     gc.set_threshold(50_000, 20, 20)
 
 
+def work_here() -> None:
+    """For commands that compute on one file and end: as `little_garbage`, and memory of arrays is kept for others."""
+    from fwclass.memory import keep_freed  # not for --help
+
+    little_garbage()
+    keep_freed()
+
+
 def _is_utf8(path: Path) -> bool:
     try:
         str(path).encode("utf-8")

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, Finite, cli, little_garbage
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, Finite, cli, work_here
 from fwclass.cli.ground import CRS, METHOD, PARAM, PRESET
 
 SETS = click.option(
@@ -57,7 +57,7 @@ def features(
     ground, where heights above it are asked for, is looked for by a filter (--method, --preset, --param); class 2 of
     the file, which may be a reference, is taken with --own-ground alone.
     """
-    little_garbage()
+    work_here()
     from fwclass.single_file.features.names import sorted_settings
 
     named, settings = sorted_settings(words)

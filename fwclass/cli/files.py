@@ -8,7 +8,18 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, MIRROR_BEAMS, OUTPUT, OVERWRITE, PATH, SET, Finite, cli
+from fwclass.cli.base import (
+    ACCEPT_IMPLAUSIBLE,
+    JSON,
+    MIRROR_BEAMS,
+    OUTPUT,
+    OVERWRITE,
+    PATH,
+    SET,
+    Finite,
+    cli,
+    work_here,
+)
 from fwclass.errors import FAILED, FwclassError
 
 
@@ -117,6 +128,7 @@ def decompose(
     mirror_beams: bool,
 ) -> None:
     """One file: waveforms to echoes with extra bytes (LAZ)."""
+    work_here()
     from fwclass import conf
     from fwclass.report.judge import judge_echoes
     from fwclass.single_file.decompose import decompose_file

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, SET, cli, work_here
 from fwclass.ground.methods import Method
 
 KINDS = "Kind of land: wilderness, nature, town, city, metro, dense-forest or steep."
@@ -68,6 +68,7 @@ def ground(
 
 
 def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]) -> None:
+    work_here()
     from fwclass import conf
     from fwclass.report.ground import judge_ground
     from fwclass.report.judge import judge_echoes
@@ -153,6 +154,7 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
 
     The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
     """
+    work_here()
     from fwclass import conf
     from fwclass.report.judge import judge_echoes
     from fwclass.single_file.ground.normalize import NormalizeJob, normalize_file

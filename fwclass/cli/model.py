@@ -23,6 +23,7 @@ from fwclass.cli.base import (
     WORKERS,
     Finite,
     cli,
+    work_here,
 )
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, nearest
@@ -216,6 +217,7 @@ def classify(
     Waveforms are decomposed where there are any; each point takes the class of its echo. Points keep their order and
     all other fields; confidence and entropy become extra bytes.
     """
+    work_here()
     from fwclass import conf
     from fwclass.classify.unsure import judge_unsure
     from fwclass.report.drift import judge_drift

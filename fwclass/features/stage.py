@@ -45,13 +45,21 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     request = Asked.of(names)
     require(chunk.table, request.columns(params), chunk.tile.key)
     sound = without_noise(chunk, params)
-    parts = [_features(sound, request, params)]
+    of_sound = _features(sound, request, params)
     if sound is chunk:
-        return parts[0]
+        return of_sound
     is_noise = chunk.table["noise"][chunk.core]
-    if is_noise.any():
-        parts.append(_features(Chunk(chunk.table, chunk.core[is_noise], chunk.tile), request, params))
-    return Table.concat(parts).take(np.argsort(np.argsort(is_noise, kind="stable")))
+    if not is_noise.any():
+        return of_sound
+    of_noise = _features(Chunk(chunk.table, chunk.core[is_noise], chunk.tile), request, params)
+    return Table({name: _joined(is_noise, of_sound[name], of_noise[name]) for name in of_sound})
+
+
+def _joined(second: NDArray[np.bool_], of_first: NDArray, of_second: NDArray) -> NDArray:
+    """Values of the rows that are not `second`, and of those that are, in the order of the rows."""
+    values = np.empty(len(second), of_first.dtype)
+    values[~second], values[second] = of_first, of_second
+    return values
 
 
 def without_noise(chunk: Chunk, params: FeaturesParams) -> Chunk:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 NO_TIME = np.iinfo(np.int64).min
@@ -202,5 +201,10 @@ def _strip(
 def groups_of(strips: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> NDArray[np.int64]:
     """int64 (strips,): number of the group of every strip: those that the pairs `first`, `second` (pairs,) hang
     together."""
-    graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(strips, strips))
-    return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1], np.int64)
+    lowest, before = np.arange(strips), np.empty(0, np.int64)
+    while not np.array_equal(lowest, before):
+        before = lowest.copy()
+        np.minimum.at(lowest, first, before[second])
+        np.minimum.at(lowest, second, before[first])
+        lowest = lowest[lowest]  # of the lowest strip that hangs together with it, that one's
+    return np.unique(lowest, return_inverse=True)[1].astype(np.int64)
