@@ -77,8 +77,8 @@ def test_a_command_reads_points_without_a_way_to_the_network_and_a_program_keeps
     """`requests` takes as long to load as all else of laspy; what another stage or program imports, it gets."""
     own = "import fwclass, laspy.copc, requests, sys; sys.exit(laspy.copc.requests is not requests)"
     command = (
-        "from fwclass.isolation import isolate; isolate(); import laspy.copc, sys; assert 'requests' not in sys.modules;"
-        "assert laspy.copc.requests is None; import requests; sys.exit(not requests.get)"
+        "from fwclass.isolation import isolate; isolate(); import laspy.copc, sys; "
+        "assert 'requests' not in sys.modules and laspy.copc.requests is None; import requests; requests.get"
     )
     child = "import fwclass, laspy.copc, sys; sys.exit('requests' in sys.modules)"
     environment = {n: v for n, v in os.environ.items() if n not in CHILDREN}
