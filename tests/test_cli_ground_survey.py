@@ -70,6 +70,10 @@ def test_what_is_delivered_has_no_classifier_in_it(run: Path) -> None:
     assert report["accuracy"] is None and report["training"] is None and not report["outputs"]["model"]
     assert [c["code"] for c in report["classes"]] == [1, 2, 7, 18]
     names = {Path(n).name for n in report["outputs"]["rasters"]}
+    assert "confidence.tif" not in names, "it had no value"
+    with zipfile.ZipFile(run / "survey.qgz") as project:
+        shown = project.read("survey.qgs").decode()
+    assert "hillshade" in shown and "confidence" not in shown and "least sure" not in shown
     assert {"dtm.tif", "dsm.tif", "ndsm.tif", "hillshade.tif", "slope.tif", "roughness.tif", "classes.tif"} <= names
     page = (run / "report.html").read_text()
     assert "least sure" not in page and "training areas" not in page and 'id="layer-confidence"' not in page

@@ -151,7 +151,7 @@ def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
 
 DELIVER_CATALOGUE = Stage(
     "publish-catalogue",
-    4,
+    5,
     "survey",
     "part",
     deliver_catalogue,

@@ -73,6 +73,8 @@ def deliver_rasters(
     }
     ranges = {name: spread.shown() for name, spread in spreads.items()}
     for name in STYLED:
+        if not (target / f"{name}.tif").exists():
+            continue
         with whole(target / f"{name}.qml") as beside:
             beside.write_bytes(style_file(raster_style(name, ranges, called), "raster"))
     return {**cell_counts, "ranges": ranges}
@@ -168,7 +170,8 @@ def _class_rasters(
     target: Path,
     spreads: dict[str, Spread],
 ) -> list[dict[str, Any]]:
-    """Write the maps of classes, confidence and density; the area with a class, as `CoveredArea.plain` has it."""
+    """Write the maps of classes, density and, where any echo has one, confidence; the area with a class, as
+    `CoveredArea.plain` has it."""
     empty: dict[str, np.generic] = {
         "classes": np.uint8(0),
         "confidence": np.uint8(NO_CONFIDENCE),
@@ -177,7 +180,7 @@ def _class_rasters(
     mosaic = Mosaic(inputs, "class-block", blocks, window.cell, empty)
     shown = colours([{"name": name, "code": code} for code, name in names.items()])
     small, real = np.dtype(np.uint8), np.dtype(np.float32)
-    spreads["density"] = Spread()
+    spreads["density"], confidence = Spread(), Spread()
     covered = CoveredArea(window.cell)
     with ExitStack() as files:
         put = files.enter_context(cog(small, window, target / "classes.tif", crs, params, 0, shown, names=names))
@@ -195,7 +198,13 @@ def _class_rasters(
             sure(stripe, laid["confidence"])
             many(stripe, density)
             spreads["density"].add(density)
+            known = laid["confidence"] != NO_CONFIDENCE
+            if known.any():
+                spreads["confidence"] = confidence
+                confidence.add(np.where(known, laid["confidence"] / 100, np.nan).astype(np.float32))
             covered.add(stripe, there)
+    if "confidence" not in spreads:  # ground alone: nobody was asked how sure it is
+        (target / "confidence.tif").unlink()
     return covered.plain()
 
 

@@ -28,7 +28,10 @@ AREA_STYLE = {"train": ("training area", (0, (4, 2))), "test": ("test area", "so
 LABEL_INCHES = 1.1
 """Room that a coordinate takes along an axis."""
 
-HALO = [patheffects.withStroke(linewidth=2.2, foreground="white")]
+COORDINATE, LENGTH, NORTH = 9, 11, 12
+"""Points of the letters of axes, scale bar and arrow: a page shows a map at two thirds, a telephone at a quarter."""
+
+HALO = [patheffects.withStroke(linewidth=3, foreground="white")]
 
 Areas = Mapping[str, Iterable[Sequence[float]]]
 
@@ -90,7 +93,7 @@ def draw(axes: Any, image: NDArray, view: View) -> None:
         low, high = sorted(axis.get_view_interval())
         axis.set_major_locator(FixedLocator(_ticks(low, high, int(long / LABEL_INCHES))))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}".replace(",", " ")))
-    axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
+    axes.tick_params(labelsize=COORDINATE, colors=INK, length=3, width=0.6)
     axes.tick_params(axis="y", labelrotation=90)
     for label in axes.get_yticklabels():
         label.set_verticalalignment("center")
@@ -137,7 +140,7 @@ def _scale_bar(axes: Any, view: View, inches: tuple[float, float]) -> None:
         textcoords="offset points",
         ha="center",
         va="bottom",
-        fontsize=8,
+        fontsize=LENGTH,
         color=INK,
         path_effects=HALO,
         zorder=7,
@@ -150,16 +153,18 @@ def _north(axes: Any) -> None:
     axes.annotate(
         "N",
         (1, 1),
-        (-14, -16),
+        (-16, -20),
         ha="center",
         va="bottom",
-        fontsize=9,
+        fontsize=NORTH,
         color=INK,
         weight="bold",
         path_effects=HALO,
         **corner,
     )
-    axes.annotate("▲", (1, 1), (-14, -17), ha="center", va="top", fontsize=9, color=INK, path_effects=HALO, **corner)
+    axes.annotate(
+        "▲", (1, 1), (-16, -21), ha="center", va="top", fontsize=NORTH, color=INK, path_effects=HALO, **corner
+    )
 
 
 def outline(axes: Any, areas: Areas, view: View) -> list[Line2D]:

@@ -88,26 +88,27 @@ def groups_of(
     ----------
     names : classes that there are, by code.
     columns : of the tiles.
-    ranges : of the rasters of every site; those of the site `whole` lie at the top.
+    ranges : of the rasters of every site; those of the site `whole` lie at the top. Without one of ``confidence``
+        nothing shows how sure the classes are.
     polygons : layers of ``tiles.gpkg``.
     vectors : layers of ``vectors.gpkg``.
     contours : there are contour lines.
     overview : there is an overview of all echoes. Confidence and height are those of its echoes: QGIS cannot read extra
         bytes of a list of tiles (it takes all of them for eight bytes), of a single file it can.
     """
-    styles = cloud_styles(names)
+    styles, sure = cloud_styles(names), any("confidence" in of_site for of_site in ranges.values())
     echoes = [MapLayer("by class", "pointcloud", "laz/survey.vpc", styles["classes"], shown=True)]
     echoes += [
         MapLayer(title, "copc", OVERVIEW, styles[name])
         for name, title in _OF_OVERVIEW.items()
-        if overview and name in columns
+        if overview and name in columns and (sure or name != "confidence")
     ]
     kinds = {name: "Point" if name == "trees" else "Polygon" for name in vectors}
     shapes = [
         MapLayer(name, "vector", f"vectors.gpkg|layername={name}", _VECTORS[name], name != "crowns", kind)
         for name, kind in kinds.items()
     ]
-    groups = {"Echoes": echoes, **({"Vectors": shapes} if shapes else {}), "Tiles": _polygons(polygons)}
+    groups = {"Echoes": echoes, **({"Vectors": shapes} if shapes else {}), "Tiles": _polygons(polygons, sure)}
     groups |= {"Maps": [], "Terrain": []}
     if contours:
         source = f"{CONTOURS}|layername={LAYER}"
@@ -115,22 +116,24 @@ def groups_of(
     for site, site_ranges in ranges.items():
         where, more = ("rasters", "") if site == whole else (f"rasters/{site}", f", {site}")
         for name, (title, group) in _RASTERS.items():
+            if name == "confidence" and name not in site_ranges:
+                continue
             style = raster_style(name, site_ranges, names, multiply=group == "Maps")
             shown = name in ("classes", "hillshade")
             groups[group].append(MapLayer(title + more, "raster", f"{where}/{name}.tif", style, shown))
     return groups
 
 
-def _polygons(layers: Sequence[str]) -> list[MapLayer]:
+def _polygons(layers: Sequence[str], sure: bool) -> list[MapLayer]:
     map_layers = []
     if "areas" in layers:
         map_layers.append(
             MapLayer("training and test areas", "vector", _source("areas"), outline_style((220, 30, 90), 0.6))
         )
     work = f'{_source("tiles")}|subset="rank" <= {WORK} AND "echoes" >= {WORTH}'
-    map_layers.append(
-        MapLayer("work list: least sure tiles", "vector", work, graduated_style("confidence", SURE, LEAST_SURE))
-    )
+    if sure:
+        style = graduated_style("confidence", SURE, LEAST_SURE)
+        map_layers.append(MapLayer("work list: least sure tiles", "vector", work, style))
     map_layers.append(MapLayer("tile grid", "vector", _source("tiles"), outline_style((70, 70, 70), 0.3), shown=True))
     return map_layers
 
