@@ -129,12 +129,12 @@ def _measure(channel: Channel, pulse: SystemPulse, waves: Waveforms, params: Dec
     gain, share, depth, time = 0.0, 0.5, 0.0, 0.0
     for _ in range(ROUNDS):
         residual, variance = _left(part, pulse, params, lower, doubt)
-        usual = _chi(part, residual, variance)
+        usual = _chi(residual, variance)
         tried = []
         for candidate in TIMES:
             part = replace(part, rate=np.full(len(part.row), spacing / candidate))
             by, _ = _lowered(part, residual, variance)
-            tried.append(_chi(part, residual + by, variance))
+            tried.append(_chi(residual + by, variance))
         time = float(TIMES[int(np.argmin(tried))])
         part = replace(part, rate=np.full(len(part.row), spacing / time))
         lower, depths = _lowered(part, residual, variance)
@@ -219,5 +219,5 @@ def _lowered(part: _Saturated, residual: Floats, variance: Floats) -> tuple[Floa
     return np.where(part.saturated, 0.0, lower), depths[part.ends >= 0]
 
 
-def _chi(part: _Saturated, residual: Floats, variance: Floats) -> float:
+def _chi(residual: Floats, variance: Floats) -> float:
     return float(np.minimum(residual**2 / variance, CAPPED).sum())

@@ -66,7 +66,6 @@ class Header:
     record_length : bytes of a point record.
     bounds : xmin, ymin, zmin, xmax, ymax, zmax as the header states them [m].
     wave_start : byte of the internal waveform record's header; 0 if none is stated.
-    by_return : points per return number as the header states them.
     vlrs, evlrs : the records that lie whole in the file.
     faults : what is wrong without making the file useless.
     """
@@ -83,7 +82,6 @@ class Header:
     record_length: int
     compressed: bool
     n_points: int
-    by_return: tuple[int, ...]
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
     bounds: tuple[float, float, float, float, float, float]
@@ -129,14 +127,12 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
     raw_format, record_length, legacy_count = struct.unpack_from("<BHI", head, 104)
     point_format = raw_format & 0x3F
     compressed = bool(raw_format & 0xC0)
-    by_return: tuple[int, ...] = struct.unpack_from("<5I", head, 111)
     wave_start, n_points, first_evlr, n_evlrs = 0, legacy_count, 0, 0
     if version >= (1, 3) and header_size >= 235 and len(head) >= 235:
         (wave_start,) = struct.unpack_from("<Q", head, 227)
     if version >= (1, 4) and header_size >= 375 and len(head) >= 375:
         first_evlr, n_evlrs, count = struct.unpack_from("<QIQ", head, 235)
         n_points = count or legacy_count
-        by_return = struct.unpack_from("<15Q", head, 255) if count else by_return
     elif version >= (1, 4):
         faults.append(f"header of {header_size} bytes is too short for LAS 1.4 (375)")
     _check_layout(path, size, header_size, points_start, point_format, record_length)
@@ -162,7 +158,6 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
         record_length,
         compressed,
         n_points,
-        by_return,
         scales,
         offsets,
         (b[1], b[3], b[5], b[0], b[2], b[4]),

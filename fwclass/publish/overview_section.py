@@ -305,7 +305,8 @@ def waves(pulses: Sequence[Mapping[str, Any]] | None) -> list[dict[str, Any]]:
     return [_wave(pulse) for pulse in pulses or ()]
 
 
-def _wave(pulse: Mapping[str, Any], wide: float = 300.0, tall: float = 130.0) -> dict[str, Any]:
+def _wave(pulse: Mapping[str, Any]) -> dict[str, Any]:
+    wide, tall = 300.0, 130.0
     samples, start, step = pulse["samples"], float(pulse["start"]), float(pulse["spacing"])
     base = float(pulse["baseline"])
     low, high = min([*samples, base]), max([*samples, base + 1])

@@ -164,9 +164,7 @@ def _next_time(data, state, counts, below, models, bits, time, memory):  # type:
 def _next_source(data, state, counts, below, models, bits, at, zero, width, row, model, table, oldest):  # type: ignore[no-untyped-def]
     """Write the number of the pulse's source at byte `at` of `row`: the last, a new one, or one of `table`."""
     length = width >> 3
-    last = 0
-    for k in range(length):
-        last |= int(row[at + k]) << (8 * k)
+    last = whole_number(row, at, length)
     code = symbol(data, state, counts, below, models, model, len(table) + 2)
     if code == 1:
         table[oldest[0]] = last
@@ -230,8 +228,7 @@ def unpack_pulses(data, state, counts, below, models, bits, at, end, items, out)
         place[k] = _signed(whole_number(row, 16 + 4 * k, 4))
     first, last = whole_number(row, 40, 2), whole_number(row, 42, 2)
     known, scans, classes = np.full(256, -1), np.full(1 << 16, -1), np.full(1 << 16, -1)
-    numbers = np.zeros(3, np.int64)
-    memory = np.zeros(2, np.int64)
+    numbers, memory = np.zeros(3, np.int64), np.zeros(2, np.int64)
     offsets, offset = np.full(_CONTEXTS, _UNKNOWN), 0
     moves, move = np.full((4, 3), _UNKNOWN), np.zeros(3, np.int64)
     narrow, wide, oldest = np.arange(16), np.arange(32), np.zeros(2, np.int64)
@@ -253,9 +250,8 @@ def unpack_pulses(data, state, counts, below, models, bits, at, end, items, out)
             scan |= 2
         if what & 2:
             c = _INTENSITY + context
-            row[46] = (
-                int(row[46]) + difference(data, state, counts, below, models, bits, c, _INTENSITY + 256, 10, 8)
-            ) & 255
+            more = difference(data, state, counts, below, models, bits, c, _INTENSITY + 256, 10, 8)
+            row[46] = (int(row[46]) + more) & 255
         if what & 1:
             near = _context(classes, (around << 8) | int(row[47]), numbers[2:])
             row[47] = symbol(data, state, counts, below, models, _CLASS + near, 256)

@@ -221,7 +221,8 @@ class Track:
     """Takes frames one after the other: leaves out what cannot be used, and places the others along the road.
 
     What it says of a frame follows from the frames before it alone: the same on-line and in a recording. A vehicle that
-    nothing tells the way of stands where it `may_stand`, else it is an error.
+    nothing tells the way of stands where it `may_stand`, else it is an error. `period` is the time from one of the
+    first frames to the next [s], as `usual_step` has it; NaN of fewer than two.
     """
 
     params: StreetParams
@@ -233,6 +234,7 @@ class Track:
     returns: int = 0
     blind: int = 0
     geometry: Geometry | None = None
+    period: float = math.nan
     sound: Soundness = field(init=False)
     _time: float = math.nan
     _number: int = -1
@@ -241,17 +243,11 @@ class Track:
     _given: float = math.nan
     _bridged: float = 0.0
     _steps: list[float] = field(default_factory=list)
-    _period: float = math.nan
     _road: float = math.nan
     _moved: bool = False
 
     def __post_init__(self) -> None:
         self.sound = Soundness(self.params)
-
-    @property
-    def period(self) -> float:
-        """Time from one of the first frames to the next [s], as `usual_step` has it; NaN of fewer than two."""
-        return self._period
 
     def take(self, frame: Frame) -> Placed | None:
         """The frame with its coordinates, or None if it is left out."""
@@ -310,7 +306,7 @@ class Track:
             self.faults["dropped before"] += round(min(step / period, 1e9)) - 1
         if self.used and len(self._steps) < 99 and step > 0:
             self._steps.append(step)
-            self._period = usual_step(self._steps)
+            self.period = usual_step(self._steps)
         self._advance(frame, step, leaps)
         self._time = frame.time
         return True

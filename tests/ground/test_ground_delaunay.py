@@ -237,17 +237,15 @@ def test_the_raster_is_the_heights_bit_for_bit():
             cx = ((np.arange(90) + window.col) * mm + mm / 2) / 1000
             cy = ((np.arange(80) + window.row) * mm + mm / 2) / 1000
             xx, yy = np.meshgrid(cx, cy)
-            for limit in (np.inf, 1.5):
-                expected = tin_heights(tin, xx.ravel(), yy.ravel(), limit).reshape(80, 90)
-                np.testing.assert_array_equal(tin_raster(tin, window, limit), expected)
+            expected = tin_heights(tin, xx.ravel(), yy.ravel()).reshape(80, 90)
+            np.testing.assert_array_equal(tin_raster(tin, window), expected)
 
 
-def test_hull_and_longest_edge_bound_the_heights():
+def test_the_hull_bounds_the_heights():
     x, y = np.array([0.0, 4.0, 0.0, 4.0, 20.0]), np.array([0.0, 0.0, 4.0, 4.0, 2.0])
     tin = tin_of(x, y, np.arange(5.0))
     qx, qy = np.array([2.0, 10.0, -0.001, 0.0, 20.0, np.nan, 9e9]), np.array([1.0, 2.0, 2.0, 2.0, 2.0, 1.0, 1.0])
     np.testing.assert_array_equal(np.isnan(tin_heights(tin, qx, qy)), [0, 0, 1, 0, 0, 1, 1])
-    np.testing.assert_array_equal(np.isnan(tin_heights(tin, qx, qy, 6.0)), [0, 1, 1, 0, 1, 1, 1])
 
 
 def test_the_order_of_points_does_not_matter_to_heights():

@@ -60,12 +60,10 @@ def unique_points(
     return lowest, ix[lowest].astype(np.float64), iy[lowest].astype(np.float64), origin
 
 
-def tin_heights(
-    tin: Tin, qx: NDArray[np.float64], qy: NDArray[np.float64], max_edge: float = np.inf
-) -> NDArray[np.float64]:
+def tin_heights(tin: Tin, qx: NDArray[np.float64], qy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heights [m] of the surface at places [m], (m,); places are rounded to half millimetres.
 
-    NaN outside the hull, where a place is not finite, and in triangles with an edge longer than `max_edge` [m].
+    NaN outside the hull and where a place is not finite.
     """
     out = np.full(len(qx), np.nan)
     hx, hy = _half_millimetres(qx, tin.origin[0]), _half_millimetres(qy, tin.origin[1])
@@ -74,18 +72,18 @@ def tin_heights(
     if tin.empty or len(rows) == 0:
         return out
     rows = rows[spatial_order(hx[rows].astype(np.int64), hy[rows].astype(np.int64))]
-    out[rows] = _heights(*tin.mesh[:4], tin.z, hx[rows], hy[rows], max_edge / QUANTUM)
+    out[rows] = _heights(*tin.mesh[:4], tin.z, hx[rows], hy[rows])
     return out
 
 
-def tin_raster(tin: Tin, window: Window, max_edge: float = np.inf) -> NDArray[np.float64]:
+def tin_raster(tin: Tin, window: Window) -> NDArray[np.float64]:
     """Heights [m] at the centres of a window's cells, (nrows, ncols); exactly what `tin_heights` gives there."""
     out = np.full(window.shape, np.nan)
     mm = whole_millimetres(window.cell, "cell")
     hx = (np.arange(window.ncols) + window.col) * mm + mm / 2.0 - tin.origin[0]
     hy = (np.arange(window.nrows) + window.row) * mm + mm / 2.0 - tin.origin[1]
     if not tin.empty:
-        _raster(*tin.mesh[:4], tin.z, hx, hy, max_edge / QUANTUM, float(SPAN), out)
+        _raster(*tin.mesh[:4], tin.z, hx, hy, float(SPAN), out)
     return out
 
 
@@ -167,33 +165,31 @@ def longest_edge(x, y, vertex, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _height_at(x, y, vertex, twin, z, px, py, max_edge, t):  # type: ignore[no-untyped-def]
+def _height_at(x, y, vertex, twin, z, px, py, t):  # type: ignore[no-untyped-def]
     """(height or NaN, triangle to go on from) at p, which is looked for from triangle t."""
     t = locate(x, y, vertex, twin, px, py, t)
     if is_ghost(vertex, t):
         return np.nan, t
     t = _settle(x, y, vertex, twin, px, py, t)
-    if max_edge < np.inf and longest_edge(x, y, vertex, t) > max_edge:
-        return np.nan, t
     return plane_height(x, y, vertex, z, t, px, py), t
 
 
 @kernel
-def _heights(x, y, vertex, twin, z, px, py, max_edge):  # type: ignore[no-untyped-def]
+def _heights(x, y, vertex, twin, z, px, py):  # type: ignore[no-untyped-def]
     out = np.empty(len(px))
     t = 0
     for i in range(len(px)):
-        out[i], t = _height_at(x, y, vertex, twin, z, px[i], py[i], max_edge, t)
+        out[i], t = _height_at(x, y, vertex, twin, z, px[i], py[i], t)
     return out
 
 
 @kernel
-def _raster(x, y, vertex, twin, z, px, py, max_edge, span, out):  # type: ignore[no-untyped-def]
+def _raster(x, y, vertex, twin, z, px, py, span, out):  # type: ignore[no-untyped-def]
     first = t = 0
     for j in range(len(py)):
         t = first
         for i in range(len(px)):
             if abs(px[i]) <= span and abs(py[j]) <= span:
-                out[j, i], t = _height_at(x, y, vertex, twin, z, px[i], py[j], max_edge, t)
+                out[j, i], t = _height_at(x, y, vertex, twin, z, px[i], py[j], t)
             if i == 0:
                 first = t
