@@ -10,6 +10,7 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
+from fwclass.decompose.floor import DEEP
 from fwclass.decompose.pulse_template import BEFORE, NARROWEST, WIDEST, Template
 from fwclass.waveforms import Waveforms
 
@@ -78,7 +79,7 @@ def cut_samples(
     outside = (at < waves.offsets[rows][:, None]) | (at >= waves.offsets[rows + 1][:, None])
     outside |= (u < -BEFORE * fwhm - spacing[:, None]) | (u > after + spacing[:, None])
     y = waves.samples[np.clip(at, 0, max(len(waves.samples) - 1, 0))].astype(np.float64) - level[:, None]
-    y[outside] = np.nan
+    y[outside | ((y <= -level[:, None]) & (level > DEEP * noise)[:, None])] = np.nan
     zero, nothing = np.zeros(len(rows)), np.full(len(rows), np.nan)
     return Echoes(y, u, noise, np.nanmax(y, axis=1, initial=0.0), zero, zero + 1.0, nothing, nothing)
 

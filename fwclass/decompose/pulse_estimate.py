@@ -54,6 +54,9 @@ SHARED = 0.5
 """Of the echoes within four times what counts as one width, the share that must lie within it for them to share one; a
 quarter does where widths spread evenly."""
 
+SWINGING = 0.5
+"""Share of the bright echoes that stand alone but for a swing below the level; below it receivers swing."""
+
 FAR = 1.5
 """From this ratio to the recorded width on, echoes that share none are wide targets; receivers differ by less."""
 
@@ -254,7 +257,22 @@ def with_clips(waves: Waveforms) -> tuple[Waveforms, Floats, NDArray[np.int64], 
 
 
 def bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulseParams) -> tuple[NDArray, Floats, Floats]:
-    """Sample of every waveform's bright single echo, -1 without, its height [DN], and about its width [ns]."""
+    """Sample of every waveform's bright single echo, -1 without, its height [DN], and about its width [ns].
+
+    A receiver that passes a band alone swings below its level behind every echo and comes back up to it: where less
+    than half of the echoes stand alone by samples that rise again, those count that rise above the level.
+    """
+    strict = _bright_peaks(waves, level, noise, params)
+    floor = np.repeat(np.floor(np.nan_to_num(level)), np.diff(waves.offsets)).astype(waves.samples.dtype)
+    filled = replace(waves, samples=np.maximum(waves.samples, floor))
+    swinging = _bright_peaks(filled, level, noise, params)
+    return swinging if (strict[0] >= 0).sum() < SWINGING * (swinging[0] >= 0).sum() else strict
+
+
+def _bright_peaks(
+    waves: Waveforms, level: Floats, noise: Floats, params: PulseParams
+) -> tuple[NDArray, Floats, Floats]:
+    """`bright_peaks` of samples as they are."""
     n = waves.pulses.rows
     peak, height, width = np.empty(n, np.int64), np.empty(n), np.empty(n)
     spacing = waves.pulses["sample_spacing"].astype(np.float64)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.autoregression import Autoregression, output_gain
 from fwclass.decompose.fitting import fit_waveforms, signal_of
+from fwclass.decompose.floor import at_floor, floor_doubt
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_channels import FEWEST, channel_from
 from fwclass.decompose.pulse_sample import of_channel
@@ -226,13 +227,14 @@ def _channels(
 
 
 def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: DecomposeParams) -> _Quiet:
-    fits = fit_waveforms(waves, params, pulse)
+    fits = fit_waveforms(waves, params, pulse, floor_doubt(waves, pulse))
     signal = signal_of(fits, waves, pulse, params)
     row = np.repeat(np.arange(waves.pulses.rows), np.diff(waves.offsets))
     above = np.nan_to_num((waves.samples - signal - fits.baseline[row]) / fits.noise[row])
     reach = math.ceil(pulse.of(channel).fwhm / channel.sample_spacing)
     bad = (fits.misfit > params.poor_misfit) | ~np.isfinite(fits.baseline)
     excluded = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
+    excluded |= at_floor(waves, pulse)
     hot = ~excluded & (above > MARK)
     filtered = _filter(np.where(excluded, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
     faint = filtered > FAINTEST * _spread(filtered[~excluded])

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.channel_rows import channel_rows
-from fwclass.decompose.fitting import NOTHING, fit_waveforms, sample_limits, signal_of
+from fwclass.decompose.fitting import fit_waveforms, sample_limits, signal_of
+from fwclass.decompose.floor import at_floor, floor_doubt
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_sample import of_channel, rows_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
@@ -93,13 +94,14 @@ def with_recovery(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams)
 
 def recovered(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> tuple[Waveforms, Floats]:
     """`waves` whose samples behind saturated ones are brought back to the level, rounded to whole steps, and what
-    variance every sample has beside the noise's for it [DN^2], (samples,); `waves` itself and an empty array where no
-    channel recovers so. Every waveform is corrected alone."""
+    variance every sample has beside the noise's for it, and at the digitiser's floor [DN^2], (samples,); `waves` itself
+    where no channel recovers so, and an empty array where no sample is doubted. Every waveform is corrected alone."""
+    cut = floor_doubt(waves, pulse)
     if not any(c.recovery > 0.0 for c in pulse.channels):
-        return waves, NOTHING
+        return waves, cut
     known = _saturated(waves, pulse)
     if known is None:
-        return waves, NOTHING
+        return waves, cut
     part, rows = known
     lower = np.zeros(len(part.row))
     doubt = np.where(part.near, UNKNOWN, 0.0)
@@ -111,7 +113,7 @@ def recovered(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> 
     length = np.diff(waves.offsets)[rows]
     at = np.arange(len(part.row)) + np.repeat(waves.offsets[rows] - part.waves.offsets[:-1], length)
     samples[at], doubts[at] = _raised(part, lower), doubt
-    return replace(waves, samples=samples), doubts
+    return replace(waves, samples=samples), doubts + cut if len(cut) else doubts
 
 
 def _measure(channel: Channel, pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> Channel:
@@ -193,8 +195,9 @@ def _left(
     part: _Saturated, pulse: SystemPulse, params: DecomposeParams, lower: Floats, doubt: Floats
 ) -> tuple[Floats, Floats]:
     """What the echoes and the level that are fitted to the samples, with `lower` made good, leave of them as they are
-    [DN], and its variance [DN^2]; saturated samples have none that counts."""
+    [DN], and its variance [DN^2]; saturated samples, and those at the floor, have none that counts."""
     raised = replace(part.waves, samples=_raised(part, lower))
+    doubt = np.where(at_floor(part.waves, pulse), UNKNOWN, doubt)
     fits = fit_waveforms(raised, params, pulse, doubt)
     signal = signal_of(fits, raised, pulse, params)
     residual = part.waves.samples - signal - np.nan_to_num(fits.baseline)[part.row]

@@ -77,4 +77,5 @@ def weigh_samples(y, n, level, variance, shape_error, growth, weight):  # type: 
 def weigh_doubt(doubt, n, variance, innovation, weight):  # type: ignore[no-untyped-def]
     """Less weight of the first `n` samples where something beside the noise's `variance` [DN^2] makes them vary."""
     for i in range(n):
-        weight[i] *= variance / (variance + innovation * doubt[i])
+        # a ratio of two equal numbers is 1 but for its last bit here: what is not doubted stays as it is
+        weight[i] *= variance / (variance + innovation * doubt[i]) if doubt[i] > 0.0 else 1.0

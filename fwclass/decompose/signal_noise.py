@@ -15,6 +15,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.decompose.fitting import fit_waveforms, signal_of
+from fwclass.decompose.floor import at_floor, floor_doubt
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_sample import of_channel
 from fwclass.decompose.shapes import lookup
@@ -107,10 +108,11 @@ class _Single(NamedTuple):
 
 def _single(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: DecomposeParams) -> _Single:
     part = of_channel(waves, channel, pulse.channels, MOST_SAMPLES)
-    fits = fit_waveforms(part, params, pulse)
+    fits = fit_waveforms(part, params, pulse, floor_doubt(part, pulse))
     lengths, rows = np.diff(part.offsets), part.pulses.rows
     row = np.repeat(np.arange(rows), lengths)
-    one = (fits.count == 1) & (np.bincount(row, part.samples >= channel.clip, rows) == 0)
+    cut = (part.samples >= channel.clip) | at_floor(part, pulse)
+    one = (fits.count == 1) & (np.bincount(row, cut, rows) == 0)
     signal, noise = signal_of(fits, part, pulse, params), channel.autoregression
     whole = np.arange(len(row)) - np.repeat(part.offsets[:-1], lengths) >= len(noise.phi)
     use = np.flatnonzero(whole & one[row])

@@ -329,4 +329,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=14)
 PLACES = Computation(name="places", version=8)
-DECOMPOSE = Computation(name="decompose", version=17, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=18, writes=ECHO_COLUMNS)
