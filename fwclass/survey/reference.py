@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
@@ -18,6 +17,7 @@ from fwclass.ground.stage import TERRAIN
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
 from fwclass.params import ShapeFileParams
+from fwclass.paths import below
 from fwclass.read.polygons import (
     check_field,
     open_polygons,
@@ -28,6 +28,7 @@ from fwclass.read.polygons import (
     values_of,
 )
 from fwclass.read.source import open_source
+from fwclass.store.atomic import write_bytes
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.digests import looks
 from fwclass.store.external_file import ExternalFile, digest_file
@@ -206,9 +207,8 @@ def _copied(path: Path, store: Store) -> Path:
     """The file, as it is now, where it goes with what else a run leaves behind; itself where nothing is written."""
     if store.read_only:
         return path
-    copy = store.directory / "staging" / "read" / path.name
-    copy.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(path, copy)
+    copy = below(store.root, "store/staging/read/corrections.parquet")
+    write_bytes(copy, path.read_bytes(), flush=False)
     return copy
 
 

@@ -27,6 +27,7 @@ from fwclass.store.history import lines as history_lines
 from fwclass.store.lock import SCHEDULE, WRITER, holder, writer
 from fwclass.store.run_location import unmade_again
 from fwclass.store.run_store import Store
+from fwclass.survey import reference
 from fwclass.survey.files import matching_files
 from fwclass.survey.gather import require_distinct
 
@@ -363,6 +364,7 @@ def test_nothing_is_written_or_removed_through_a_directory_that_is_a_link(name: 
         lambda: check_writable(root),
         lambda: log_attempt(root, "tile", "1_2", {"status": "done"}),
         lambda: remove_logs(root, [("tile", "1_2")]),
+        lambda: reference._copied(Path(__file__), Store(root)),
     ]
     for use in uses:
         with contextlib.suppress(InputError):
