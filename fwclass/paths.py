@@ -205,6 +205,14 @@ def _waits(handle: int) -> bool:
     return False
 
 
+def open_sized(path: Path) -> tuple[BinaryIO, int]:
+    """The file at `path`, open for reading, and its size [bytes]; `InputError` where it cannot be opened."""
+    try:
+        return open_regular(path), path.stat().st_size
+    except OSError as error:
+        raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
+
+
 def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading, without waiting.
 

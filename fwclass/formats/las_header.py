@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales
-from fwclass.paths import open_regular
+from fwclass.paths import open_sized
 
 WAVE_OFFSET = {4: 28, 5: 34, 9: 30, 10: 38}
 """Byte of the 29-byte wave packet block in a point record, by point format."""
@@ -107,11 +107,7 @@ class Header:
 
 def read_header(path: Path) -> Header:
     """Parse the header of `path`; `InputError` if it is no LAS file or cannot be used."""
-    try:
-        size = path.stat().st_size
-        stream = open_regular(path)
-    except OSError as error:
-        raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
+    stream, size = open_sized(path)
     with stream:
         if path.suffix.lower() in PACKET_ENDINGS:
             raise InputError("this file holds waveforms, not points", where=path, do="give the .las or .laz beside it")

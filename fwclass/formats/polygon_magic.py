@@ -18,7 +18,7 @@ from fwclass.formats.checks import cut_off
 from fwclass.formats.extents import read_extents
 from fwclass.formats.grid_files import names_file, paths_named
 from fwclass.formats.sqlite_files import SIGNATURE, open_sqlite, page_fault, schema_fault
-from fwclass.paths import open_regular, strange_kind
+from fwclass.paths import open_regular, open_sized, strange_kind
 
 GEOPACKAGE = (b"GPKG", b"GP10", b"GP11")
 """Application ids of SQLite files: OGC 12-128, requirement 2, of all versions."""
@@ -63,11 +63,9 @@ def check_format(path: Path) -> None:
     for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # GDAL opens those that belong to a file as it does
         if kind := strange_kind(beside):
             raise _other(path, f"{kind} beside it, {beside.name}", "remove it")
-    try:
-        with open_regular(path) as file:
-            head, size = file.read(HEAD), path.stat().st_size
-    except OSError as error:
-        raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
+    file, size = open_sized(path)
+    with file:
+        head = file.read(HEAD)
     promised = 0
     if ending == ".shp":
         fault = "" if head.startswith(SHAPEFILE) else "no Shapefile begins so"

@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 from fwclass.grid import Window
 
 DPI = 150
-INK, PAPER = "#22303c", "#ffffff"
+INK, PAPER, GRID, FRAME = "#22303c", "#ffffff", "#dde3e8", "#8795a1"
+SIZE = 8.5
+"""Of the labels of axes [points]."""
 AREA_STYLE = {"train": ("training area", (0, (4, 2))), "test": ("test area", "solid")}
 LABEL_INCHES = 1.1
 """Room that a coordinate takes along an axis."""
@@ -70,6 +72,24 @@ class View:
         return self.nrows * self.cell
 
 
+def sheet(width: float, height: float) -> Figure:
+    """An empty figure of this size [inches]."""
+    figure = Figure(figsize=(width, height), dpi=DPI, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def dress(axes: Any, x: str = "", y: str = "", grid: str = "both") -> None:
+    """Give axes their labels, grid and colours."""
+    axes.set_xlabel(x, fontsize=SIZE, color=INK)
+    axes.set_ylabel(y, fontsize=SIZE, color=INK)
+    axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
+    axes.grid(color=GRID, linewidth=0.6, axis=grid)
+    axes.set_axisbelow(True)
+    for spine in axes.spines.values():
+        spine.set_color(FRAME)
+
+
 def frame(view: View, aside: bool = True) -> tuple[Figure, Any]:
     """A figure whose map keeps the ground's proportions; `aside`: with a column for a legend at the right."""
     wide, legend, margin = (7.2, 1.75, 0.75) if aside else (8.2, 0.1, 0.45)
@@ -98,7 +118,7 @@ def draw(axes: Any, image: NDArray, view: View) -> None:
     for label in axes.get_yticklabels():
         label.set_verticalalignment("center")
     for spine in axes.spines.values():
-        spine.set_color("#8795a1")
+        spine.set_color(FRAME)
         spine.set_linewidth(0.7)
     _scale_bar(axes, view, inches)
     _north(axes)

@@ -99,6 +99,13 @@ def whole(path: Path) -> Iterator[Path]:
         beside.unlink(missing_ok=True)
 
 
+def write_page(path: Path, text: str) -> int:
+    """Write a page of text, the same bytes on any system; its size [bytes]."""
+    with whole(path) as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+        return beside.stat().st_size
+
+
 @contextmanager
 def whole_directory(path: Path) -> Iterator[Path]:
     """A directory beside `path` to write to; it becomes `path` when the block ends well, else it is removed.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fwclass.grid import Window
 from fwclass.publish.drawing import PAPER, draw, frame, legend, png
 from fwclass.publish.figures import downsample
-from fwclass.publish.files import whole
+from fwclass.publish.files import write_page
 from fwclass.publish.palette import css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.report import data_uri, environment, report_style
@@ -72,7 +72,7 @@ def render_comparison(comparison: Mapping[str, Any], pictures: Mapping[str, byte
 
     Parameters
     ----------
-    comparison : what `run.ground.compare.compare` tells.
+    comparison : what `single_file.ground.compare` tells.
     pictures : PNG by filter, and ``disagreement``.
 
     Returns
@@ -80,10 +80,7 @@ def render_comparison(comparison: Mapping[str, Any], pictures: Mapping[str, byte
     dict with ``path, bytes``.
     """
     page = environment().get_template(TEMPLATE).render(_view(comparison, pictures))
-    with whole(path) as beside:
-        beside.write_text(page, encoding="utf-8", newline="\n")
-        size = beside.stat().st_size
-    return {"path": str(path), "bytes": size}
+    return {"path": str(path), "bytes": write_page(path, page)}
 
 
 def _view(comparison: Mapping[str, Any], pictures: Mapping[str, bytes]) -> dict[str, Any]:

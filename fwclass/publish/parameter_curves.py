@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
-from fwclass.publish.drawing import DPI, INK, PAPER, png
+from fwclass.publish.drawing import INK, dress, png, sheet
 
 LINE, CHOSEN = "#17697a", "#d0742e"
 ACROSS = 3
@@ -30,8 +27,7 @@ def draw_curves(
     held_out : kappa on points that took no part in the choice; a dotted line, none where it is None.
     """
     rows = math.ceil(len(curves) / ACROSS)
-    figure = Figure(figsize=(8.4, 2.5 * rows + 0.5), dpi=DPI, facecolor=PAPER, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = sheet(8.4, 2.5 * rows + 0.5)
     kappas = [k for line in curves.values() for _, k in line]
     low, high = min(kappas), max([*kappas, held_out or -1.0])
     room = max(0.06 * (high - low), 0.005)
@@ -48,12 +44,7 @@ def draw_curves(
             axes.set_xticks(ticks, [f"{v:g}" for v in ticks])
             axes.minorticks_off()
         axes.set_ylim(low - room, high + room)
-        axes.set_xlabel(f"{name} = {best[name]:g}", fontsize=8.5, color=INK)
-        axes.set_ylabel("kappa" if place % ACROSS == 0 else "", fontsize=8.5, color=INK)
-        axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
-        axes.grid(color="#dde3e8", linewidth=0.6)
-        for spine in axes.spines.values():
-            spine.set_color("#8795a1")
+        dress(axes, f"{name} = {best[name]:g}", "kappa" if place % ACROSS == 0 else "")
     note = "" if held_out is None else f"; dotted: kappa {held_out:.3f} on points held out"
     figure.suptitle(f"{method}: kappa against each parameter, the others at their best{note}", fontsize=9, color=INK)
     return png(figure)

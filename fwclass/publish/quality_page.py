@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.publish.drawing import View
 from fwclass.publish.figures import share_map
-from fwclass.publish.files import whole
+from fwclass.publish.files import write_page
 from fwclass.publish.palette import RGB, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import HEIGHTS
@@ -92,5 +92,4 @@ def render_quality(summary: Mapping[str, Any], pictures: Sequence[Picture], vers
         quality=quality(summary),
         pictures=[{**vars(p), "uri": data_uri(p.png)} for p in pictures],
     )
-    with whole(path) as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
+    write_page(path, text)

@@ -14,7 +14,7 @@ import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from fwclass.errors import first_few, several, visible
-from fwclass.publish.files import whole
+from fwclass.publish.files import write_page
 from fwclass.publish.ground_section import ground
 from fwclass.publish.overview_section import (
     FRAMED,
@@ -88,11 +88,8 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     """
     view = _view(report, figures)
     page = environment().get_template(TEMPLATE).render(view)
-    with whole(path) as beside:
-        beside.write_text(page, encoding="utf-8", newline="\n")
-        size = beside.stat().st_size
     shown = [name for name in SECTIONS if view[name]]
-    return {"path": str(path), "bytes": size, "sections": shown}
+    return {"path": str(path), "bytes": write_page(path, page), "sections": shown}
 
 
 @functools.cache

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
-from fwclass.publish.drawing import DPI, INK, PAPER, png
+from fwclass.publish.drawing import INK, dress, png, sheet
 
 LINE, CHOSEN, PALE = "#17697a", "#d0742e", "#9fb8bf"
 LABELLED = 12
@@ -23,17 +20,10 @@ def draw_selection(
 
     `steps` have ``size, accuracy, accuracy_std, microseconds, features, tried, kept``; `front` are indices into them.
     """
-    figure = Figure(figsize=(9.6, 3.9), dpi=DPI, facecolor=PAPER, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = sheet(9.6, 3.9)
     left, right = figure.subplots(1, 2)
     _curve(left, steps, chosen)
     _costs(right, steps, front, chosen)
-    for axes in (left, right):
-        axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
-        axes.grid(color="#dde3e8", linewidth=0.6)
-        axes.set_axisbelow(True)
-        for spine in axes.spines.values():
-            spine.set_color("#8795a1")
     figure.suptitle(title, fontsize=9, color=INK)
     return png(figure)
 
@@ -51,14 +41,8 @@ def _curve(axes: Any, steps: Sequence[Mapping[str, Any]], chosen: Sequence[str])
     if named:
         words = [("+ " if k else "") + s["tried"][0] for k, s in enumerate(steps)]
         axes.set_xticks(x, words, rotation=35, ha="right", rotation_mode="anchor")
-        axes.set_xlabel(
-            "added (x: no gain, dropped again)" if not all(s["kept"] for s in steps) else "added",
-            fontsize=8.5,
-            color=INK,
-        )
-    else:
-        axes.set_xlabel("features", fontsize=8.5, color=INK)
-    axes.set_ylabel("accuracy, % (bars: spread over folds)", fontsize=8.5, color=INK)
+        added = "added" if all(s["kept"] for s in steps) else "added (x: no gain, dropped again)"
+    dress(axes, added if named else "features", "accuracy, % (bars: spread over folds)")
 
 
 def _costs(axes: Any, steps: Sequence[Mapping[str, Any]], front: Sequence[int], chosen: Sequence[str]) -> None:
@@ -75,15 +59,13 @@ def _costs(axes: Any, steps: Sequence[Mapping[str, Any]], front: Sequence[int], 
             axes.annotate(str(size), (x[k], y[k]), textcoords="offset points", xytext=(4, -9), fontsize=7, color=INK)
             names.add(size)
     axes.set_xlim(0.0, 1.08 * max(x))
-    axes.set_xlabel("processor time, µs per echo (numbers: features)", fontsize=8.5, color=INK)
-    axes.set_ylabel("accuracy, %", fontsize=8.5, color=INK)
+    dress(axes, "processor time, µs per echo (numbers: features)", "accuracy, %")
 
 
 def draw_rates(steps: Sequence[Mapping[str, Any]], chosen: float, title: str) -> bytes:
     """PNG with two panels: accuracy with its spread over the folds, and the time per echo by what it goes to, against
     the share of the echoes that is classified."""
-    figure = Figure(figsize=(9.6, 3.7), dpi=DPI, facecolor=PAPER, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = sheet(9.6, 3.7)
     left, right = figure.subplots(1, 2)
     rates = [s["rate"] for s in steps]
     y, spread = ([100 * s[n] for s in steps] for n in ("accuracy", "accuracy_std"))
@@ -91,7 +73,6 @@ def draw_rates(steps: Sequence[Mapping[str, Any]], chosen: float, title: str) ->
         rates, y, yerr=spread, color=LINE, ecolor=PALE, linewidth=1.4, elinewidth=1.0, marker="o", markersize=4
     )
     left.plot([chosen], [y[rates.index(chosen)]], "o", color=CHOSEN, markersize=7, zorder=3)
-    left.set_ylabel("accuracy of all echoes, %", fontsize=8.5, color=INK)
     for name, colour in (("total", INK), ("features", LINE), ("vote", CHOSEN), ("follow", PALE)):
         right.plot(
             rates,
@@ -102,17 +83,12 @@ def draw_rates(steps: Sequence[Mapping[str, Any]], chosen: float, title: str) ->
             markersize=3.5,
             label=name,
         )
-    right.set_ylabel("processor time, µs per echo of the survey", fontsize=8.5, color=INK)
     right.set_yscale("log")
     right.legend(frameon=False, fontsize=7.5, labelcolor=INK)
-    for axes in (left, right):
+    for axes, what in ((left, "accuracy of all echoes, %"), (right, "processor time, µs per echo of the survey")):
         axes.set_xscale("log")
         axes.set_xticks(rates, [f"{100 * r:g} %" for r in rates])
         axes.minorticks_off()
-        axes.set_xlabel("share of the echoes that is classified", fontsize=8.5, color=INK)
-        axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
-        axes.grid(color="#dde3e8", linewidth=0.6)
-        for spine in axes.spines.values():
-            spine.set_color("#8795a1")
+        dress(axes, "share of the echoes that is classified", what)
     figure.suptitle(title, fontsize=9, color=INK)
     return png(figure)

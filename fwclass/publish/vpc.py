@@ -12,7 +12,7 @@ import numpy as np
 import pyproj
 
 from fwclass.formats.area_of_use import dates
-from fwclass.publish.files import whole
+from fwclass.publish.files import write_page
 
 STAC = "1.0.0"
 """QGIS reads items of this version and no other."""
@@ -68,10 +68,7 @@ def write_vpc(
         thinned = [overview, *near] if overview and (end or not near) else near
         items.append(_item(name, tiles[name], place, schema, thinned, standard_time, first=k == 0))
     text = json.dumps({"type": "FeatureCollection", "features": items}, separators=(",", ":"), ensure_ascii=False)
-    with whole(path) as beside:
-        beside.write_text(text + "\n", encoding="utf-8", newline="\n")
-        size = beside.stat().st_size
-    return {"path": str(path), "items": len(items), "bytes": size}
+    return {"path": str(path), "items": len(items), "bytes": write_page(path, f"{text}\n")}
 
 
 class _Place:

@@ -13,7 +13,7 @@ from typing import BinaryIO
 from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales
 from fwclass.formats.las_header import MAX_EVLR_BODY, Record, text
-from fwclass.paths import open_regular
+from fwclass.paths import open_sized
 from fwclass.read.pls_compressed import PULSE, RECORD_HEADER, RECORD_NUMBER, Chunks, read_chunks
 
 SIGNATURE = b"PulseWavesPulse\0"
@@ -75,11 +75,7 @@ class PulseHeader:
 
 def read_pulse_header(path: Path) -> PulseHeader:
     """Parse the header of `path`; `InputError` if it is no Pulse file of version 0.3 or cannot be used."""
-    try:
-        size = path.stat().st_size
-        stream = open_regular(path)
-    except OSError as error:
-        raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
+    stream, size = open_sized(path)
     with stream:
         return _parse(stream, path, size)
 

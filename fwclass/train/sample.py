@@ -224,23 +224,30 @@ TELLING = 0.5
 """Difference of the shares of rows without a value, of two classes, from which it is said."""
 
 
-def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
-    """Remarks on a merged sample, for the user; `InputError` where a forest cannot be trained on it."""
-    counts = {one.name: int(n) for one, n in zip(classes, sample.counts, strict=True)}
-    listed = ", ".join(f"{name} {n}" for name, n in counts.items())
-    lacking = [name for name, n in counts.items() if n == 0]
-    if lacking:
-        _check_values(sample, lacking, classes)
+def check_counts(counts: Mapping[str, int]) -> None:
+    """`InputError` where a class, by its name, has no training rows."""
+    if lacking := [name for name, n in counts.items() if n == 0]:
         raise InputError(
             f"no training rows of class {', '.join(map(repr, lacking))}",
             where="training areas",
             expected="labelled echoes of every class",
-            got=listed,
+            got=", ".join(f"{name} {n}" for name, n in counts.items()),
             do="label some in the training areas, check the class's reference codes, or take the class out",
         )
+
+
+def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
+    """Remarks on a merged sample, for the user; `InputError` where a forest cannot be trained on it."""
+    counts = {one.name: int(n) for one, n in zip(classes, sample.counts, strict=True)}
+    if lacking := [name for name, n in counts.items() if n == 0]:
+        _check_values(sample, lacking, classes)
+    check_counts(counts)
     if len(counts) < 2:
         raise InputError(
-            "a forest tells classes apart, and there is only one", where="classes", got=listed, do="add a class"
+            "a forest tells classes apart, and there is only one",
+            where="classes",
+            got=", ".join(f"{name} {n}" for name, n in counts.items()),
+            do="add a class",
         )
     notes = [f"class {name!r} has one training row" for name, n in counts.items() if n == 1]
     notes += _balance(sample, counts)

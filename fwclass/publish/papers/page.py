@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fwclass.publish.files import whole
+from fwclass.publish.files import write_page
 from fwclass.publish.papers.fan import fan_view
 from fwclass.publish.papers.he import he_view
 from fwclass.publish.papers.li import li_view
@@ -50,10 +50,7 @@ def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) ->
         **VIEWS[name](facts),
     }
     page = environment().get_template(f"papers/{name}.html.j2").render(view)
-    with whole(path) as beside:
-        beside.write_text(page, encoding="utf-8", newline="\n")
-        size = beside.stat().st_size
-    return {"path": str(path), "bytes": size}
+    return {"path": str(path), "bytes": write_page(path, page)}
 
 
 def _claims(facts: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,37 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from fwclass.publish.drawing import DPI, INK, PAPER, png
+from fwclass.publish.drawing import INK, SIZE, dress, png, sheet
 from fwclass.publish.palette import BY_NAME, css
 from fwclass.schema import column, split_name
 
 OURS, THEIRS, PALE = "#17697a", "#d0742e", "#e6c3a6"
-GRID, FRAME = "#dde3e8", "#8795a1"
 WITH_ERRORS: dict[str, Any] = {"color": OURS, "ecolor": "#9fb8bf", "fmt": "o-"}
-SIZE = 8.5
 BOX = ("p5", "p25", "p50", "p75", "p95")
-
-
-def sheet(width: float, height: float) -> Figure:
-    """An empty figure of this size [inches]."""
-    figure = Figure(figsize=(width, height), dpi=DPI, facecolor=PAPER, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def dress(axes: Any, x: str = "", y: str = "", grid: str = "both") -> None:
-    """Give axes their labels, grid and colours."""
-    axes.set_xlabel(x, fontsize=SIZE, color=INK)
-    axes.set_ylabel(y, fontsize=SIZE, color=INK)
-    axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
-    axes.grid(color=GRID, linewidth=0.6, axis=grid)
-    axes.set_axisbelow(True)
-    for spine in axes.spines.values():
-        spine.set_color(FRAME)
 
 
 def draw_distribution(quantiles: Mapping[str, Mapping[str, Any]], printed: Mapping[str, Mapping[str, Any]]) -> bytes:

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from fwclass.publish.drawing import INK, PAPER, png
+from fwclass.publish.drawing import FRAME, INK, PAPER, SIZE, dress, png, sheet
 from fwclass.publish.palette import colours
-from fwclass.publish.papers.plots import FRAME, OURS, PALE, SIZE, dress, sheet
+from fwclass.publish.papers.plots import OURS, PALE
 
 WIDE, TALL = 9.6, 6.9
 MOST_CELLS = 250

@@ -26,7 +26,7 @@ from fwclass.store.arrays import write_arrays
 from fwclass.survey.layout import Layout, needs_of, plain, plain_classes
 from fwclass.thin.sample import THIN
 from fwclass.train.params import TrainParams
-from fwclass.train.sample import Sample
+from fwclass.train.sample import Sample, check_counts
 from fwclass.train.stage import TRAIN_SAMPLE, candidates, merge
 
 SAMPLE, FOLDS = "sample", "folds"
@@ -148,8 +148,6 @@ def _fold_sample(
 
 
 def _check_classes(sample: Sample, classes: tuple[ClassDef, ...]) -> None:
-    listed = ", ".join(f"{c.name} {n}" for c, n in zip(classes, sample.counts.tolist(), strict=True))
-    lacking = [c.name for c, n in zip(classes, sample.counts, strict=True) if n == 0]
     if sample.rows == 0:
         raise InputError(
             "no labelled echo of the training areas has a value of any candidate",
@@ -157,14 +155,7 @@ def _check_classes(sample: Sample, classes: tuple[ClassDef, ...]) -> None:
             got=", ".join(sample.features[:5]),
             do="name other candidates, or label something in the training areas",
         )
-    if lacking:
-        raise InputError(
-            f"no training rows of class {', '.join(map(repr, lacking))}",
-            where="training areas",
-            expected="labelled echoes of every class",
-            got=listed,
-            do="label some in the training areas, check the class's reference codes, or take the class out",
-        )
+    check_counts({c.name: n for c, n in zip(classes, sample.counts.tolist(), strict=True)})
 
 
 def useless(sample: Sample) -> dict[str, str]:
