@@ -130,12 +130,13 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             constant = float(np.median(gap[near]))
         if len(near) >= params.offset_echoes:
             curve = _curve(gap[near], fits.amplitude[near], float(spacing), float(saturation))
-            if curve.phase and _placed_alike(sample, fits, near, gap):
-                curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False)
+            walks = len(curve.offsets) > 1
+            if (curve.phase or walks) and _placed_alike(sample, fits, near, gap):
+                curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False, alike=walks)
             left = np.abs(gap[near] - curve.at(fits.amplitude[near]))
             astray = float((left > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
             receivers = next((c.receivers for c in pulse.channels[int(k) : int(k) + 1]), ())
-            curve = replace(curve, astray=0.0 if curve.phase else astray, receivers=receivers)
+            curve = replace(curve, astray=0.0 if curve.phase or curve.alike else astray, receivers=receivers)
             curves += [curve] if curve.scatter < 0.5 * within else []
     return tuple(curves)
 

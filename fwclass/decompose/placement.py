@@ -31,6 +31,7 @@ class OffsetCurve:
     phase : locations lack the phase of the digitiser's clock.
     astray : share of the echoes whose time is not where the curve has it, by more than 0.1 m and their error; 0 where
         locations lack the phase.
+    alike : locations walk with the height, and places go with them: nothing is taken off.
     """
 
     sample_spacing: float
@@ -43,6 +44,7 @@ class OffsetCurve:
     phase: bool
     astray: float = 0.0
     receivers: tuple[int, ...] = ()
+    alike: bool = False
 
     def at(self, amplitude: Floats) -> Floats:
         """Offset of echoes of these heights [ns]."""

@@ -325,6 +325,14 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"fitted times lie {worst['constant']:+.2f} ns ({metres:.2f} m) from the vendor's locations{walk}; this is "
             f"taken off (decompose.vendor_offset; {_names(_once(s for s, _ in some))})"
         )
+    some = [(s, c) for s, c in offsets if c.get("alike")]
+    if some:
+        worst = max((c for _, c in some), key=lambda c: abs(c["constant"]))
+        lines.append(
+            f"fitted times lie {worst['constant']:+.2f} ns (median) from the vendor's locations, which walk with the "
+            "height, and his places go with them: echoes lie where their pulses peak, "
+            f"{abs(worst['constant']) * METRES_PER_NS:.2f} m off his returns ({_names(_once(s for s, _ in some))})"
+        )
     some = [(s, c) for s, c in offsets if c.get("astray", 0.0) > SCATTERED]
     if some:
         _, worst = max(some, key=lambda one: one[1]["astray"])

@@ -154,6 +154,7 @@ _PLACES = {
             **dict.fromkeys(("sample_spacing", "saturation", "constant", "scatter"), NUMBER),
             "echoes": COUNT,
             "phase": FLAG,
+            "alike?": FLAG,
             "heights": [NUMBER],
             "offsets": [NUMBER],
         }

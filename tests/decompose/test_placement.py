@@ -79,6 +79,25 @@ def test_a_vendors_constant_and_range_walk_are_taken_off(tmp_path):
     assert np.ptp([np.median(stored[k::3]) for k in range(3)]) < 0.05
 
 
+@pytest.mark.parametrize("rough", [0.0, 0.05])
+def test_a_walk_that_places_have_too_is_left_in(tmp_path, rough):
+    """Returns on the rising edge, and their places there: the peak of the pulse is where the ground is."""
+    ground = np.random.default_rng(7).normal(0.0, rough, PULSES)
+    off = []
+
+    def location(time, height, rng):
+        off.append(2.0 + walk(height))
+        return time - off[0]
+
+    def change(xyz):
+        xyz[:, 2] += ground + off[0] * METRES_PER_NS
+
+    z, _, words, places = echoes(strip(tmp_path / "a.las", location, change=change))
+    assert "his places go with them" in words and "is taken off" not in words, words
+    assert places["vendor_offset"][0]["alike"] and places["vendor_offset"][0]["offsets"] == [0.0]
+    assert np.median(np.abs(z - ground)) < 0.01 and (np.abs(z - ground) < 0.05).mean() > 0.98
+
+
 def test_a_row_is_not_pulled_onto_its_return(tmp_path):
     """Vendor's locations scatter by 0.3 ns, 4.5 cm: the strip's curve is kept to, and the scatter stays out."""
     path = strip(tmp_path / "a.las", lambda t, a, rng: t - 1.0 + rng.normal(0.0, 0.2, len(t)))
