@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from bench_run import by_stage
 
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
+from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.stages import OF_VECTORS, TO_TILES
 from fwclass.graph.vectors import FIND_TREES
 
@@ -29,6 +30,9 @@ GOALS = {"ground": 0.40, "quality": 0.15, "contours and footprints": 0.10}
 none."""
 
 OF_ALL = ("quality",)
+
+FLOOR = {s.name for s in (*TO_TILES, FILTER_GROUND, GATHER_GROUND, MAKE_TERRAIN, GATHER_HEIGHT)}
+"""What no terrain is made without; the rest of `ground` is checks, quality and what is delivered."""
 
 
 def cpu(run: Path) -> dict[str, float]:
@@ -44,6 +48,8 @@ def shares(whole: Path, others: dict[str, Path]) -> dict[str, tuple[float, float
         "trees": {FIND_TREES.name: spent.get(FIND_TREES.name, 0.0)},
         **{name: cpu(run) for name, run in others.items()},
     }
+    if "ground" in parts:
+        parts["of it up to the terrain"] = {n: v for n, v in parts["ground"].items() if n in FLOOR}
     footprints = {s.name: spent.get(s.name, 0.0) for s in OF_VECTORS if s is not FIND_TREES}  # trees' delivery too
     parts["contours and footprints"] = parts["contours"] | footprints
     of_vectors = {s.name for s in OF_VECTORS}  # which only some runs write
