@@ -16,6 +16,7 @@ _USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
 _WKT, _KEYS = 2112, 34735
 _GEOGRAPHIC, _PROJECTED, _VERTICAL, _VERTICAL_UNITS = 2048, 3072, 4096, 4099
 _USER_DEFINED = 32767
+TWO_SYSTEMS = "the file names two coordinate systems"
 _FEET = {9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
 
 
@@ -40,9 +41,11 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     ways = [_from_keys, _from_wkt]
     if header.global_encoding & 16 or not header.records(_KEYS, _USERS):
         ways.reverse()
-    crs = None
-    for way in ways:
-        crs = crs or way(header, faults)
+    crs = ways[0](header, faults)
+    if crs is None:
+        crs = ways[1](header, faults)
+    elif (other := ways[1](header, [])) is not None and _elsewhere(crs, other):
+        faults.append(f"{TWO_SYSTEMS}, {crs.name} and {other.name}: by its header the first counts")
     if crs is None:
         faults.append("no usable CRS: name one in the configuration")
     elif crs.is_geographic:
@@ -50,6 +53,12 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     elif units := units_of(crs):
         faults.append(f"the CRS is in {', '.join(units)}: a survey's files must be in metres, x, y and z")
     return crs
+
+
+def _elsewhere(crs: CRS, other: CRS) -> bool:
+    """Whether places are in two systems that are known by different codes; their heights may be told by one alone."""
+    codes = [epsg_of(one.sub_crs_list[0] if one.is_compound else one) for one in (crs, other)]
+    return None not in codes and codes[0] != codes[1]
 
 
 def units_of(crs: CRS) -> list[str]:
