@@ -1,10 +1,13 @@
-"""How wide echoes are at every height: a receiver whose samples grow with the light has one width at all of them."""
+"""How wide echoes are at every height and along the strip: a receiver whose samples grow with the light has one width
+at all heights, and a laser and receiver that do not drift have one from begin to end."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.params import PulseParams
@@ -15,8 +18,10 @@ from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.system_pulse import Channel
 from fwclass.waveforms import Waveforms
 
+Floats = NDArray[np.floating]
+
 CLASSES = 8
-"""Classes of height, of equally many echoes, at most."""
+"""Classes of height, or along the strip, of equally many echoes, at most."""
 
 SHARED, NEAR, FAR = 0.5, 0.1, 0.4
 """Of a class's echoes within `FAR` of the narrowest width, the share within `NEAR` of it for the width to be one that
@@ -34,26 +39,49 @@ def width_walk(waves: Waveforms, params: PulseParams, channels: Sequence[Channel
     but not those of receivers that are known to differ.
     Classes whose echoes share no width, of slopes or plants, are left out. Empty where there are too few.
     """
+    echoes = _bright_widths(waves, params, channels)
+    return [(float(np.median(echoes.height[some])), least) for some, least in _shared(echoes, echoes.height, params)]
+
+
+def width_drift(waves: Waveforms, params: PulseParams, channels: Sequence[Channel] = ()) -> list[tuple[float, float]]:
+    """(median number of the pulse, narrowest shared width [ns]) of bright single echoes along the strip, as
+    `width_walk`."""
+    echoes = _bright_widths(waves, params, channels)
+    return [(float(np.median(echoes.pulse[some])), least) for some, least in _shared(echoes, echoes.pulse, params)]
+
+
+class _Widths(NamedTuple):
+    """Bright single echoes of the commonest sample spacing: height [DN], width and its error [ns], number of the
+    pulse."""
+
+    height: Floats
+    width: Floats
+    error: Floats
+    pulse: Floats
+
+
+def _bright_widths(waves: Waveforms, params: PulseParams, channels: Sequence[Channel]) -> _Widths:
     waves = usable(waves)
     others = np.array([len(c.receivers) > 0 for c in channels] + [False])[channel_rows(channels, waves.pulses)]
     waves = rows_of(waves, np.flatnonzero(~others))
     if waves.pulses.rows == 0:
-        return []
+        return _Widths(*np.empty((4, 0)))
     waves, _, group, _ = with_clips(waves)
     level, noise = rough_levels(waves, group)
     peak, height, width = bright_peaks(waves, level, noise, params)
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     values, count = np.unique(spacing[peak >= 0], return_counts=True)
-    if len(values) == 0:
-        return []
-    rows = np.flatnonzero((peak >= 0) & (spacing == values[count.argmax()]))
-    rows = rows[np.argsort(height[rows], kind="stable")]
-    classes = min(CLASSES, len(rows) // params.min_echoes)
-    walk = []
-    for some in np.array_split(rows, classes) if classes else []:
-        error = width[some] * (ROUGH * noise[some] / height[some] + COARSE)
-        least = narrowest(width[some], error)
-        apart = np.abs(width[some] - least)
+    rows = np.flatnonzero((peak >= 0) & (spacing == values[count.argmax()] if len(values) else False))
+    error = width[rows] * (ROUGH * noise[rows] / height[rows] + COARSE)
+    return _Widths(height[rows], width[rows], error, waves.pulses["pulse"][rows].astype(np.float64))
+
+
+def _shared(echoes: _Widths, by: Floats, params: PulseParams) -> Iterator[tuple[NDArray[np.int64], float]]:
+    """Classes of `echoes` by ascending `by`, (n,), and the narrowest width that each shares [ns], where it does."""
+    order = np.argsort(by, kind="stable")
+    classes = min(CLASSES, len(order) // params.min_echoes)
+    for some in np.array_split(order, classes) if classes else []:
+        least = narrowest(echoes.width[some], echoes.error[some])
+        apart = np.abs(echoes.width[some] - least)
         if (apart < NEAR * least).sum() >= SHARED * (apart < FAR * least).sum():
-            walk.append((float(np.median(height[some])), least))
-    return walk
+            yield some, least

@@ -22,7 +22,7 @@ from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, LINK_COLUMNS, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import water_counts
-from fwclass.decompose.width_walk import width_walk
+from fwclass.decompose.width_walk import width_drift, width_walk
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.read.beams import sensor_height
@@ -198,6 +198,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         "noise": max((c.noise for c in pulse.channels), default=None),
         "channels": channel_pulses(pulse, recorded, fit),
         "widths": width_walk(sample, params, pulse.channels) if sampled else [],
+        "drift": width_drift(sample, params, pulse.channels) if sampled else [],
         "sampled": sampled,
         **noise.facts,
     }

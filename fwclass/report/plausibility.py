@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.assess.remarks import percent_words
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
-from fwclass.decompose.system_pulse import disagree
-from fwclass.errors import first_few, refuse_unsound
+from fwclass.errors import refuse_unsound
 from fwclass.read import beam_source, pls_waves
+from fwclass.report.pulse_remarks import channel_words, names_of, pulse_remarks, strips_once
 from fwclass.report.recurring import ADVICE, recurring_facts, recurring_remarks
 from fwclass.units import LAND, METRES_PER_NS
 
@@ -75,14 +74,12 @@ UNITS = (
 DOUBTFUL, DOUBTED = 0.3, 20
 """Share of neighbouring returns, and number, from which their strengths are told: chance makes a half."""
 
-NAMED = 3
-"""Strips of a remark that are named."""
-
 
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What the receipt of a strip's pulse says of its noise, of every channel's pulse (`channel_pulses`), and how
     wide echoes are at every height (`width_walk`)."""
-    return {**{name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}, "widths": meta.get("widths", [])}
+    walks = {name: meta.get(name, []) for name in ("widths", "drift")}
+    return {**{name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}, **walks}
 
 
 def strip_plausibility(
@@ -131,39 +128,39 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
         lines.append(
             f"{_part(some, 'implausible', 'fitted', 'echoes')} are implausible, and neither ground filter nor terrain "
             f"sees them: {below:,} more than {params.envelope_margin:g} m below all returns around, {weak:,} after all "
-            f"else of their pulse, or above all returns, and no stronger than the noise ({_names(some)})"
+            f"else of their pulse, or above all returns, and no stronger than the noise ({names_of(some)})"
         )
     if some := [s for s in strips if (s["unexplained_share"] or 0.0) >= TOLD_FROM]:
         lines.append(
             f"{_part(some, 'unexplained', 'checked', 'echoes')} have no return within "
             f"{params.vendor_tolerance:g} ns, {sum(s['outside'] for s in some):,} of them lie outside of the returns' "
-            f"heights ({_names(some)})"
+            f"heights ({names_of(some)})"
         )
     if some := [s for s in strips if (s["unmatched_returns_share"] or 0.0) >= TOLD_FROM]:
         lines.append(
             f"{_part(some, 'returns_without_echo', 'returns', 'returns')} have no echo within "
-            f"{params.vendor_tolerance:g} ns ({_names(some)})"
+            f"{params.vendor_tolerance:g} ns ({names_of(some)})"
         )
     lines += _sample_remarks(strips)
     if some := [s for s in strips if (s["unlike_share"] or 0.0) > DOUBTFUL and s["unlike"] >= DOUBTED]:
         lines.append(
             f"{_part(some, 'unlike', 'compared', 'neighbouring returns')} are the other way round in strength than "
-            f"their echoes: {MIXED} ({_names(some)})"
+            f"their echoes: {MIXED} ({names_of(some)})"
         )
     if some := [s for s in strips if (s["misplaced_share"] or 0.0) > TOLD_FROM]:
         lines.append(
             f"{_part(some, 'misplaced', 'paired', 'neighbouring returns of one pulse')} do not lie as far apart as "
-            f"light goes between their locations: {UNITS} ({_names(some)})"
+            f"light goes between their locations: {UNITS} ({names_of(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
         lines.append(
             f"{_part(some, 'off_earth', 'fitted', 'echoes')} lie below {LAND[0]:g} m or above {LAND[1]:g} m, "
-            f"where no land is: are times in nanoseconds, and directions in metres? ({_names(some)})"
+            f"where no land is: are times in nanoseconds, and directions in metres? ({names_of(some)})"
         )
     if some := [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]:
         lines.append(
             f"{_part(some, 'poor', 'fitted', 'echoes')} are poorly fitted, misfit above "
-            f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
+            f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({names_of(some)})"
         )
     lines += [*recurring_remarks(strips), *pulse_remarks(strips)]
     lines += _noise_remarks(strips, params)
@@ -181,22 +178,22 @@ def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     if some := [s for s in strips if (s["blank_share"] or 0.0) > RARE]:
         lines.append(
             f"{_part(some, 'blank', 'waveforms', 'pulses')} have nothing but zeros, or the digitiser's limit, for a "
-            f"waveform, which no receiver records: is the packet file whole? ({_names(some)})"
+            f"waveform, which no receiver records: is the packet file whole? ({names_of(some)})"
         )
     if some := [s for s in strips if (s["downward_share"] or 0.0) > RARE]:
         lines.append(
             f"{_part(some, 'downward', 'waveforms', 'waveforms')} have echoes that point down, and are not "
-            f"found: {TURN} ({_names(some)})"
+            f"found: {TURN} ({names_of(some)})"
         )
     if some := [s for s in strips if (s["floored_share"] or 0.0) > TOLD_FROM]:
         lines.append(
             f"{_part(some, 'floored', 'waveforms', 'waveforms')} have more than a quarter of their samples at "
-            f"0: {FLOOR} ({_names(some)})"
+            f"0: {FLOOR} ({names_of(some)})"
         )
     if some := [s for s in strips if (s["swapped_share"] or 0.0) > RARE]:
         lines.append(
             f"{_part(some, 'swapped', 'waveforms', 'waveforms')} are smooth only with the two bytes of every sample "
-            f"exchanged: {SWAP} ({_names(some)})"
+            f"exchanged: {SWAP} ({names_of(some)})"
         )
     return lines
 
@@ -209,105 +206,16 @@ def _noise_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams)
         lines.append(
             f"the noise is correlated (neighbouring samples by {worst['lag1']:.2f}): decompose.detection of "
             f"{params.detection:g} standard deviations is in truth {params.detection / worst['inflation']:.1f} "
-            f"({_names(some)})"
+            f"({names_of(some)})"
         )
     if some := [s for s in strips if (s.get("noise_periodic") or 0.0) > PERIODIC]:
         worst = max(some, key=lambda s: s["noise_periodic"])
         lines.append(
             f"{percent_words(worst['noise_periodic'])} of the noise's variance comes back every "
             f"{worst['noise_period']} samples, as what a receiver picks up: "
-            f"errors of echoes are larger than they say ({_names(some)})"
+            f"errors of echoes are larger than they say ({names_of(some)})"
         )
     return lines
-
-
-def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
-    some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("recovery", 0.0) > 0.0]
-    if not some:
-        return []
-    _, worst = max(some, key=lambda one: one[1]["recovery_depth"])
-    return [
-        f"behind saturated samples the receiver is {worst['recovery_depth']:.3g} DN below its level (median) and comes "
-        f"back with a time constant of {worst['recovery']:.0f} ns{_channel_words(worst)}: that is taken off; "
-        f"saturated echoes may be off by more than their errors ({_names(_once(s for s, _ in some))})"
-    ]
-
-
-def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Where the echoes' pulse is not the recorded one, not the echoes', or not one at all heights: of ``name``,
-    ``channels`` and ``widths``."""
-    walking = [s for s in strips if _walks(s)]
-    known = [(s, c) for s in strips if s not in walking for c in s.get("channels", ())]
-    lines = []
-    if walking:
-        (low, wide), (high, narrow) = _walk_ends(walking[0])
-        lines.append(
-            f"echoes are {wide:.2f} ns wide at {low:.0f} DN and {narrow:.2f} ns at {high:.0f} DN, where flat targets "
-            "have one width: samples do not grow in proportion to the light, by the receiver or a table that they went "
-            f"through; heights and energies of bright echoes do not compare with others' ({_names(walking)})"
-        )
-    some = [(s, c) for s, c in known if not c["outgoing"] and disagree(c["fwhm"], c["recorded_fwhm"])]
-    if some:
-        _, worst = max(some, key=lambda one: abs(math.log(one[1]["fwhm"] / one[1]["recorded_fwhm"])))
-        lines.append(
-            f"the system pulse is {worst['fwhm']:.2f} ns wide by the echoes, {worst['recorded_fwhm']:.2f} ns by the "
-            f"recorded outgoing pulses{_channel_words(worst)}: look at info --waveforms, and fix it by pulse.width, "
-            f"a Gaussian's ({_names(_once(s for s, _ in some))})"
-        )
-    lines += _receiver_remarks(strips)
-    lines += _recovery_remarks(strips)
-    some = [(s, c) for s, c in known if c["outgoing"]]
-    if some:
-        one = some[0][1]
-        lines.append(
-            f"the echoes show no pulse that they share: the recorded outgoing one of {one['fwhm']:.2f} ns is taken"
-            f"{_channel_words(one)} ({_names(_once(s for s, _ in some))})"
-        )
-    return lines
-
-
-def _receiver_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
-    some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("receivers")]
-    if not some:
-        return []
-    strip, one = some[0]
-    others = next(c for c in strip["channels"] if not c["receivers"] and _kind(c) == _kind(one))
-    of = ", ".join(f"{c['fwhm']:.2f} ns wide, noise {c['noise']:.2f} DN" for c in (one, others))
-    return [
-        f"waveform descriptors tell receivers of different pulses or noise apart: {_numbers(one)} ({of} of the "
-        "others); each is fitted with its own pulse and noise, and heights of one do not compare with another's "
-        f"({_names(_once(s for s, _ in some))})"
-    ]
-
-
-def _kind(channel: Mapping[str, Any]) -> tuple[float, float]:
-    return channel["sample_spacing"], channel["saturation"]
-
-
-def _numbers(channel: Mapping[str, Any]) -> str:
-    return f"descriptor {', '.join(map(str, channel['receivers']))}"
-
-
-def _walks(strip: Mapping[str, Any]) -> bool:
-    """Whether the widths of the strip's dimmest and brightest echoes are those of two receivers."""
-    if len(strip.get("widths", ())) < 2:
-        return False
-    (_, dim), (_, bright) = _walk_ends(strip)
-    return disagree(bright, dim)
-
-
-def _walk_ends(strip: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """(height [DN], width [ns]) of the dimmest and the brightest class of echoes."""
-    walk = strip["widths"]
-    return tuple(walk[0]), tuple(walk[-1])
-
-
-def _channel_words(channel: Mapping[str, Any]) -> str:
-    """Which channel, where one is known."""
-    if channel["sample_spacing"] is None:
-        return ""
-    own = f", {_numbers(channel)}" if channel.get("receivers") else ""
-    return f" (channel of {channel['sample_spacing']:g} ns samples up to {channel['saturation']:g} DN{own})"
 
 
 def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -323,7 +231,7 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             walk = f", from {low:.2f} at {worst['heights'][0]:.0f} DN to {high:.2f} at {worst['heights'][-1]:.0f} DN"
         lines.append(
             f"fitted times lie {worst['constant']:+.2f} ns ({metres:.2f} m) from the vendor's locations{walk}; this is "
-            f"taken off (decompose.vendor_offset; {_names(_once(s for s, _ in some))})"
+            f"taken off (decompose.vendor_offset; {names_of(strips_once(s for s, _ in some))})"
         )
     some = [(s, c) for s, c in offsets if c.get("alike")]
     if some:
@@ -331,21 +239,22 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
         lines.append(
             f"fitted times lie {worst['constant']:+.2f} ns (median) from the vendor's locations, which walk with the "
             "height, and his places go with them: echoes lie where their pulses peak, "
-            f"{abs(worst['constant']) * METRES_PER_NS:.2f} m off his returns ({_names(_once(s for s, _ in some))})"
+            f"{abs(worst['constant']) * METRES_PER_NS:.2f} m off his returns "
+            f"({names_of(strips_once(s for s, _ in some))})"
         )
     some = [(s, c) for s, c in offsets if c.get("astray", 0.0) > SCATTERED]
     if some:
         _, worst = max(some, key=lambda one: one[1]["astray"])
         lines.append(
             f"{percent_words(worst['astray'])} of the echoes lie more than 0.1 m off the returns that place them"
-            f"{_channel_words(worst)}: locations or samples of some pulses are not where they say, by a sample "
-            f"perhaps, and their echoes are off by as much ({_names(_once(s for s, _ in some))})"
+            f"{channel_words(worst)}: locations or samples of some pulses are not where they say, by a sample "
+            f"perhaps, and their echoes are off by as much ({names_of(strips_once(s for s, _ in some))})"
         )
     some = [(s, c) for s, c in offsets if c["phase"]]
     if some:
         lines.append(
             "the vendor's locations lack the phase of the digitiser's clock, half a sample: every pulse is placed by "
-            f"its own return (decompose.register_within; {_names(_once(s for s, _ in some))})"
+            f"its own return (decompose.register_within; {names_of(strips_once(s for s, _ in some))})"
         )
     for way in (True, False):
         times = [s for s in strips if ((s["places"] or {}).get("outgoing_time") or {}).get("from_outgoing") is way]
@@ -353,7 +262,8 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             evidence = times[0]["places"]["outgoing_time"]["evidence"]
             what = "is taken off" if way else "is not taken off"
             lines.append(
-                f"the time of the recorded outgoing pulse {what}: {evidence} (decompose.outgoing_time; {_names(times)})"
+                f"the time of the recorded outgoing pulse {what}: {evidence} "
+                f"(decompose.outgoing_time; {names_of(times)})"
             )
     return lines
 
@@ -365,7 +275,7 @@ def _unreadable_words(strips: Sequence[Mapping[str, Any]], what: str) -> str:
     then = "lie where their vendor has them: is the packet file whole?" if what == "returns" else "are left out"
     return (
         f"{_part(strips, 'unreadable_packets', what, what)} have a waveform that cannot be read, and {then} "
-        f"({_names(strips)})"
+        f"({names_of(strips)})"
     )
 
 
@@ -377,10 +287,6 @@ def _part(strips: Sequence[Mapping[str, Any]], part: str, whole: str, what: str)
 
 def _sums(strips: Iterable[Mapping[str, Any]], *keys: str) -> list[int]:
     return [sum(s[key] for s in strips) for key in keys]
-
-
-def _once(strips: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    return list({s["name"]: s for s in strips}.values())
 
 
 def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> None:
@@ -413,7 +319,3 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
                 expected=f"at most {percent_words(most)} (plausibility.max_{kind})",
                 do=f"{hint}; --accept-implausible (plausibility.accept=true) takes them as they are",
             )
-
-
-def _names(strips: Sequence[Mapping[str, Any]]) -> str:
-    return first_few([str(s["name"]) for s in strips], NAMED)

@@ -141,6 +141,7 @@ _PULSE = {
         }
     ],
     "widths?": [(NUMBER, NUMBER)],
+    "drift?": [(NUMBER, NUMBER)],
     "sampled": COUNT,
     "quiet_samples": COUNT,
     "noise_order": COUNT,

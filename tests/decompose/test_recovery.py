@@ -17,7 +17,7 @@ from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses
 from fwclass.decompose.recovery import recovered, with_recovery
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.report.plausibility import pulse_remarks
+from fwclass.report.pulse_remarks import pulse_remarks
 
 PULSE, FIT = PulseParams(**BASE["pulse"]), DecomposeParams(**BASE["decompose"])
 LEVEL, LIMIT, WIDTH, SAMPLES = 25.0, 230, 4.0, 120

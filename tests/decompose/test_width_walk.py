@@ -11,12 +11,12 @@ import wavemaker as wm
 
 from fwclass import conf
 from fwclass.decompose.params import PulseParams
-from fwclass.decompose.pulse_sample import rows_of
+from fwclass.decompose.pulse_sample import join_samples, rows_of
 from fwclass.decompose.system_pulse import disagree
-from fwclass.decompose.width_walk import width_walk
+from fwclass.decompose.width_walk import width_drift, width_walk
 from fwclass.read.pls_read import index_pls, read_pls
 from fwclass.read.pulsewaves import open_pls
-from fwclass.report.plausibility import pulse_remarks
+from fwclass.report.pulse_remarks import pulse_remarks
 from fwclass.waveforms import Waveforms
 
 
@@ -57,6 +57,25 @@ def test_expanded_samples_are_told_whatever_channel_they_are_of(params: PulsePar
     assert width_walk(rows_of(waves, order), params) == walk
 
 
+@pytest.mark.parametrize("last", [4.2, 6.0])
+def test_a_pulse_that_widens_along_the_strip_is_told(params: PulseParams, last: float) -> None:
+    parts = [
+        wm.survey_mix(500, seed=k, samples=120, pulse=wm.Pulse(w))[0] for k, w in enumerate(np.linspace(4, last, 8))
+    ]
+    numbered = [
+        replace(p, pulses=p.pulses.with_columns({"pulse": np.arange(500) + 500 * k})) for k, p in enumerate(parts)
+    ]
+    waves = join_samples(numbered)
+    drift = width_drift(waves, params)
+    assert len(drift) >= 4
+    for number, width in drift:
+        assert width == pytest.approx(4.0 + (last - 4.0) * number / 4000, rel=0.08)
+    lines = pulse_remarks([{"name": "s", "channels": [], "widths": [], "drift": drift}])
+    assert len(lines) == (last > 5.0) and all("change along the strip" in line for line in lines), lines
+    order = np.random.default_rng(2).permutation(waves.pulses.rows)
+    assert width_drift(rows_of(waves, order), params) == drift
+
+
 def test_nothing_is_told_of_slopes_plants_and_few(params: PulseParams) -> None:
     rng = np.random.default_rng(4)
     height = rng.uniform(40.0, 200.0, (3000, 1))
@@ -65,6 +84,9 @@ def test_nothing_is_told_of_slopes_plants_and_few(params: PulseParams) -> None:
     assert not told(plants, params)
     assert width_walk(rows_of(survey(), np.arange(20)), params) == []
     assert width_walk(rows_of(survey(), np.arange(0)), params) == []
+    assert width_drift(rows_of(survey(), np.arange(20)), params) == []
+    steady = {"name": "s", "channels": [], "widths": [], "drift": width_drift(survey(), params)}
+    assert steady["drift"] and not pulse_remarks([steady])
 
 
 def test_the_geolas_sample_stores_bright_echoes_in_wider_numbers_and_expands_them(
