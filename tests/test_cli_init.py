@@ -89,6 +89,17 @@ def test_what_files_do_not_tell_is_said(tmp_path):
     assert ended.stdout.count("TO DO") == 3
 
 
+def test_what_is_wrong_with_all_files_stands_there_once(tmp_path):
+    """A line a file and fault: 500 tiles of one delivery had thousands of them above the first key."""
+    for k, name in enumerate("abc"):
+        town(tmp_path, name, east=200.0 * k, crs=None)
+    draft = fwclass("init", ".", cwd=tmp_path).stdout
+    wrong = [line for line in draft.splitlines() if line.startswith("# !")]
+    assert [line for line in wrong if "CRS" in line] == [
+        "# ! a.las: no usable CRS: name one in the configuration (alike in 2 other files)"
+    ], wrong
+
+
 def test_files_without_classes_are_no_leftovers(tmp_path):
     """Of 24,000 points half are unclassified as their file is: no class is proposed for them."""
     town(tmp_path, "Süd")

@@ -31,8 +31,9 @@ def test_a_remark_is_parted_from_what_to_set(text, said, advice):
 def test_no_remark_on_an_accuracy_speaks_of_settings_first(base, tmp_path):
     from fwclass import conf
 
-    figures = {"blocks": 4, "pure_share": 0.95, "confusion": [[9, 1], [1, 9]], "kappa": 0.8, "intervals": None}
-    told = remarks(figures, Extent(10_000, 300, {"17": 300}, 2.0, 60.0), conf.section("assess"))
+    figures = {"blocks": 25, "pure_share": 0.95, "confusion": [[9, 1], [1, 9]], "kappa": 0.8, "intervals": None}
+    extent, params = Extent(10_000, 300, {"17": 300}, 2.0, 60.0), conf.section("assess")
+    told = [remarks({**figures, "blocks": 4}, extent, params)[0], *remarks(figures, extent, params)]
     assert len(told) == 6
     for text in told:
         said = parted(text)[0]

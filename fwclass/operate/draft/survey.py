@@ -257,10 +257,16 @@ def _head(holdings: Holdings) -> list[str]:
     density = f", {sum(holdings.codes.values()) / area:.1f}/m2 on {area / 1e6:.3g} km2" if area else ""
     waves = ", with waveforms" if holdings.waveforms else ""
     held = f"{holdings.records:,} points or pulses{density}{waves}"
-    lines = [f"# Drafted by `fwclass init` from {several(files, 'file')}: {held}."]
+    alike: dict[str, list[str]] = {}
     for facts in holdings.facts:
-        faults = facts.get("faults") or []
-        lines += [f"# ! {visible(Path(facts['path']).name)}: {visible(str(fault))}" for fault in faults[:SHOWN]]
+        path = Path(facts["path"])
+        for fault in map(str, (facts.get("faults") or [])[:SHOWN]):
+            kind = re.sub(rf"{re.escape(path.stem)}\.\w+|[\d.,]+", "0", fault)
+            alike.setdefault(kind, []).append(f"{visible(path.name)}: {visible(fault)}")
+    lines = [f"# Drafted by `fwclass init` from {several(files, 'file')}: {held}."]
+    for told in alike.values():
+        more = f" (alike in {several(len(told) - 1, 'other file')})" if len(told) > 1 else ""
+        lines.append(f"# ! {told[0]}{more}")
     return lines
 
 
