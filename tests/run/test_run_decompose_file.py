@@ -82,3 +82,19 @@ def test_returns_that_no_echo_explains_are_told(tmp_path):
     assert f"{n} returns have no echo within 5 ns" in told
     wide, _ = decompose_file(path, tmp_path / "c.laz", ("decompose.vendor_tolerance=12",), False)
     assert "no echo within" not in wide
+
+
+@pytest.mark.parametrize("point_format", [9, 10])
+def test_channels_of_a_scanner_that_fire_at_one_time_are_pulses_of_their_own(tmp_path, point_format):
+    """Two pulses of two channels have one GPS time: nothing is told apart by it."""
+    made = []
+    for name, together in (("apart", 1), ("same", 2)):
+        pulse = survey(tmp_path / "a.las", pulses=60).pulse
+        words = {"gps_time": 1000.0 + 1e-5 * (pulse // together), "channel": pulse % 2, "point_format": point_format}
+        truth = survey(tmp_path / f"{name}.las", pulses=60, **words)
+        decompose_file(truth.path, tmp_path / f"{name}.laz", (), False)
+        made.append(laspy.read(tmp_path / f"{name}.laz"))
+    apart, same = made
+    assert set(laspy.read(tmp_path / "same.las").scanner_channel) == {0, 1}
+    for name in ("x", "y", "z", "intensity", "return_number", "number_of_returns", "pulse"):
+        np.testing.assert_array_equal(apart[name], same[name])
