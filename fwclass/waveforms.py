@@ -44,7 +44,7 @@ filters nor terrain see it."""
 
 @dataclass(frozen=True)
 class Waveforms:
-    """A chunk of consecutive pulses of one strip.
+    """A span of consecutive pulses of one strip.
 
     Attributes
     ----------

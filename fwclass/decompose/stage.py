@@ -1,4 +1,4 @@
-"""Decomposition: the waveforms of a chunk to its echoes."""
+"""Decomposition: the waveforms of a span to its echoes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def decompose(
     placement: Placement = AS_STORED,
     bathymetry: BathymetryParams | None = None,
 ) -> tuple[Table, Table, dict[str, int]]:
-    """Echoes of a chunk, and the echo that every return belongs to.
+    """Echoes of a span, and the echo that every return belongs to.
 
     Fitted echoes are placed along the beam from the anchor of their segment: P(t) = P_anchor + (anchor_time - t) step,
     see `placing`. A pulse whose waveforms show no echo, and every return without a usable packet, keeps its returns
@@ -53,7 +53,7 @@ def decompose(
 
     Parameters
     ----------
-    waves : pulses, returns and samples of a chunk.
+    waves : pulses, returns and samples of a span.
     strip : index of the source file in the survey.
     params : `DecomposeParams`.
     pulse : the system's pulse.

@@ -16,7 +16,7 @@ from fwclass.delivery.explain import deciding_values
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import FwclassError, InputError
 from fwclass.graph.context_training import MERGED as CONTEXT_TRAINING
-from fwclass.graph.sources import chunk_name, pulse_of, strip_of, waveforms_of
+from fwclass.graph.sources import pulse_of, span_name, strip_of, waveforms_of
 from fwclass.graph.training_rows import load_sample
 from fwclass.model import Contextual
 from fwclass.run.inputs import PartInputs
@@ -29,8 +29,8 @@ from fwclass.waveforms import Waveforms
 TELLING = 10
 """Features that are told."""
 
-CHUNKS = 256 << 20
-"""Bytes of opened chunks of waveforms that are kept."""
+SPANS = 256 << 20
+"""Bytes of opened spans of waveforms that are kept."""
 
 FEATURES = 256 << 20
 """Bytes of features of tiles that are kept."""
@@ -41,7 +41,7 @@ class BehindEchoes:
 
     def __init__(self, delivery: Delivery) -> None:
         self._delivery, self._store = delivery, Store(delivery.root, read_only=True)
-        self._inputs, self._chunks, self._trained = PartInputs(self._store), Cache(CHUNKS), Cache(1 << 30)
+        self._inputs, self._spans, self._trained = PartInputs(self._store), Cache(SPANS), Cache(1 << 30)
         self._features = Cache(FEATURES)
 
     def prepare(self) -> None:
@@ -86,7 +86,7 @@ class BehindEchoes:
         }
 
     def waves(self, strip: int, pulse: int) -> Waveforms:
-        """The chunk of a pulse; which one that is the receipt of the strip's index tells, without opening any.
+        """The span of a pulse; which one that is the receipt of the strip's index tells, without opening any.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class BehindEchoes:
             None has it.
         """
         spans = self._inputs.meta("index", f"{strip:05d}").get("spans", ())
-        part = chunk_name(strip, bisect_right([first for _, _, first, *_ in spans], pulse) - 1)
+        part = span_name(strip, bisect_right([first for _, _, first, *_ in spans], pulse) - 1)
         if self._inputs.meta("read", part).get("waveforms"):
             waves = self._chunk(part)
             if (waves.pulses["pulse"] == pulse).any():
@@ -107,7 +107,7 @@ class BehindEchoes:
         )
 
     def _chunk(self, part: str) -> Waveforms:
-        return self._chunks.get(part, lambda: waveforms_of(part, self._inputs), lambda w: w.samples.nbytes)
+        return self._spans.get(part, lambda: waveforms_of(part, self._inputs), lambda w: w.samples.nbytes)
 
     @property
     def has_reference(self) -> bool:

@@ -24,7 +24,7 @@ from fwclass.graph.sources import (
     strips_declared,
     waveforms_of,
 )
-from fwclass.graph.stacking import chunks_near
+from fwclass.graph.stacking import spans_near
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
@@ -48,7 +48,7 @@ LAYERS, EDGE = 32, 128
 
 
 def sample_waves(here: StageInputs, params: SampleParams, fit: DecomposeParams, block: float) -> Result:
-    """The samples of a chunk, freed of the pulse, by block of the fixed grid."""
+    """The samples of a span, freed of the pulse, by block of the fixed grid."""
     strip = strip_of(here.part)
     pulse, placement = pulse_of(strip, here.inputs), placement_of(strip, here.inputs)
     table, facts = backscatter_samples(waveforms_of(here.part, here.inputs), strip, params, fit, pulse, placement)
@@ -63,11 +63,11 @@ def sample_waves(here: StageInputs, params: SampleParams, fit: DecomposeParams, 
 
 
 def samples_in(here: StageInputs, box: Box, block: float) -> Table:
-    """The samples of the declared chunks in all blocks that touch `box`, in one order."""
+    """The samples of the declared spans in all blocks that touch `box`, in one order."""
     keys, parts = [t.key for t in TileGrid(block).touching(box)], []
-    for chunk in here.parts(SAMPLES.name):
-        there = here.inputs.meta(SAMPLES.name, chunk)["tiles"]
-        parts += [here.inputs.fragment(SAMPLES.name, chunk, key) for key in keys if key in there]
+    for span in here.parts(SAMPLES.name):
+        there = here.inputs.meta(SAMPLES.name, span)["tiles"]
+        parts += [here.inputs.fragment(SAMPLES.name, span, key) for key in keys if key in there]
     table = join_samples(parts)
     return table.take(box.contains(table["x"], table["y"]))
 
@@ -239,10 +239,10 @@ def check_waves(plan: Plan) -> str:
 
 
 def _samples_around(box: Callable[[Plan, Tile], Box]) -> Callable[[Plan, Tile], list[Name]]:
-    """The chunks whose samples may lie in the box of a block's product."""
+    """The spans whose samples may lie in the box of a block's product."""
 
     def needs(plan: Plan, block: Tile) -> list[Name]:
-        return [(SAMPLES.name, c) for c in chunks_near(plan, box(plan, block))]
+        return [(SAMPLES.name, c) for c in spans_near(plan, box(plan, block))]
 
     return needs
 

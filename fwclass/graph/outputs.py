@@ -105,9 +105,9 @@ def deliver_strip(
 
     `codes` maps class codes to those that the strip's point format can hold.
     """
-    chunks = here.parts("decompose")
-    answers = _answers_of_strip(strip_of(chunks[0]), here.parts("tile"), here.inputs)
-    classes = np.concatenate([_classes_of_links(answers, here, chunk) for chunk in chunks])
+    spans = here.parts("decompose")
+    answers = _answers_of_strip(strip_of(spans[0]), here.parts("tile"), here.inputs)
+    classes = np.concatenate([_classes_of_links(answers, here, span) for span in spans])
     legal = np.arange(256, dtype=np.uint8)
     for code, other in codes.items():
         legal[int(code)] = other
@@ -139,9 +139,9 @@ def _answers_of_strip(strip: int, tiles: tuple[str, ...], inputs: PartInputs) ->
     return every
 
 
-def _classes_of_links(answers: NDArray[np.uint64], here: StageInputs, chunk: str) -> NDArray[np.uint8]:
-    """uint8 (points,): class codes of the points of a chunk, by what `_answers_of_strip` gives."""
-    wanted = _keys(link_table(here.inputs, chunk))
+def _classes_of_links(answers: NDArray[np.uint64], here: StageInputs, span: str) -> NDArray[np.uint8]:
+    """uint8 (points,): class codes of the points of a span, by what `_answers_of_strip` gives."""
+    wanted = _keys(link_table(here.inputs, span))
     place = np.searchsorted(answers, wanted << np.uint64(8))
     answered = answers[np.minimum(place, len(answers) - 1)] if len(answers) else np.zeros(len(wanted), np.uint64)
     if len(wanted) and (len(answers) == 0 or (answered >> np.uint64(8) != wanted).any()):
@@ -155,11 +155,11 @@ def _classes_of_links(answers: NDArray[np.uint64], here: StageInputs, chunk: str
 
 @dataclass(frozen=True)
 class _Strip:
-    """A strip with points, the tiles that hold its echoes, and its chunks."""
+    """A strip with points, the tiles that hold its echoes, and its spans."""
 
     key: str
     strip: Strip
-    chunks: Names
+    spans: Names
     tiles: Names
 
 
@@ -194,9 +194,9 @@ def check_class_codes(formats: Mapping[str, int], config: Config) -> None:
 
 
 def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
-    """The chunks whose returns are asked for their own class."""
+    """The spans whose returns are asked for their own class."""
     waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if deciding_column(plan) else ()
-    return [("read", c) for c in part.chunks if c in waves]
+    return [("read", c) for c in part.spans if c in waves]
 
 
 def columns_of_tiles(plan: Plan) -> Names:
@@ -262,7 +262,7 @@ DELIVER_STRIP = Stage(
     silent=NO_BYTE,
     after=("read", "decompose", "classify", "tile"),
     needs=lambda plan, part: [
-        *(("decompose", c) for c in part.chunks),
+        *(("decompose", c) for c in part.spans),
         *_chunks_of_returns(plan, part),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],

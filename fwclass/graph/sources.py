@@ -43,7 +43,7 @@ from fwclass.tile.stage import count_times
 from fwclass.waveforms import BATHYMETRY_COLUMNS, PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 RETURNS = "returns.parquet"
-"""Of a chunk as it was read, in the order of the file."""
+"""Of a span as it was read, in the order of the file."""
 
 PULSE_FILE = "pulse.json"
 PLACES_FILE = "places.json"
@@ -66,10 +66,10 @@ class StripSpan:
     @property
     def key(self) -> str:
         """The name of its parts."""
-        return chunk_name(self.strip.number, self.number)
+        return span_name(self.strip.number, self.number)
 
 
-def chunk_name(strip: int, span: int) -> str:
+def span_name(strip: int, span: int) -> str:
     """The name of a part for the `span`-th span of a strip."""
     return f"{strip:05d}-{span:05d}"
 
@@ -150,7 +150,7 @@ def _facts(waves: Waveforms) -> dict[str, Any]:
 
 
 def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Waveforms:
-    """A chunk as it was read; on request without its returns."""
+    """A span as it was read; on request without its returns."""
     points = inputs.table("read", part, name=RETURNS) if returns else Table.empty(RETURN_COLUMNS)
     if not inputs.meta("read", part)["waveforms"]:
         return Waveforms(Table.empty(PULSE_COLUMNS), points, np.empty(0, np.uint8), np.zeros(1, np.int64))
@@ -236,9 +236,9 @@ def surroundings_of(strip: int, inputs: PartInputs) -> Surroundings:
     return Surroundings(envelope, QuietNoise(**{f.name: facts[f.name] for f in fields(QuietNoise)}))
 
 
-def strip_of(chunk: str) -> int:
-    """The number of the strip that a chunk is of, as `chunk_name` has it."""
-    return int(chunk.split("-")[0])
+def strip_of(span: str) -> int:
+    """The number of the strip that a span is of, as `span_name` has it."""
+    return int(span.split("-")[0])
 
 
 def asked_for_water(plan: Plan) -> dict[str, Any]:
@@ -252,7 +252,7 @@ def water_columns(plan: Plan) -> tuple[str, ...]:
 
 
 def decompose_chunk(here: StageInputs, params: DecomposeParams, bathymetry: BathymetryParams | None = None) -> Result:
-    """Echoes of a chunk, and the echo of every return."""
+    """Echoes of a span, and the echo of every return."""
     strip = strip_of(here.part)
     waves = waveforms_of(here.part, here.inputs)
     pulse, around = pulse_of(strip, here.inputs), surroundings_of(strip, here.inputs)
@@ -299,7 +299,7 @@ def _write_echoes(here: StageInputs, result: tuple[Table, Table, Mapping[str, in
 
 
 def link_table(inputs: PartInputs, part: str) -> Table:
-    """Pulse and echo number of every return of a chunk, in file order."""
+    """Pulse and echo number of every return of a span, in file order."""
     return inputs.table("decompose", part, LINK_COLUMNS, "links.parquet")
 
 

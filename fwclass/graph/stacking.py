@@ -70,9 +70,9 @@ def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, ce
     searched = _surfaces(here, params, cell, block)
     parts: dict[str, list[Candidates]] = {name: [] for name in searched}
     passed: dict[str, list[NDArray[np.float64]]] = {name: [] for name in searched}
-    for chunk in here.parts("read"):
-        strip, inputs = strip_of(chunk), here.inputs
-        waves, pulse, placement = waveforms_of(chunk, inputs), pulse_of(strip, inputs), placement_of(strip, inputs)
+    for span in here.parts("read"):
+        strip, inputs = strip_of(span), here.inputs
+        waves, pulse, placement = waveforms_of(span, inputs), pulse_of(strip, inputs), placement_of(strip, inputs)
         for name, one in searched.items():
             silent = one.code != GROUND
             part, through = candidates(waves, strip, one.heights, reach, params, fit, pulse, placement, silent=silent)
@@ -143,21 +143,21 @@ def _is_enabled(plan: Plan) -> bool:
     return plan.config.stack.enabled
 
 
-def chunks_near(plan: Plan, box: Box) -> Names:
+def spans_near(plan: Plan, box: Box) -> Names:
     """Chunks with waveforms that have an echo in a tile that `box`, grown by `ASIDE`, touches."""
-    chunks = _chunks_of_tiles(plan)
+    spans = _spans_of_tiles(plan)
     tiles = TileGrid(plan.config.tile.size).touching(box.grown(ASIDE))
-    return tuple(sorted({chunk for tile in tiles for chunk in chunks.get(tile.key, ())}))
+    return tuple(sorted({span for tile in tiles for span in spans.get(tile.key, ())}))
 
 
 _known: list[tuple[Plan, dict[str, list[str]]]] = []
 """Of the plan that was asked about last: blocks are planned one after the other."""
 
 
-def _chunks_of_tiles(plan: Plan) -> dict[str, list[str]]:
-    """For every tile the chunks with waveforms that have an echo in it."""
+def _spans_of_tiles(plan: Plan) -> dict[str, list[str]]:
+    """For every tile the spans with waveforms that have an echo in it."""
     if not _known or _known[0][0] is not plan:
-        chunks: dict[str, list[str]] = {}
+        spans: dict[str, list[str]] = {}
         for stage, part in plan.splits:
             if (
                 stage == SPLIT_ECHOES.name
@@ -165,18 +165,18 @@ def _chunks_of_tiles(plan: Plan) -> dict[str, list[str]]:
                 and plan.indexed["index", part.split("-")[0]].meta["pulses"]
             ):
                 for key in plan.splits[stage, part].meta["tiles"]:
-                    chunks.setdefault(key, []).append(part)
-        _known[:] = [(plan, chunks)]
+                    spans.setdefault(key, []).append(part)
+        _known[:] = [(plan, spans)]
     return _known[0][1]
 
 
 def _stack_needs(plan: Plan, block: Tile) -> list[Name]:
     box = block.box.grown(plan.config.stack.radius + 3.0 * plan.config.terrain.cell)
-    chunks = chunks_near(plan, box)
-    strips = sorted({c.split("-")[0] for c in chunks})
+    spans = spans_near(plan, box)
+    strips = sorted({c.split("-")[0] for c in spans})
     return [
         *((FIRST_TERRAIN, b.key) for b in terrain_blocks(plan.layout) if b.box.touches(box)),
-        *(("read", c) for c in chunks),
+        *(("read", c) for c in spans),
         *((stage, s) for s in strips for stage in ("pulse", "places")),
         *(levels_needed(plan) if "water" in plan.config.stack.surfaces else ()),
     ]

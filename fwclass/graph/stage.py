@@ -23,8 +23,9 @@ from fwclass.survey.layout import FileDigests, Layout, Survey
 Names = tuple[str, ...]
 
 Over = Literal["file", "strip", "chunk", "tile", "block", "survey"]
-"""What a part of a stage is: a file that is no strip, a strip, a span of a strip, a tile, a block of the fixed grid, or
-something of which the survey has few."""
+"""What a part of a stage is: a file that is no strip, a strip, a span of a strip (`chunk`: another thing than the
+overlapping chunk, `fwclass.stage.Chunk`, that a stage over tiles gets), a tile, a block of the fixed grid, or something
+of which the survey has few."""
 
 Unit = Literal["point", "pulse", "echo", "reference", "cell", "tree_row", "row", "part"]
 """What the cost of a stage is counted in: a point of a file, a pulse, an echo, a point of the reference, a cell of the
@@ -45,7 +46,7 @@ class Plan:
     base : location and digest of the model whose rows are learned from too, None without one.
     files : the survey's files, once they are found and checked.
     indexed : receipts of the strips' index.
-    splits : receipts of the chunks that are cut into tiles.
+    splits : receipts of the spans that are cut into tiles.
     tiled : the tiles that there are, once the echoes lie in them.
     flown : when each trajectory was.
     returns : the sources' returns are taken for echoes, and their waveforms left aside.

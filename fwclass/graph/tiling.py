@@ -1,4 +1,4 @@
-"""Stages that cut the survey: echoes and reference points of every chunk by tile, and the tiles from all chunks."""
+"""Stages that cut the survey: echoes and reference points of every span by tile, and the tiles from all spans."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.kept import kept_noise
-from fwclass.graph.sources import chunk_name, spans_of, strip_of, water_columns
+from fwclass.graph.sources import span_name, spans_of, strip_of, water_columns
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import TileGrid, quantise
@@ -49,7 +49,7 @@ def _pieces(plan: Plan) -> list[CloudPiece]:
     listed = plan.survey.reference
     numbered = assign_numbers(path.name for path, _, _ in listed)
     return [
-        CloudPiece(chunk_name(numbered[path.name], k), path, digests, first, min(points, first + CLOUD_ROWS))
+        CloudPiece(span_name(numbered[path.name], k), path, digests, first, min(points, first + CLOUD_ROWS))
         for path, digests, points in listed
         for k, first in enumerate(range(0, points, CLOUD_ROWS))
     ]
@@ -57,22 +57,22 @@ def _pieces(plan: Plan) -> list[CloudPiece]:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """A tile that is still to be put together, and the chunks that hold rows of it, in their order."""
+    """A tile that is still to be put together, and the spans that hold rows of it, in their order."""
 
     key: str
-    chunks: tuple[str, ...]
+    spans: tuple[str, ...]
 
 
 def _cut(stage: str) -> Callable[[Plan], list[_Pieces]]:
-    """The tiles that the chunks of `stage` are cut into."""
+    """The tiles that the spans of `stage` are cut into."""
 
     def parts(plan: Plan) -> list[_Pieces]:
-        chunks: dict[str, list[str]] = {}
+        spans: dict[str, list[str]] = {}
         for name in sorted(plan.splits):
             if name[0] == stage:
                 for key in plan.splits[name].meta["tiles"]:
-                    chunks.setdefault(key, []).append(name[1])
-        return [_Pieces(key, tuple(some)) for key, some in sorted(chunks.items())]
+                    spans.setdefault(key, []).append(name[1])
+        return [_Pieces(key, tuple(some)) for key, some in sorted(spans.items())]
 
     return parts
 
@@ -87,7 +87,7 @@ def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
 
 
 def split_echoes(here: StageInputs, params: TileParams) -> Result:
-    """Echoes of a chunk in tile order, one row group a tile; tells how many the source has of every class."""
+    """Echoes of a span in tile order, one row group a tile; tells how many the source has of every class."""
     echoes = here.inputs.table("decompose", here.part)
     codes, counts = np.unique(echoes["source_class"], return_counts=True)
     by_code = {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
@@ -130,12 +130,12 @@ def _write_split(here: StageInputs, table: Table, params: TileParams) -> dict[st
 
 
 def _fragments(here: StageInputs, stage: str) -> list[Table]:
-    """The rows of a tile in every chunk that has some."""
+    """The rows of a tile in every span that has some."""
     return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
 
 
 def tile_echoes(here: StageInputs, blocks: tuple[float, ...], kept_noise: tuple[int, ...] = ()) -> Result:
-    """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them.
+    """A tile's echoes from all spans, in final row order; tells which blocks of each size [m] own one of them.
 
     Those of the source classes `kept_noise` are flagged as implausible ones are, so that no ground is made of them.
     """
@@ -217,7 +217,7 @@ TILE_ECHOES = Stage(
     arguments=lambda plan: {"blocks": _blocks(plan), **kept_noise(plan)},
     keyed=_sizes,
     after=("split",),
-    needs=lambda plan, tile: [("split", part) for part in tile.chunks],
+    needs=lambda plan, tile: [("split", part) for part in tile.spans],
     writes=lambda plan: (*DECOMPOSE.writes, *water_columns(plan)),
     named=True,
     row_digests=True,
@@ -232,7 +232,7 @@ TILE_REFERENCE = Stage(
     parts=_cut("reference-split"),
     keyed=_sizes,
     after=("reference-split",),
-    needs=lambda plan, tile: [("reference-split", part) for part in tile.chunks],
+    needs=lambda plan, tile: [("reference-split", part) for part in tile.spans],
     writes=CLOUD_COLUMNS,
     named=True,
     row_digests=True,

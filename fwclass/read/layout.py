@@ -15,7 +15,7 @@ SLACK = 0.5
 
 @dataclass(frozen=True)
 class Layout:
-    """Order and joining of the packets of a chunk.
+    """Order and joining of the packets of a span.
 
     Attributes
     ----------

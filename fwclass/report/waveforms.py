@@ -104,19 +104,19 @@ def _sensors(runner: Runner, survey: Survey) -> dict[str, tuple[float, float]]:
 
 
 def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
-    """A few pulses of the first chunk with waveforms, from simple ones to those with most echoes.
+    """A few pulses of the first span with waveforms, from simple ones to those with most echoes.
 
     Returns
     -------
     dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
     ``echoes``: (time [ns], amplitude [DN], width [ns]) each.
     """
-    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in decomposed), None)
-    if chunk is None:
+    span = next((r.part for r in reads if r.meta.get("waveforms") and r.part in decomposed), None)
+    if span is None:
         return []
-    waves = waveforms_of(chunk, inputs, returns=False)
+    waves = waveforms_of(span, inputs, returns=False)
     columns = ("pulse", "time", "amplitude", "width", "baseline", "fit_flags")
-    echoes = inputs.table("decompose", chunk, columns)
+    echoes = inputs.table("decompose", span, columns)
     whole = np.logical_and.reduce([np.isfinite(echoes[n]) for n in columns[1:5]])  # an echo without a fit has no curve
     fitted = np.flatnonzero(whole & (echoes["fit_flags"] & 128 == 0))
     known, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
@@ -133,7 +133,7 @@ def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInput
         samples = waves.samples[waves.offsets[row] : waves.offsets[row + 1]][:SHOWN_SAMPLES]
         pulses.append(
             {
-                "strip": int(chunk.split("-")[0]),
+                "strip": int(span.split("-")[0]),
                 "pulse": pulse,
                 "start": float(waves.pulses["segment_start"][row]),
                 "spacing": float(waves.pulses["sample_spacing"][row]),

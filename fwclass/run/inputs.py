@@ -71,7 +71,7 @@ class PartInputs:
         return read_table(self.path(stage, part, name), columns)
 
     def fragment(self, stage: str, part: str, tile: str) -> Table:
-        """The rows of a tile in a chunk that is cut by tile: a row group, whose number its receipt tells."""
+        """The rows of a tile in a span that is cut by tile: a row group, whose number its receipt tells."""
         self._check(stage, part)
         if self.declared is not None and isinstance(self.declared.within, str) and self.declared.within != tile:
             self._refuse(f"rows of tile {tile} in {stage}/{part}", f"those of {self.declared.within}")

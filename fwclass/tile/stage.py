@@ -29,7 +29,7 @@ WEEK, ADJUSTMENT = 604_800.0, 1e9
 
 @dataclass(frozen=True)
 class Split:
-    """Rows of a chunk in tile order; tile k has rows ``offsets[k]:offsets[k + 1]`` of `table`."""
+    """Rows of a span in tile order; tile k has rows ``offsets[k]:offsets[k + 1]`` of `table`."""
 
     table: Table
     keys: tuple[str, ...]
@@ -37,7 +37,7 @@ class Split:
 
 
 def split(table: Table, grid: TileGrid) -> Split:
-    """Sort the rows of a chunk (any table with x, y [m]) by the tile that owns them, each tile's in their order."""
+    """Sort the rows of a span (any table with x, y [m]) by the tile that owns them, each tile's in their order."""
     ix, iy = grid.indices(table["x"], table["y"])
     order = np.lexsort((iy, ix))
     sx, sy = ix[order], iy[order]
@@ -70,7 +70,7 @@ def morton(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint64]
 
 
 def assemble(fragments: list[Table], where: str) -> Table:
-    """A tile's rows from all chunks, all columns, in final order: Morton code, then (strip, pulse, echo_number).
+    """A tile's rows from all spans, all columns, in final order: Morton code, then (strip, pulse, echo_number).
 
     An identity that occurs twice is an error of the source (the same strip listed twice under two names differs in
     `strip` and is not one): `InputError`.

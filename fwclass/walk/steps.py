@@ -203,9 +203,9 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
 
 def _check_widths(config: Config, names: tuple[str, ...], splits: Mapping[Name, Receipt], store: Store) -> None:
     """`ConfigError` early if the forest is to decide by echo widths and no source has any."""
-    chunks = [store.receipt("decompose", part) for stage, part in splits if stage == "split"]
-    echoes = sum(int(r.meta["echoes"]) for r in chunks if r)
-    without = sum(int(r.meta["without_width"]) for r in chunks if r)
+    spans = [store.receipt("decompose", part) for stage, part in splits if stage == "split"]
+    echoes = sum(int(r.meta["echoes"]) for r in spans if r)
+    without = sum(int(r.meta["without_width"]) for r in spans if r)
     wide = [n for n in names if n.split("_")[0] == "width"]
     if wide and echoes and echoes == without:
         others = [n for n in names if n not in wide]
