@@ -19,7 +19,8 @@ _SCALED = re.compile(r"^(?P<base>[a-z][a-z0-9_]*)_(?:(?P<kind>[rckg])(?P<size>[1
 
 _CODED = re.compile(r"^(?P<base>[a-z_]+)_(?P<code>0|[1-9]\d{0,2})$")
 
-IDENTITY = ("strip", "pulse", "echo_number")
+IDENTITY, PLACE = ("strip", "pulse", "echo_number"), ("x", "y", "z")
+"""Columns that name an echo; its coordinates."""
 
 MOVED = 1.0
 """m along an axis between two echoes of one identity, from which they are different ones: no other decomposition moves

@@ -20,12 +20,11 @@ from fwclass.grid import TileGrid
 from fwclass.publish.files import whole_directory
 from fwclass.publish.qgis import MapLayer, write_project
 from fwclass.publish.qgis_layers import cloud_styles
-from fwclass.schema import IDENTITY
+from fwclass.schema import IDENTITY, PLACE
 from fwclass.store.atomic import file_digest, read_json, sync, write_bytes, write_json
 from fwclass.store.directory import MANIFEST
 
 NOTE, PROJECT, ENDING = "checkout.json", "checkout.qgz", ".copc.laz"
-PLACE = ("x", "y", "z")
 MOST_NOTE = 10_000_000
 """Bytes of a note that is read; one of ten thousand tiles has a tenth."""
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.delivery.checkout import PLACE, Note, add_time, labels_file, read_note, tile_file
+from fwclass.delivery.checkout import Note, add_time, labels_file, read_note, tile_file
 from fwclass.delivery.opened import Delivery, open_run
 from fwclass.errors import InputError
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels, read_echo_labels
 from fwclass.grid import millimetres
 from fwclass.read.las import open_las
 from fwclass.read.points import PointReader, coordinates
-from fwclass.schema import IDENTITY
+from fwclass.schema import IDENTITY, PLACE
 from fwclass.store.atomic import file_digest
 from fwclass.store.corrections import add_corrections, place_of
 

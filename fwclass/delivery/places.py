@@ -15,11 +15,10 @@ from fwclass.errors import InputError, several
 from fwclass.grid import Box, millimetres
 from fwclass.label.polygons import NONE, Polygons, owners
 from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
-from fwclass.schema import IDENTITY
+from fwclass.schema import IDENTITY, PLACE
 from fwclass.store.run_location import RunLocation
 from fwclass.view.worklist import UnsureCluster, WorkList
 
-PLACE = ("x", "y", "z")
 COLUMNS = (*IDENTITY, *PLACE, "classification", "confidence")
 MOST, MOST_LISTED = 100_000, 200
 """Places of a file that is read, and those that the viewer lists."""

@@ -14,7 +14,7 @@ from fwclass.delivery.checkout import read_note
 from fwclass.delivery.collect import codes_that_stand, run_of
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.delivery.places import COLUMNS, PLACE, away, echoes_in, no_echo, read_places
+from fwclass.delivery.places import COLUMNS, away, echoes_in, no_echo, read_places
 from fwclass.delivery.worklist import check_geopackage
 from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
@@ -23,6 +23,7 @@ from fwclass.label.crossings import crossing_parts
 from fwclass.label.params import SuggestParams
 from fwclass.label.places import PlaceCounts, SuggestedPlace
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.schema import PLACE
 from fwclass.store.corrections import add_corrections, place_of, read_corrections
 from fwclass.store.run_location import RunLocation
 

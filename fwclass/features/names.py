@@ -11,7 +11,7 @@ from fwclass.columns import COLUMNS
 from fwclass.columns import FEATURES as DECLARED
 from fwclass.errors import ConfigError
 from fwclass.features.params import FeaturesParams
-from fwclass.schema import Scale, split_known, split_name
+from fwclass.schema import PLACE, Scale, split_known, split_name
 
 MAX_NEAREST = 500
 """Echoes of the largest neighbourhood of nearest echoes. The papers take 10 to 100; the time of a search grows with k
@@ -30,7 +30,6 @@ _BASES = frozenset(c.name for c in DECLARED)
 _END = re.compile(r"_(?P<kind>[rckg])(?P<size>\d+)$")
 _LIKE = {"r": "r100", "c": "c200", "k": "k20", "g": "g100", "o": "opt"}
 """A neighbourhood of every kind, to show how names end."""
-_PLACE = ("x", "y", "z")
 _NUMBERS = ("echo_number", "number_of_echoes")
 _READS = {
     **dict.fromkeys(("single_share", "first_share", "intermediate_share", "last_share", "egi", "ebi", "evi"), _NUMBERS),
@@ -132,7 +131,7 @@ class Asked:
     def reads(self) -> tuple[str, ...]:
         """Columns that they are computed from."""
         more = (name for base in sorted(self.bases) for name in _READS.get(base, ()))
-        return tuple(dict.fromkeys((*_PLACE, *more)))
+        return tuple(dict.fromkeys((*PLACE, *more)))
 
     def columns(self, params: FeaturesParams) -> tuple[str, ...]:
         """As `reads`, and what tells which echoes are no neighbours."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError, nearest, visible
 from fwclass.formats.parquet_footer import check_unpacked, values_in
 from fwclass.lazy_module import LazyModule
+from fwclass.schema import PLACE
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,7 +30,6 @@ DELIVERED = b"fwclass"
 """Key of the metadata of delivered tables."""
 _IDENTITY = {"strip": 65_535, "pulse": 2**32 - 1, "echo_number": 255}
 """Whole numbers that tell an echo, and the largest of each."""
-_PLACE = ("x", "y", "z")
 MOST_ROWS = 20_000_000
 """Rows of a file; 120 bytes of memory each while they are read."""
 FREE_ROWS, ROWS_A_BYTE = 500_000, 2
@@ -167,7 +167,7 @@ def is_echo_labels(path: Path) -> bool:
             names, metadata = file.schema_arrow.names, file.schema_arrow.metadata or {}
     except (pa.ArrowException, OSError, ValueError, InputError):
         return False
-    return {*_IDENTITY, FIELD, *_PLACE} <= {*names} and b"geo" not in metadata
+    return {*_IDENTITY, FIELD, *PLACE} <= {*names} and b"geo" not in metadata
 
 
 def written_by_fwclass(path: Path) -> bool:
@@ -193,7 +193,7 @@ def echo_labels_bytes(labels: EchoLabels) -> bytes:
     kinds = {"strip": pa.uint16(), "pulse": pa.uint32(), "echo_number": pa.uint8()}
     fields = {n: pa.array(getattr(labels, n), kind) for n, kind in kinds.items()}
     fields[FIELD] = pa.array(labels.code.clip(0).astype(np.uint8), pa.uint8(), mask=labels.code < 0)
-    fields |= {n: pa.array(getattr(labels, n), pa.float64()) for n in _PLACE}
+    fields |= {n: pa.array(getattr(labels, n), pa.float64()) for n in PLACE}
     fields["time"] = pa.array(labels.time, pa.timestamp("us", tz="UTC"))
     fields["who"] = pa.array(labels.who.tolist(), pa.string())
     stream = io.BytesIO()
@@ -210,10 +210,10 @@ def _read(source: Path | bytes, where: object, field: str, signed: bool) -> Echo
             _check_columns(file.schema_arrow, where, field)
             more = ("time", "who") if signed else ()
             there = [n for n in more if n in file.schema_arrow.names]
-            table = file.read([*_IDENTITY, field, *_PLACE, *there], use_threads=False)
+            table = file.read([*_IDENTITY, field, *PLACE, *there], use_threads=False)
     columns: dict[str, NDArray] = {n: _whole(table.column(n), n, most, where) for n, most in _IDENTITY.items()}
     code = _codes(table.column(field), field, where)
-    columns |= {n: _place(table.column(n), n, where) for n in _PLACE}
+    columns |= {n: _place(table.column(n), n, where) for n in PLACE}
     rows = len(code)
     time = _times(table.column("time")) if "time" in there else np.zeros(rows, np.int64)
     who = _names(table.column("who")) if "who" in there else np.full(rows, "", object)
@@ -249,26 +249,26 @@ def _check_counts(stream: Any, size: int, where: object) -> None:
 
 
 def _check_columns(schema: Any, where: object, field: str) -> None:
-    lacking = [n for n in (*_IDENTITY, field, *_PLACE) if n not in schema.names]
+    lacking = [n for n in (*_IDENTITY, field, *PLACE) if n not in schema.names]
     if lacking:
         raise InputError(
             f"labels by echo lack the column {lacking[0]!r}",
             where=where,
-            expected=", ".join((*_IDENTITY, field, *_PLACE)),
+            expected=", ".join((*_IDENTITY, field, *PLACE)),
             got=", ".join(schema.names[:20]) or "no column",
             do=nearest(lacking[0], schema.names) if schema.names else "write the table again",
         )
-    twice = [n for n in (*_IDENTITY, field, *_PLACE, "time", "who") if schema.names.count(n) > 1]
+    twice = [n for n in (*_IDENTITY, field, *PLACE, "time", "who") if schema.names.count(n) > 1]
     if twice:
         raise InputError("a column is there twice", where=where, got=", ".join(twice), do="remove one of them")
-    for name in (*_IDENTITY, field, *_PLACE):
+    for name in (*_IDENTITY, field, *PLACE):
         kind = schema.field(name).type
-        numbers = pa.types.is_integer(kind) or (name in _PLACE and pa.types.is_floating(kind))
+        numbers = pa.types.is_integer(kind) or (name in PLACE and pa.types.is_floating(kind))
         if not numbers:
             raise InputError(
                 "a column of labels by echo has a type that it cannot have",
                 where=f"{where}: column {name}",
-                expected="numbers in metres" if name in _PLACE else "whole numbers",
+                expected="numbers in metres" if name in PLACE else "whole numbers",
                 got=str(kind),
                 do="write the column again as numbers",
             )

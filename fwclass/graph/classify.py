@@ -21,14 +21,13 @@ from fwclass.graph.thin import thins
 from fwclass.model import sample_matrix
 from fwclass.model.ranges import RangeCounter
 from fwclass.run.part import Name
-from fwclass.schema import Table
+from fwclass.schema import PLACE, Table
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.remote_file import Location
 from fwclass.survey.layout import FileDigests
 from fwclass.thin.follow import follow
 from fwclass.thin.sample import THIN
 
-_PLACE = ("x", "y", "z")
 OUTSIDE = "outside"
 
 
@@ -71,7 +70,7 @@ def classify_thinned_tile(
     core = chunk.table.take(chunk.core)
     own = core["sampled"]
     near = np.searchsorted(rows, chunk.core)
-    others = tuple(core[n][~own] for n in _PLACE)
+    others = tuple(core[n][~own] for n in PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
     answered = answer.take(near)
     table = exempt.written(answered, here.own_rows()) if exempt else answered
@@ -163,7 +162,7 @@ CLASSIFY_THINNED = replace(
     when=lambda plan: thins(plan.config),
     arguments=lambda plan: {**_arguments(plan), "reach": plan.config.thin.reach},
     keyed=lambda plan: {**names_that_decide(plan), "thin": THIN.version},
-    reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
+    reads=lambda plan: (*PLACE, *plan.names, *THIN.writes),
     own=exempt_columns,
     halo=lambda plan: plan.config.thin.reach,
 )

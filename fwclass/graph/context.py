@@ -27,10 +27,9 @@ from fwclass.graph.stage import Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.model import Contextual, sample_matrix
 from fwclass.model.ranges import RangeCounter
-from fwclass.schema import Table
+from fwclass.schema import PLACE, Table
 
 FIRST = "first-shares"
-_PLACE = ("x", "y", "z")
 
 
 def share_first(here: StageInputs, layer: ContextLayer, model: str | None) -> Result:
@@ -112,7 +111,7 @@ CLASSIFY_IN_CONTEXT = Stage(
         **exempt_argument(plan),
     },
     keyed=names_that_decide,
-    reads=lambda plan: (*_PLACE, *layer_of(plan).columns()),
+    reads=lambda plan: (*PLACE, *layer_of(plan).columns()),
     own=lambda plan: (*plan.names, *exempt_columns(plan)),
     writes=classes_written,
     halo=lambda plan: layer_of(plan).halo,

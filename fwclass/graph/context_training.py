@@ -40,7 +40,7 @@ from fwclass.graph.training_rows import (
 )
 from fwclass.grid import Tile, millimetres, whole_millimetres
 from fwclass.model import ClassDef, Contextual, sample_matrix
-from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.schema import IDENTITY, PLACE, Table, canonical_key
 from fwclass.select.folds import Folds, spatial_folds
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import load_forest, load_model, save_model
@@ -54,7 +54,6 @@ FOLDS, FOLD_SHARES = "fold-models", "fold-shares"
 DRAWN, MERGED, TRIED = "context-sample", "context-training", "context-folds"
 FOLD_SHARE = "fold_share"
 SQUARES = "squares"
-_PLACE = ("x", "y", "z")
 LEAST_SQUARE = 2.0
 """m, squares of the folds are halved down to this where training areas are small."""
 
@@ -338,7 +337,7 @@ DRAW_CONTEXT = Stage(
     when=_learns,
     parts=training_tiles,
     arguments=lambda plan: {"layer": layer_of(plan)},
-    reads=lambda plan: (*_PLACE, *layer_of(plan).columns(FOLD_SHARE)),
+    reads=lambda plan: (*PLACE, *layer_of(plan).columns(FOLD_SHARE)),
     own=IDENTITY,
     halo=lambda plan: layer_of(plan).halo,
     after=(TRAIN_SAMPLE.name,),

@@ -38,7 +38,7 @@ from fwclass.graph.training_rows import (
 )
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import RangeCounter
-from fwclass.schema import Table, canonical_key
+from fwclass.schema import PLACE, Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import load_model, save_model
@@ -50,7 +50,6 @@ from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, candidates, merge
 
 ANSWERED = "coarse"
 DRAWN, MERGED = "refine-sample", "refine-training"
-_PLACE = ("x", "y", "z")
 
 
 def answer_coarse(here: StageInputs, model: str | None) -> Result:
@@ -217,7 +216,7 @@ def _pair(plan: Plan, classes: tuple[ClassDef, ...] | None = None) -> tuple[Clas
 
 def _wide_reads(plan: Plan) -> tuple[str, ...]:
     wide = Asked.of(_layer(plan).wide).columns(plan.config.features)
-    return tuple(dict.fromkeys((*_PLACE, COARSE[0], *wide)))
+    return tuple(dict.fromkeys((*PLACE, COARSE[0], *wide)))
 
 
 def _drawing_arguments(plan: Plan) -> Mapping[str, Any]:

@@ -19,7 +19,7 @@ from fwclass.lazy_module import LazyModule
 from fwclass.publish.files import whole
 from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
-from fwclass.schema import Column, Table, column, require
+from fwclass.schema import PLACE, Column, Table, column, require
 from fwclass.units import QUANTUM
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ ROUNDING = 1e-6
 """Coordinates that are nearer than this to a whole millimetre are meant to be one [m]."""
 
 SIDES = ("xmin", "ymin", "xmax", "ymax")
-_PLACES = ("x", "y", "z")
 
 
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -248,7 +247,7 @@ def _options(table: Table, params: PublishParams) -> dict[str, Any]:
     """Zstandard; measurements by byte planes, which compress twice as well, whole numbers by their differences, codes,
     heights and measurements that repeat by dictionary; places as they are: of decimals the bytes repeat, and planes of
     them do not."""
-    measured = [name for name in table if table[name].dtype.kind == "f" and name not in _PLACES]
+    measured = [name for name in table if table[name].dtype.kind == "f" and name not in PLACE]
     repeating = [name for name in measured if repeats(table[name])]
     planes = {name: "BYTE_STREAM_SPLIT" for name in measured if name not in repeating}
     planes |= {f"bbox.{side}": "BYTE_STREAM_SPLIT" for side in SIDES}
