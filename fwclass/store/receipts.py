@@ -127,10 +127,12 @@ class Receipt:
 
 class Meta(Mapping[str, Any]):
     """What a receipt tells, held to what its stage tells (`metas`) when it is first asked; `DamagedError` where it is
-    something else, as who makes digests fit can write anything."""
+    something else, as who makes digests fit can write anything. `looked_at`: names that whoever reads them has held to
+    a shape of their own, and need not again."""
 
     def __init__(self, values: Mapping[str, Any], stage: str, where: object, checked: bool = False) -> None:
         self._values, self._stage, self._where, self._checked = dict(values), stage, str(where), checked
+        self.looked_at = set[str]()
 
     def _sound(self) -> dict[str, Any]:
         if not self._checked:

@@ -14,7 +14,7 @@ from fwclass.errors import DamagedError
 from fwclass.grid import Box, Window, millimetres
 from fwclass.schema import Table
 from fwclass.store.atomic import digest_of
-from fwclass.store.receipts import Receipt
+from fwclass.store.receipts import Meta, Receipt
 from fwclass.store.shapes import COUNT, POSITIVE, TEXT, WHOLE, misfit
 
 CELL = 8.0
@@ -88,6 +88,14 @@ def row_digests_of(meta: Mapping[str, Any], where: object) -> Mapping[str, Any] 
     kept = meta.get(ROW_DIGESTS)
     if kept is None or isinstance(kept, int):  # a count of cells, as stages of rasters tell it
         return None
+    looked_at = meta.looked_at if isinstance(meta, Meta) else set[str]()
+    if ROW_DIGESTS not in looked_at:  # every part that reads a strip's asks, and they are as many as its tiles
+        _check(kept, where)
+        looked_at.add(ROW_DIGESTS)
+    return dict(kept)
+
+
+def _check(kept: Any, where: object) -> None:
     wrong = misfit(kept, _SHAPE, f"meta.{ROW_DIGESTS}")
     if wrong or ("size" in kept and not {"first", "rows", "digests"} <= kept.keys()):
         raise DamagedError(
@@ -97,7 +105,6 @@ def row_digests_of(meta: Mapping[str, Any], where: object) -> Mapping[str, Any] 
             got=wrong.got if wrong else ", ".join(kept),
             do="remove the file; the part is made anew",
         )
-    return dict(kept)
 
 
 def digest_within(receipt: Receipt, within: Within) -> str | None:

@@ -1,13 +1,16 @@
 """Digests of a table by place: those of far places cost no memory, and say of every box what lies in it."""
 
 import numpy as np
+import pytest
 
+from fwclass.errors import DamagedError
 from fwclass.grid import Box
 from fwclass.schema import Table
 from fwclass.store import row_digests
 from fwclass.store.atomic import digest_of
-from fwclass.store.receipts import Receipt
+from fwclass.store.receipts import Meta, Receipt
 from fwclass.store.row_digests import CELL, MOST_SQUARES, ROW_DIGESTS, digest_within, digests_by_square
+from fwclass.store.shapes import misfit
 
 
 def receipt(x, y, values):
@@ -43,3 +46,17 @@ def test_what_is_remembered_of_windows_is_bounded_and_holds_no_text_of_a_receipt
     assert len(row_digests._windows) == 3
     assert [digest_within(seen, box) for box in boxes] == first
     assert not any(len(part) > 64 for window in row_digests._windows for part in window if isinstance(part, str))
+
+
+def test_names_of_a_strips_pieces_are_looked_at_once_however_many_tiles_ask(monkeypatch) -> None:
+    """Every tile of a strip asks for its piece: each of 2 000 names was looked at by each of 2 000 tiles."""
+    looks = []
+    monkeypatch.setattr(row_digests, "misfit", lambda *words: looks.append(words) or misfit(*words))
+    names = {f"{k}_0": f"{k:016x}" for k in range(2000)}
+    made = Receipt("split", "a", "k", {}, {}, "d", "store", Meta({ROW_DIGESTS: {"names": names}}, "own", "here"))
+    assert [digest_within(made, name) for name in (*names, "9_9")] == [*names.values(), None]
+    assert len(looks) == 1
+    forged = Receipt("split", "a", "k", {}, {}, "d", "store", Meta({ROW_DIGESTS: {"names": [1]}}, "own", "here"))
+    for _ in range(2):
+        with pytest.raises(DamagedError, match="no digests of pieces"):
+            digest_within(forged, "0_0")
