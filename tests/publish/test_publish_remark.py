@@ -3,8 +3,7 @@
 import pytest
 
 from fwclass.assess.remarks import Extent, remarks
-from fwclass.publish.remark import parted
-from fwclass.publish.report import render_report
+from fwclass.publish.report import parted, render_report
 
 
 @pytest.mark.parametrize(
