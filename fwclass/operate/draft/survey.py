@@ -264,9 +264,9 @@ def _head(holdings: Holdings) -> list[str]:
             kind = re.sub(rf"{re.escape(path.stem)}\.\w+|[\d.,]+", "0", fault)
             alike.setdefault(kind, []).append(f"{visible(path.name)}: {visible(fault)}")
     lines = [f"# Drafted by `fwclass init` from {several(files, 'file')}: {held}."]
-    for told in alike.values():
-        more = f" (alike in {several(len(told) - 1, 'other file')})" if len(told) > 1 else ""
-        lines.append(f"# ! {told[0]}{more}")
+    for same in alike.values():
+        more = f" (alike in {several(len(same) - 1, 'other file')})" if len(same) > 1 else ""
+        lines.append(f"# ! {same[0]}{more}")
     return lines
 
 
