@@ -50,6 +50,10 @@ a sample, and nearly all lie within half a sample and the fit's error."""
 SMOOTHER = 1.25
 """Ratio of two roughnesses of range from which the smoother one is the truth."""
 
+SPREAD, STRETCHED = 5.0, 0.005
+"""Standard deviation of locations [ns] that tells whether samples are as far apart as they say, and the share by which
+they are not; a Leica's locations stretch by 0.001."""
+
 MOST_BENT = 4.0
 """Second differences of so many times their median are no ground that tells anything of locations."""
 
@@ -133,10 +137,14 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             walks = len(curve.offsets) > 1
             if (curve.phase or walks) and _placed_alike(sample, fits, near, gap):
                 curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False, alike=walks)
-            left = np.abs(gap[near] - curve.at(fits.amplitude[near]))
+            left = gap[near] - curve.at(fits.amplitude[near])
+            stretch = _stretch(left, sample.pulses["anchor_time"].astype(np.float64)[fits.row[near]])
+            left = np.abs(left)
             astray = float((left > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
             receivers = next((c.receivers for c in pulse.channels[int(k) : int(k) + 1]), ())
-            curve = replace(curve, astray=0.0 if curve.phase or curve.alike else astray, receivers=receivers)
+            curve = replace(
+                curve, astray=0.0 if curve.phase or curve.alike else astray, receivers=receivers, stretch=stretch
+            )
             curves += [curve] if curve.scatter < 0.5 * within else []
     return tuple(curves)
 
@@ -174,6 +182,21 @@ def _placed_alike(sample: Waveforms, fits: Fits, near: NDArray[np.int64], gap: F
     slope = float((bend * odd).sum()) / total
     error = ALIKE * math.sqrt(float(((bend - slope * odd) ** 2).sum()) / (len(odd) - 1) / total)
     return slope + SURE * error < HALFWAY
+
+
+def _stretch(left: Floats, location: Floats) -> float:
+    """How much longer fitted times are than locations as these grow, as a share, where locations spread enough to tell
+    and it is sure; 0 else. `left`, (n,), are fitted times less locations less the curve, of returns at `location` [ns].
+    """
+    middle, sigma = _robust(left)
+    some = np.abs(left - middle) <= MOST_BENT * max(sigma, 1e-6)
+    x, y = location[some] - location[some].mean(), left[some] - left[some].mean()
+    total = float((x**2).sum())
+    if len(x) < TRIPLES or total < SPREAD**2 * len(x):
+        return 0.0
+    slope = float((x * y).sum()) / total
+    error = math.sqrt(float(((y - slope * x) ** 2).sum()) / (len(x) - 2) / total)
+    return slope if abs(slope) > STRETCHED + SURE * error else 0.0
 
 
 def _nearest(gap: Floats, row: NDArray[np.int64], selected: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -32,6 +32,7 @@ class OffsetCurve:
     astray : share of the echoes whose time is not where the curve has it, by more than 0.1 m and their error; 0 where
         locations lack the phase.
     alike : locations walk with the height, and places go with them: nothing is taken off.
+    stretch : share by which fitted times grow faster than locations; 0 where that is not sure.
     """
 
     sample_spacing: float
@@ -45,6 +46,7 @@ class OffsetCurve:
     astray: float = 0.0
     receivers: tuple[int, ...] = ()
     alike: bool = False
+    stretch: float = 0.0
 
     def at(self, amplitude: Floats) -> Floats:
         """Offset of echoes of these heights [ns]."""

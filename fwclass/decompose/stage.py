@@ -327,6 +327,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=14)
-PLACES = Computation(name="places", version=8)
+PULSE = Computation(name="pulse", version=15)
+PLACES = Computation(name="places", version=9)
 DECOMPOSE = Computation(name="decompose", version=18, writes=ECHO_COLUMNS)

@@ -242,6 +242,14 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"{abs(worst['constant']) * METRES_PER_NS:.2f} m off his returns "
             f"({names_of(strips_once(s for s, _ in some))})"
         )
+    some = [(s, c) for s, c in offsets if c.get("stretch")]
+    if some:
+        _, worst = max(some, key=lambda one: abs(one[1]["stretch"]))
+        lines.append(
+            f"fitted times grow by {worst['stretch']:+.1%} against the vendor's locations{channel_words(worst)}: "
+            "samples are not as far apart as the file says, or locations are not, and echoes lie too far from their "
+            f"pulse's first return, or too near, by that share ({names_of(strips_once(s for s, _ in some))})"
+        )
     some = [(s, c) for s, c in offsets if c.get("astray", 0.0) > SCATTERED]
     if some:
         _, worst = max(some, key=lambda one: one[1]["astray"])

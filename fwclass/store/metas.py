@@ -156,6 +156,7 @@ _PLACES = {
             "echoes": COUNT,
             "phase": FLAG,
             "alike?": FLAG,
+            "stretch?": NUMBER,
             "heights": [NUMBER],
             "offsets": [NUMBER],
         }
