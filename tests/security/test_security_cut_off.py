@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import itertools
 import json
 import os
 import subprocess
@@ -107,14 +106,12 @@ def test_a_file_that_is_cut_off_while_its_bytes_are_read(
 def test_polygons_that_are_cut_off_while_they_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = sources(tmp_path)[".geojson"]
     opened = polygon_magic.open_regular
-    calls = itertools.count()
 
     def cutting(at: Path) -> Any:
         file = opened(at)
-        if next(calls) == 1:  # the second time its size was taken, but not its bytes
-            facts = os.fstat(file.fileno())
-            os.truncate(at, 80)
-            monkeypatch.setattr(os, "fstat", lambda handle: facts)
+        facts = os.fstat(file.fileno())
+        os.truncate(at, 80)
+        monkeypatch.setattr(os, "fstat", lambda handle: facts)  # its size was taken, but not its bytes
         return file
 
     monkeypatch.setattr(polygon_magic, "open_regular", cutting)
