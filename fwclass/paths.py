@@ -208,9 +208,10 @@ def _waits(handle: int) -> bool:
 def open_sized(path: Path) -> tuple[BinaryIO, int]:
     """The file at `path`, open for reading, and its size [bytes]; `InputError` where it cannot be opened."""
     try:
-        return open_regular(path), path.stat().st_size
+        stream = open_regular(path)
     except OSError as error:
         raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
+    return stream, os.fstat(stream.fileno()).st_size
 
 
 def open_regular(path: Path | str) -> BinaryIO:

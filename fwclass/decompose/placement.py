@@ -100,10 +100,15 @@ AS_STORED = Placement()
 
 def offsets_of(fits: Fits, pulses: Table, placement: Placement) -> Floats:
     """How much later than its vendor would have it every echo was fitted [ns]; 0 in channels without a curve."""
-    late, channel = np.zeros(len(fits.row)), channel_rows(placement.curves, pulses)[fits.row]
+    return offsets_at(fits.amplitude, channel_rows(placement.curves, pulses)[fits.row], placement)
+
+
+def offsets_at(height: Floats, channel: NDArray[np.int64], placement: Placement) -> Floats:
+    """Offset [ns] of echoes of `height` [DN] by curve number `channel` of the placement, (n,) each; 0 without one."""
+    late = np.zeros(len(height))
     for k, curve in enumerate(placement.curves):
         mine = channel == k
-        late[mine] = curve.at(fits.amplitude[mine])
+        late[mine] = curve.at(height[mine])
     return late
 
 

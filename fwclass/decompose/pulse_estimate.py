@@ -54,7 +54,7 @@ SHARED = 0.5
 """Of the echoes within four times what counts as one width, the share that must lie within it for them to share one; a
 quarter does where widths spread evenly."""
 
-SWINGING = 0.5
+ALONE = 0.5
 """Share of the bright echoes that stand alone but for a swing below the level; below it receivers swing."""
 
 FAR = 1.5
@@ -266,7 +266,7 @@ def bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulsePa
     floor = np.repeat(np.floor(np.nan_to_num(level)), np.diff(waves.offsets)).astype(waves.samples.dtype)
     filled = replace(waves, samples=np.maximum(waves.samples, floor))
     swinging = _bright_peaks(filled, level, noise, params)
-    return swinging if (strict[0] >= 0).sum() < SWINGING * (swinging[0] >= 0).sum() else strict
+    return swinging if (strict[0] >= 0).sum() < ALONE * (swinging[0] >= 0).sum() else strict
 
 
 def _bright_peaks(

@@ -13,7 +13,7 @@ from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms, pulses_of, signal_of
 from fwclass.decompose.params import DecomposeParams, StackParams
-from fwclass.decompose.placement import Placement, offsets_of
+from fwclass.decompose.placement import Placement, offsets_at, offsets_of
 from fwclass.decompose.placing import beams, origins_of, row_shifts
 from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.recovery import recovered
@@ -150,11 +150,7 @@ def _first_samples(waves: Waveforms, late: Floats, beam: Floats, speed: Floats) 
 
 def _faint_offset(waves: Waveforms, placement: Placement, fits: Fits) -> Floats:
     """What a vendor's location of an echo as high as the noise would be off by [ns]."""
-    late, channel = np.zeros(waves.pulses.rows), channel_rows(placement.curves, waves.pulses)
-    for k, curve in enumerate(placement.curves):
-        mine = channel == k
-        late[mine] = curve.at(np.nan_to_num(fits.noise[mine], nan=1.0))
-    return late
+    return offsets_at(np.nan_to_num(fits.noise, nan=1.0), channel_rows(placement.curves, waves.pulses), placement)
 
 
 def _meeting(start: Floats, velocity: Floats, surface: Surface) -> Floats:

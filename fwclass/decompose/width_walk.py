@@ -32,25 +32,7 @@ ROUGH, COARSE = 1.2, 0.01
 crossings of a Gaussian and its top), and by where the samples fall."""
 
 
-def width_walk(waves: Waveforms, params: PulseParams, channels: Sequence[Channel] = ()) -> list[tuple[float, float]]:
-    """(median height [DN], narrowest shared width at half maximum [ns]) of bright single echoes, by classes of height.
-
-    All `channels` of the commonest sample spacing count alike, for digitisers may store bright echoes in wider numbers;
-    but not those of receivers that are known to differ.
-    Classes whose echoes share no width, of slopes or plants, are left out. Empty where there are too few.
-    """
-    echoes = _bright_widths(waves, params, channels)
-    return [(float(np.median(echoes.height[some])), least) for some, least in _shared(echoes, echoes.height, params)]
-
-
-def width_drift(waves: Waveforms, params: PulseParams, channels: Sequence[Channel] = ()) -> list[tuple[float, float]]:
-    """(median number of the pulse, narrowest shared width [ns]) of bright single echoes along the strip, as
-    `width_walk`."""
-    echoes = _bright_widths(waves, params, channels)
-    return [(float(np.median(echoes.pulse[some])), least) for some, least in _shared(echoes, echoes.pulse, params)]
-
-
-class _Widths(NamedTuple):
+class BrightWidths(NamedTuple):
     """Bright single echoes of the commonest sample spacing: height [DN], width and its error [ns], number of the
     pulse."""
 
@@ -60,12 +42,17 @@ class _Widths(NamedTuple):
     pulse: Floats
 
 
-def _bright_widths(waves: Waveforms, params: PulseParams, channels: Sequence[Channel]) -> _Widths:
+def bright_widths(waves: Waveforms, params: PulseParams, channels: Sequence[Channel] = ()) -> BrightWidths:
+    """Of the bright single echoes how wide they are.
+
+    All `channels` of the commonest sample spacing count alike, for digitisers may store bright echoes in wider numbers;
+    but not those of receivers that are known to differ.
+    """
     waves = usable(waves)
     others = np.array([len(c.receivers) > 0 for c in channels] + [False])[channel_rows(channels, waves.pulses)]
     waves = rows_of(waves, np.flatnonzero(~others))
     if waves.pulses.rows == 0:
-        return _Widths(*np.empty((4, 0)))
+        return BrightWidths(*np.empty((4, 0)))
     waves, _, group, _ = with_clips(waves)
     level, noise = rough_levels(waves, group)
     peak, height, width = bright_peaks(waves, level, noise, params)
@@ -73,10 +60,24 @@ def _bright_widths(waves: Waveforms, params: PulseParams, channels: Sequence[Cha
     values, count = np.unique(spacing[peak >= 0], return_counts=True)
     rows = np.flatnonzero((peak >= 0) & (spacing == values[count.argmax()] if len(values) else False))
     error = width[rows] * (ROUGH * noise[rows] / height[rows] + COARSE)
-    return _Widths(height[rows], width[rows], error, waves.pulses["pulse"][rows].astype(np.float64))
+    return BrightWidths(height[rows], width[rows], error, waves.pulses["pulse"][rows].astype(np.float64))
 
 
-def _shared(echoes: _Widths, by: Floats, params: PulseParams) -> Iterator[tuple[NDArray[np.int64], float]]:
+def width_walk(echoes: BrightWidths, params: PulseParams) -> list[tuple[float, float]]:
+    """(median height [DN], narrowest shared width at half maximum [ns]) of bright single echoes, by classes of height.
+
+    Classes whose echoes share no width, of slopes or plants, are left out. Empty where there are too few.
+    """
+    return [(float(np.median(echoes.height[some])), least) for some, least in _shared(echoes, echoes.height, params)]
+
+
+def width_drift(echoes: BrightWidths, params: PulseParams) -> list[tuple[float, float]]:
+    """(median number of the pulse, narrowest shared width [ns]) of bright single echoes along the strip, as
+    `width_walk`."""
+    return [(float(np.median(echoes.pulse[some])), least) for some, least in _shared(echoes, echoes.pulse, params)]
+
+
+def _shared(echoes: BrightWidths, by: Floats, params: PulseParams) -> Iterator[tuple[NDArray[np.int64], float]]:
     """Classes of `echoes` by ascending `by`, (n,), and the narrowest width that each shares [ns], where it does."""
     order = np.argsort(by, kind="stable")
     classes = min(CLASSES, len(order) // params.min_echoes)

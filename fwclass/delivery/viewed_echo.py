@@ -49,7 +49,7 @@ class BehindEchoes:
         read = (p for s, p in sorted(self._store.parts()) if s == "read")
         part = next((p for p in read if self._inputs.meta("read", p).get("waveforms")), None)
         if part is not None:
-            self.pulse(strip_of(part), int(self._chunk(part).pulses["pulse"][0]))
+            self.pulse(strip_of(part), int(self._span(part).pulses["pulse"][0]))
         tile = next((p for s, p in self._store.parts() if s == "tile"), None)
         if tile is not None:
             self.why(tile, 0)
@@ -96,7 +96,7 @@ class BehindEchoes:
         spans = self._inputs.meta("index", f"{strip:05d}").get("spans", ())
         part = span_name(strip, bisect_right([first for _, _, first, *_ in spans], pulse) - 1)
         if self._inputs.meta("read", part).get("waveforms"):
-            waves = self._chunk(part)
+            waves = self._span(part)
             if (waves.pulses["pulse"] == pulse).any():
                 return waves
         raise InputError(
@@ -106,7 +106,7 @@ class BehindEchoes:
             do="strips of discrete returns have none, and `fwclass clean` removes them: run again to have them",
         )
 
-    def _chunk(self, part: str) -> Waveforms:
+    def _span(self, part: str) -> Waveforms:
         return self._spans.get(part, lambda: waveforms_of(part, self._inputs), lambda w: w.samples.nbytes)
 
     @property

@@ -193,7 +193,7 @@ def check_class_codes(formats: Mapping[str, int], config: Config) -> None:
         check_written(written, config.classify.leave, True, where, way)
 
 
-def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
+def _spans_of_returns(plan: Plan, part: _Strip) -> list[Name]:
     """The spans whose returns are asked for their own class."""
     waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if deciding_column(plan) else ()
     return [("read", c) for c in part.spans if c in waves]
@@ -263,7 +263,7 @@ DELIVER_STRIP = Stage(
     after=("read", "decompose", "classify", "tile"),
     needs=lambda plan, part: [
         *(("decompose", c) for c in part.spans),
-        *_chunks_of_returns(plan, part),
+        *_spans_of_returns(plan, part),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
     source=lambda plan, part: (part.strip.path, part.strip.digests),

@@ -22,7 +22,7 @@ from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, LINK_COLUMNS, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.decompose.water_column import water_counts
-from fwclass.decompose.width_walk import width_drift, width_walk
+from fwclass.decompose.width_walk import bright_widths, width_drift, width_walk
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.read.beams import sensor_height
@@ -127,7 +127,7 @@ def index_strip(here: StageInputs, params: ReadParams) -> Result:
     }
 
 
-def read_chunk(here: StageInputs, params: ReadParams, span: Span) -> Result:
+def store_span(here: StageInputs, params: ReadParams, span: Span) -> Result:
     """Pulses, returns and waveforms of one span."""
     waves = read_span(open_source(here.file()), span, params)
     write_table(here.directory / RETURNS, waves.returns)
@@ -188,6 +188,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
         noise = quiet_noise(level, pulse, fit)
+        bright = bright_widths(sample, params, pulse.channels)
         returns = (inputs.table("read", part, "xyz", RETURNS) for part in parts)
         envelope = Envelope.of(returns, fit.envelope_cell)
         ends = {n: v if np.isfinite(v) else None for n, v in (("bottom", envelope.bottom), ("top", envelope.top))}
@@ -197,8 +198,8 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         "pulse": describe(pulse),
         "noise": max((c.noise for c in pulse.channels), default=None),
         "channels": channel_pulses(pulse, recorded, fit),
-        "widths": width_walk(sample, params, pulse.channels) if sampled else [],
-        "drift": width_drift(sample, params, pulse.channels) if sampled else [],
+        "widths": width_walk(bright, params) if sampled else [],
+        "drift": width_drift(bright, params) if sampled else [],
         "sampled": sampled,
         **noise.facts,
     }
@@ -251,7 +252,7 @@ def water_columns(plan: Plan) -> tuple[str, ...]:
     return BATHYMETRY_COLUMNS if plan.config.bathymetry.enabled else ()
 
 
-def decompose_chunk(here: StageInputs, params: DecomposeParams, bathymetry: BathymetryParams | None = None) -> Result:
+def decompose_span(here: StageInputs, params: DecomposeParams, bathymetry: BathymetryParams | None = None) -> Result:
     """Echoes of a span, and the echo of every return."""
     strip = strip_of(here.part)
     waves = waveforms_of(here.part, here.inputs)
@@ -269,7 +270,7 @@ def read_returns(
     left_aside: bool = False,
     bathymetry: BathymetryParams | None = None,
 ) -> Result:
-    """As `read_chunk` and `decompose_chunk`, of a span without waveforms, or whose waveforms are `left_aside`: its
+    """As `store_span` and `decompose_span`, of a span without waveforms, or whose waveforms are `left_aside`: its
     returns are its echoes.
 
     `width`: of a pulse [ns] that nothing is fitted with.
@@ -318,7 +319,7 @@ READ_SPAN = Stage(
     READ.version,
     "chunk",
     "pulse",
-    read_chunk,
+    store_span,
     parts=_with_waves,
     waves=True,
     source=_file,
@@ -362,7 +363,7 @@ DECOMPOSE_WAVES = Stage(
     DECOMPOSE.version,
     "chunk",
     "pulse",
-    decompose_chunk,
+    decompose_span,
     parts=_with_waves,
     waves=True,
     when=_decomposed,

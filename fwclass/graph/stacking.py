@@ -144,7 +144,7 @@ def _is_enabled(plan: Plan) -> bool:
 
 
 def spans_near(plan: Plan, box: Box) -> Names:
-    """Chunks with waveforms that have an echo in a tile that `box`, grown by `ASIDE`, touches."""
+    """Spans with waveforms that have an echo in a tile that `box`, grown by `ASIDE`, touches."""
     spans = _spans_of_tiles(plan)
     tiles = TileGrid(plan.config.tile.size).touching(box.grown(ASIDE))
     return tuple(sorted({span for tile in tiles for span in spans.get(tile.key, ())}))

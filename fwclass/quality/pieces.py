@@ -201,6 +201,7 @@ def _strip(
 def groups_of(strips: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> NDArray[np.int64]:
     """int64 (strips,): number of the group of every strip: those that the pairs `first`, `second` (pairs,) hang
     together."""
+    # scipy.sparse.csgraph does this too, and takes 0.2 s to load where a command on one file needs nothing else of it
     lowest, before = np.arange(strips), np.empty(0, np.int64)
     while not np.array_equal(lowest, before):
         before = lowest.copy()

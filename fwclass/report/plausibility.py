@@ -77,7 +77,7 @@ DOUBTFUL, DOUBTED = 0.3, 20
 
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What the receipt of a strip's pulse says of its noise, of every channel's pulse (`channel_pulses`), and how
-    wide echoes are at every height (`width_walk`)."""
+    wide echoes are at every height and along the strip (`width_walk`, `width_drift`)."""
     walks = {name: meta.get(name, []) for name in ("widths", "drift")}
     return {**{name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}, **walks}
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.publish.waveform_pictures import ReceiverPicture, draw_pulse, draw_receiver
+from fwclass.report.pulse_remarks import descriptor_words
 
 LEAST_REACH = 25.0
 """Time after the peak that is shown at least [ns]: ringing comes late."""
@@ -47,7 +48,8 @@ def receiver_picture(
 
 
 def _channel(spacing: float, saturation: float, receivers: Sequence[int]) -> str:
-    return f"{spacing:g} ns, up to {saturation:g} DN" + "".join(f", {r}" for r in receivers)
+    own = f", {descriptor_words(receivers)}" if receivers else ""
+    return f"{spacing:g} ns, up to {saturation:g} DN{own}"
 
 
 def _times(pulse: SystemPulse) -> np.ndarray:

@@ -27,8 +27,8 @@ def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Where the echoes' pulse is not the recorded one, not the echoes', or not one at all heights: of ``name``,
-    ``channels`` and ``widths``."""
+    """Where the echoes' pulse is not the recorded one, not the echoes', or not one at all heights, along the strip or
+    of all receivers: of ``name``, ``channels``, ``widths`` and ``drift``."""
     walking = [s for s in strips if _walks(s)]
     known = [(s, c) for s in strips if s not in walking for c in s.get("channels", ())]
     lines = []
@@ -74,8 +74,8 @@ def _drift_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _extremes(drift: Sequence[Sequence[float]]) -> list[tuple[float, float]]:
     """(number of the pulse, width [ns]) of the narrowest and the widest class of echoes."""
-    classes = [(width, number) for number, width in drift]
-    return [(number, width) for width, number in (min(classes), max(classes))]
+    by_width = sorted(((number, width) for number, width in drift), key=lambda one: one[1])
+    return [by_width[0], by_width[-1]]
 
 
 def _receiver_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -83,11 +83,13 @@ def _receiver_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     if not some:
         return []
     strip, one = some[0]
-    others = next(c for c in strip["channels"] if not c["receivers"] and _kind(c) == _kind(one))
-    of = ", ".join(f"{c['fwhm']:.2f} ns wide, noise {c['noise']:.2f} DN" for c in (one, others))
+    others = [c for c in strip["channels"] if not c["receivers"] and _kind(c) == _kind(one)]
+    of = ", ".join(f"{c['fwhm']:.2f} ns wide, noise {c['noise']:.2f} DN" for c in (one, *others))
+    of += " of the others" if others else ""  # whose samples may never have been quiet
     return [
-        f"waveform descriptors tell receivers of different pulses or noise apart: {_numbers(one)} ({of} of the "
-        "others); each is fitted with its own pulse and noise, and heights of one do not compare with another's "
+        "waveform descriptors tell receivers of different pulses or noise apart: "
+        f"{descriptor_words(one['receivers'])} ({of}); each is fitted with its own pulse and noise, and heights of one "
+        "do not compare with another's "
         f"({names_of(strips_once(s for s, _ in some))})"
     ]
 
@@ -96,8 +98,9 @@ def _kind(channel: Mapping[str, Any]) -> tuple[float, float]:
     return channel["sample_spacing"], channel["saturation"]
 
 
-def _numbers(channel: Mapping[str, Any]) -> str:
-    return f"descriptor {', '.join(map(str, channel['receivers']))}"
+def descriptor_words(receivers: Sequence[int]) -> str:
+    """Which waveform descriptors stand for the receivers of a channel."""
+    return f"descriptor {', '.join(map(str, receivers))}"
 
 
 def _walks(strip: Mapping[str, Any]) -> bool:
@@ -118,7 +121,7 @@ def channel_words(channel: Mapping[str, Any]) -> str:
     """Which channel, where one is known."""
     if channel["sample_spacing"] is None:
         return ""
-    own = f", {_numbers(channel)}" if channel.get("receivers") else ""
+    own = f", {descriptor_words(channel['receivers'])}" if channel.get("receivers") else ""
     return f" (channel of {channel['sample_spacing']:g} ns samples up to {channel['saturation']:g} DN{own})"
 
 

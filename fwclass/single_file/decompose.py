@@ -36,6 +36,7 @@ from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.report.pulse_remarks import descriptor_words
 from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
@@ -172,7 +173,7 @@ def _pulse_words(pulse: SystemPulse) -> str:
     words = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
     own = "".join(
         f"; {c.pulse.fwhm:.2f} ns of samples up to {c.saturation:g} DN each {c.sample_spacing:g} ns"
-        + (f", descriptor {', '.join(map(str, c.receivers))}" if c.receivers else "")
+        + (f", {descriptor_words(c.receivers)}" if c.receivers else "")
         for c in pulse.channels
         if c.pulse
     )

@@ -17,6 +17,7 @@ from wavemaker import FWHM, METRES_PER_NS, waves_of
 from fwclass.decompose.fitting import fit_waveforms
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.report.pulse_remarks import pulse_remarks
 
 PULSE, FIT = PulseParams(**BASE["pulse"]), DecomposeParams(**BASE["decompose"])
 RISE, SAMPLES = 1.5, 180
@@ -114,6 +115,14 @@ def test_detectors_that_descriptors_tell_apart_have_pulses_of_their_own(tmp_path
     assert np.median(np.abs(np.asarray(las.z)[np.asarray(las.return_number) == 1] - 200.0)) < 0.02
     odd = np.asarray(las["noise"]) < 1.2  # each detector has its own noise
     assert abs(odd.mean() - 0.5) < 0.03, odd.mean()
+
+
+def test_a_detector_whose_fellow_was_never_quiet_is_told_alone():
+    """The other one has no channel: none of its samples are free of echoes."""
+    own = {"sample_spacing": 1.0, "saturation": 255.0, "receivers": [2], "fwhm": 4.0, "noise": 1.2}
+    channel = own | {"outgoing": False, "recorded_fwhm": None}
+    (line,) = pulse_remarks([{"name": "s", "channels": [channel]}])
+    assert "descriptor 2 (4.00 ns wide, noise 1.20 DN); each is fitted" in line
 
 
 def test_detectors_that_nothing_tells_apart_are_named_among_the_causes(tmp_path):

@@ -13,7 +13,7 @@ from fwclass import conf
 from fwclass.decompose.params import PulseParams
 from fwclass.decompose.pulse_sample import join_samples, rows_of
 from fwclass.decompose.system_pulse import disagree
-from fwclass.decompose.width_walk import width_drift, width_walk
+from fwclass.decompose.width_walk import bright_widths, width_drift, width_walk
 from fwclass.read.pls_read import index_pls, read_pls
 from fwclass.read.pulsewaves import open_pls
 from fwclass.report.pulse_remarks import pulse_remarks
@@ -38,23 +38,23 @@ def expanded(waves: Waveforms) -> Waveforms:
 
 
 def told(waves: Waveforms, params: PulseParams) -> list[str]:
-    return pulse_remarks([{"name": "s", "channels": [], "widths": width_walk(waves, params)}])
+    return pulse_remarks([{"name": "s", "channels": [], "widths": width_walk(bright_widths(waves, params), params)}])
 
 
 def test_a_linear_receiver_has_one_width(params: PulseParams) -> None:
-    walk = width_walk(survey(), params)
+    walk = width_walk(bright_widths(survey(), params), params)
     assert len(walk) >= 4 and [w for _, w in walk] == pytest.approx([4.0] * len(walk), rel=0.08)
     assert not told(survey(), params)
 
 
 def test_expanded_samples_are_told_whatever_channel_they_are_of(params: PulseParams) -> None:
     waves = expanded(survey())
-    walk = width_walk(waves, params)
+    walk = width_walk(bright_widths(waves, params), params)
     assert walk[0][1] == pytest.approx(4.0, rel=0.08) and disagree(walk[-1][1], walk[0][1])
     (line,) = told(waves, params)
     assert "do not grow in proportion to the light" in line
     order = np.random.default_rng(2).permutation(waves.pulses.rows)
-    assert width_walk(rows_of(waves, order), params) == walk
+    assert width_walk(bright_widths(rows_of(waves, order), params), params) == walk
 
 
 @pytest.mark.parametrize("last", [4.2, 6.0])
@@ -66,14 +66,14 @@ def test_a_pulse_that_widens_along_the_strip_is_told(params: PulseParams, last: 
         replace(p, pulses=p.pulses.with_columns({"pulse": np.arange(500) + 500 * k})) for k, p in enumerate(parts)
     ]
     waves = join_samples(numbered)
-    drift = width_drift(waves, params)
+    drift = width_drift(bright_widths(waves, params), params)
     assert len(drift) >= 4
     for number, width in drift:
         assert width == pytest.approx(4.0 + (last - 4.0) * number / 4000, rel=0.08)
     lines = pulse_remarks([{"name": "s", "channels": [], "widths": [], "drift": drift}])
     assert len(lines) == (last > 5.0) and all("change along the strip" in line for line in lines), lines
     order = np.random.default_rng(2).permutation(waves.pulses.rows)
-    assert width_drift(rows_of(waves, order), params) == drift
+    assert width_drift(bright_widths(rows_of(waves, order), params), params) == drift
 
 
 def test_nothing_is_told_of_slopes_plants_and_few(params: PulseParams) -> None:
@@ -82,10 +82,10 @@ def test_nothing_is_told_of_slopes_plants_and_few(params: PulseParams) -> None:
     width = 4.0 * (1.0 + rng.uniform(0.0, 1.5, (3000, 1)) * np.sqrt(40.0 / height))  # brighter ones are flatter
     plants, _ = wm.simulate(height, np.full((3000, 1), 40.0), width / wm.FWHM, samples=120, pulse=wm.Pulse(4.0))
     assert not told(plants, params)
-    assert width_walk(rows_of(survey(), np.arange(20)), params) == []
-    assert width_walk(rows_of(survey(), np.arange(0)), params) == []
-    assert width_drift(rows_of(survey(), np.arange(20)), params) == []
-    steady = {"name": "s", "channels": [], "widths": [], "drift": width_drift(survey(), params)}
+    assert width_walk(bright_widths(rows_of(survey(), np.arange(20)), params), params) == []
+    assert width_walk(bright_widths(rows_of(survey(), np.arange(0)), params), params) == []
+    assert width_drift(bright_widths(rows_of(survey(), np.arange(20)), params), params) == []
+    steady = {"name": "s", "channels": [], "widths": [], "drift": width_drift(bright_widths(survey(), params), params)}
     assert steady["drift"] and not pulse_remarks([steady])
 
 
@@ -94,7 +94,7 @@ def test_the_geolas_sample_stores_bright_echoes_in_wider_numbers_and_expands_the
 ) -> None:
     source = open_pls(shared_data / "waveform" / "geolas_example2.pls")
     (waves,) = [read_pls(source, span) for span in index_pls(source, source.n_records)]
-    walk = dict(width_walk(waves, params))
+    walk = dict(width_walk(bright_widths(waves, params), params))
     assert max(walk.values()) == pytest.approx(4.11, abs=0.05) and min(walk.values()) == pytest.approx(2.97, abs=0.05)
     wide = np.maximum.reduceat(waves.samples, waves.offsets[:-1]) > 255
     assert np.array_equal(wide, waves.pulses["saturation"] > 255.0), "16 bits are those of pulses that pass 255 DN"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fwclass.report.plausibility import PERIODIC
+from fwclass.report.pulse_remarks import descriptor_words
 
 
 def describe(report: dict[str, Any]) -> str:
@@ -46,7 +47,7 @@ def further_words(channels: list[dict[str, Any]]) -> list[str]:
     """Of every channel, how high further echoes of a waveform must be, and why."""
     lines = []
     for c in (c for c in channels if c["sample_spacing"] is not None):
-        own = f", descriptor {', '.join(map(str, c['receivers']))}" if c["receivers"] else ""
+        own = f", {descriptor_words(c['receivers'])}" if c["receivers"] else ""
         of = f"channel of {c['sample_spacing']:g} ns up to {c['saturation']:g} DN{own}: " if len(channels) > 1 else ""
         share = f"further echoes of a waveform need {c['further_detection']:.0%} of the threshold"
         why = "too few single ones are bright"
