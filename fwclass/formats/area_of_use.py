@@ -11,7 +11,7 @@ from pyproj import Proj, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
-from fwclass.formats.crs import Records, epsg_of
+from fwclass.formats.crs import Records, doubtful_system, epsg_of
 from fwclass.formats.linear_units import linear_units
 from fwclass.units import LAND
 
@@ -70,13 +70,19 @@ def elsewhere(crs: Any, low: Sequence[float], high: Sequence[float], header: Rec
 
 
 def place_facts(
-    crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None, own: Any = None
+    crs: Any,
+    low: Sequence[float],
+    high: Sequence[float],
+    header: Records | None = None,
+    own: Any = None,
+    of_file: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """``remarks`` (`place_faults`, `overruled`) and ``elsewhere``, as `report.facts.judge_place` takes them; `own`: the
-    system that the file names, where a user names `crs`."""
+    """``remarks`` (`place_faults`, `overruled`, `doubtful_system`) and ``elsewhere``, as `report.facts.judge_place`
+    takes them; `own`: the system that the file names, where a user names `crs`; `of_file`: the faults of its header."""
     faults, away = place_faults(crs, low, high, header), elsewhere(crs, low, high, header)
     worse = "" if away else overruled(crs, own, low, high)
-    return {"remarks": [*([worse] if worse else []), *faults], "elsewhere": away or bool(worse)}
+    doubt = doubtful_system(of_file) if crs is own else ""
+    return {"remarks": [text for text in (worse, doubt) if text] + faults, "elsewhere": away or bool(worse)}
 
 
 def overruled(crs: Any, own: Any, low: Sequence[float], high: Sequence[float]) -> str:

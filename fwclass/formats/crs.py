@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 from pyproj import CRS
@@ -16,7 +17,7 @@ _USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
 _WKT, _KEYS = 2112, 34735
 _GEOGRAPHIC, _PROJECTED, _VERTICAL, _VERTICAL_UNITS = 2048, 3072, 4096, 4099
 _USER_DEFINED = 32767
-TWO_SYSTEMS = "the file names two coordinate systems"
+_TWO_SYSTEMS = "the file names two coordinate systems"
 _FEET = {9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
 
 
@@ -45,7 +46,7 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     if crs is None:
         crs = ways[1](header, faults)
     elif (other := ways[1](header, [])) is not None and _elsewhere(crs, other):
-        faults.append(f"{TWO_SYSTEMS}, {crs.name} and {other.name}: by its header the first counts")
+        faults.append(f"{_TWO_SYSTEMS}, {crs.name} and {other.name}: by its header the first counts")
     if crs is None:
         faults.append("no usable CRS: name one in the configuration")
     elif crs.is_geographic:
@@ -53,6 +54,11 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     elif units := units_of(crs):
         faults.append(f"the CRS is in {', '.join(units)}: a survey's files must be in metres, x, y and z")
     return crs
+
+
+def doubtful_system(faults: Sequence[str]) -> str:
+    """The one of a file's `faults` that says that it names two systems; "" where it names one."""
+    return next((fault for fault in faults if fault.startswith(_TWO_SYSTEMS)), "")
 
 
 def _elsewhere(crs: CRS, other: CRS) -> bool:

@@ -111,7 +111,7 @@ def decompose_file(
         if table.rows:
             ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
             refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
-            place = place_facts(system, ends[0], ends[1], own=opened.crs)
+            place = place_facts(system, ends[0], ends[1], own=opened.crs, of_file=opened.faults)
         flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
         whole, notes, odd_radiometry = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0

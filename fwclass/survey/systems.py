@@ -10,7 +10,7 @@ from pyproj.exceptions import CRSError
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.formats.crs import TWO_SYSTEMS, units_of
+from fwclass.formats.crs import doubtful_system, units_of
 from fwclass.formats.flat import refuse_source
 from fwclass.formats.grid_files import without_paths
 from fwclass.read.source import Source, refuse_other_system
@@ -45,7 +45,7 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
         if user_crs is not None and crs is not None and not crs.equals(user_crs, ignore_axis_order=True):
             runner.display.say(f"note: survey.crs ({user_crs.name}) is used for {path.name}, which names {crs.name}")
         crs = user_crs or crs
-        two = next((f for f in source.faults if f.startswith(TWO_SYSTEMS)), "") if user_crs is None else ""
+        two = doubtful_system(source.faults) if user_crs is None else ""
         if two:
             runner.display.say(f"note: {source.path.name}: {two} (survey.crs names another)")
         if crs is None:

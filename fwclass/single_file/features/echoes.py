@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -113,11 +113,11 @@ def _of_text(path: Path, crs: Any) -> FileEchoes:
     return FileEchoes(Table(columns), cloud.crs, notes, {"place": place})
 
 
-def _place_of(table: Table, crs: Any, own: Any = None) -> dict[str, Any] | None:
+def _place_of(table: Table, crs: Any, own: Any = None, of_file: Sequence[str] = ()) -> dict[str, Any] | None:
     if not table.rows:
         return None
     low, high = ([float(f(table[a])) for a in "xyz"] for f in (np.min, np.max))
-    return place_facts(crs, low, high, own=own)
+    return place_facts(crs, low, high, own=own, of_file=of_file)
 
 
 def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
@@ -138,7 +138,7 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     table = Table.concat(tables)
     notes = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
     notes += [TAKEN_FOR_METRES] if crs is None else []
-    place = _place_of(table, crs, source.crs)
+    place = _place_of(table, crs, source.crs, source.faults)
     notes += place["remarks"] if place else []
     judged = strip_plausibility(source.path.stem, source.n_points, counts, noise, places, faults, source.n_records)
     notes += plausibility_remarks([judged], fit)

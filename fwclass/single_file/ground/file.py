@@ -263,8 +263,8 @@ def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
         remark = "the coordinates look like degrees, and were taken for metres: reproject the file first"
         return {"remarks": [remark], "elsewhere": True}
     low, high = ([float(f(a[cloud.usable])) for a in (cloud.x, cloud.y, cloud.z)] for f in (np.min, np.max))
-    own = getattr(cloud.source, "crs", None)
-    return place_facts(cloud.crs, low, high, getattr(cloud.source, "header", None), own)
+    own, header, of_file = (getattr(cloud.source, name, None) for name in ("crs", "header", "faults"))
+    return place_facts(cloud.crs, low, high, header, own, of_file or ())
 
 
 def judged_of_cloud(
