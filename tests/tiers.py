@@ -9,6 +9,7 @@ test fails that starts something all the same, also where the code under test sw
 from __future__ import annotations
 
 import functools
+import importlib
 import inspect
 import platform
 import sys
@@ -148,6 +149,7 @@ class Watch:
     def __init__(self) -> None:
         self.awake, self.met = False, []
         platform.processor()  # asked once by `uname`, and kept: h5py asks as it is loaded
+        importlib.import_module("matplotlib.font_manager")  # lists a fresh machine's fonts by `fc-list`, and keeps them
         sys.addaudithook(self._heard)  # it cannot be taken away again: `awake` ends it
         start = BaseProcess.start
 

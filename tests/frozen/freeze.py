@@ -2,7 +2,8 @@
 
 `python tests/frozen/freeze.py record DIRECTORY FILE` runs everything below DIRECTORY and writes the digests;
 `python tests/frozen/freeze.py compare BEFORE AFTER` names what differs and ends with 1. Both records are to be made on
-one machine: another processor may round otherwise. `--root TREE` records the program of another checkout.
+one machine: another processor may round otherwise. `--root TREE` records the program of another checkout, `--only p1`
+(more than once) one run of them.
 """
 
 from __future__ import annotations
@@ -64,11 +65,11 @@ def digests(directory: Path) -> dict[str, str]:
     return out
 
 
-def record(directory: Path, to: Path, root: Path) -> None:
+def record(directory: Path, to: Path, root: Path, only: list[str]) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     kept: dict[str, dict[str, str]] = {}
     for name, words in RUNS.items():
-        if name in REAL and not DATA.is_dir():
+        if (only and name not in only) or (name in REAL and not DATA.is_dir()):
             continue
         survey = root / "conf" / "surveys" / f"{words[0]}.yaml"
         real = (
@@ -78,12 +79,13 @@ def record(directory: Path, to: Path, root: Path) -> None:
         )
         run(["run", str(survey), *words[1:], *real, "--out", name], directory, root)
         kept[name] = digests(directory / name)
-    files = directory / "files"
-    shutil.rmtree(files, ignore_errors=True)
-    files.mkdir()
-    for words in FILES.values():
-        run([w.format(out="files") for w in words], directory, root)
-    kept["files"] = digests(files)
+    if not only or "files" in only:
+        files = directory / "files"
+        shutil.rmtree(files, ignore_errors=True)
+        files.mkdir()
+        for words in FILES.values():
+            run([w.format(out="files") for w in words], directory, root)
+        kept["files"] = digests(files)
     to.write_text(json.dumps(kept, indent=1, sort_keys=True))
 
 
@@ -109,10 +111,11 @@ def main() -> None:
     parser.add_argument("first", type=Path)
     parser.add_argument("second", type=Path)
     parser.add_argument("--root", type=Path, default=ROOT)
+    parser.add_argument("--only", action="append", choices=(*RUNS, "files"), default=[], help="`files` needs `demo`")
     asked = parser.parse_args()
     if asked.what == "compare":
         sys.exit(compare(asked.first, asked.second) > 0)
-    record(asked.first.resolve(), asked.second.resolve(), asked.root.resolve())
+    record(asked.first.resolve(), asked.second.resolve(), asked.root.resolve(), asked.only)
 
 
 if __name__ == "__main__":
