@@ -1,5 +1,5 @@
-"""Packets of other returns, and times and beam vectors of another unit: every sample is sound, and so is every fit. The
-returns tell, by their strength and by how far apart they lie."""
+"""Packets of other returns, times and beam vectors of another unit, and vectors that point elsewhere: every sample is
+sound, and so is every fit. The returns tell, by their strength and by how they lie to each other."""
 
 from __future__ import annotations
 
@@ -41,6 +41,21 @@ def slow(points) -> None:
         points[name] *= 0.8
 
 
+def mirrored_from_the_middle(points) -> None:
+    for name in ALL[-3:-1]:
+        points[name][len(points) // 2 :] *= -1.0
+
+
+def turned_from_the_middle(points) -> None:
+    for name in ALL[-3:]:
+        points[name][len(points) // 2 :] *= -1.0
+
+
+def straight_down(points) -> None:
+    points["z_t"] = np.sqrt(sum(points[name] ** 2 for name in ALL[-3:]))
+    points["x_t"] = points["y_t"] = 0.0
+
+
 def decompose(folder: Path, change, echoes: int = 3) -> tuple[int, str]:
     path = survey(folder / "a.las", 400, max_echoes=echoes).path
     las = laspy.read(path)
@@ -59,6 +74,9 @@ def decompose(folder: Path, change, echoes: int = 3) -> tuple[int, str]:
         (shuffled, MIXED, 1),
         (one_way, UNITS, 3),
         (slow, UNITS, 3),
+        (mirrored_from_the_middle, UNITS, 3),
+        (turned_from_the_middle, UNITS, 3),
+        (straight_down, UNITS, 3),
     ],
 )
 def test_it_is_told_and_ends_with_4(tmp_path: Path, change, said: str, echoes: int) -> None:

@@ -18,6 +18,10 @@ NEARER, FARTHER, ROUNDED = 0.7, 1.1, 0.1
 """Shares of the way that light goes between two returns' locations within which their distance lies, and metres beside:
 0.75 where a vendor has taken the light's slower way through water off the places."""
 
+ASIDE = 0.1
+"""Share of that way by which the later return lies beside the beam at most: light that comes down 25 degrees off bends
+by as much in water; beams that are mirrored, or all straight down, are off by as much from 3 and 6 degrees on."""
+
 COUNTS = ("compared", "unlike", "paired", "misplaced")
 """What `belonging` counts."""
 
@@ -26,8 +30,8 @@ def belonging(waves: Waveforms, of_return: Mapping[str, NDArray], usable: NDArra
     """How well waveforms belong to their returns, by `COUNTS`.
 
     Of consecutive returns those ``compared`` that differ in strength, and ``unlike`` where the echo of the stronger one
-    is the lower; ``paired`` consecutive returns of one pulse, and ``misplaced`` those that do not lie as far apart as
-    light goes between their locations.
+    is the lower; ``paired`` consecutive returns of one pulse, and ``misplaced`` those that do not lie as far apart,
+    along their beam, as light goes between their locations.
 
     Parameters
     ----------
@@ -58,11 +62,15 @@ def _strengths(waves: Waveforms, amplitude: NDArray, usable: NDArray[np.bool_]) 
 def _distances(waves: Waveforms) -> tuple[int, int]:
     returns = waves.returns.take(np.flatnonzero(waves.returns["has_packet"]))
     returns = returns.take(np.lexsort((returns["return_number"], returns["pulse"])))
-    time = np.abs(np.diff(returns["location"].astype(np.float64)))
-    pair = (np.diff(returns["pulse"].astype(np.int64)) == 0) & (time >= APART)
+    later = np.diff(returns["location"].astype(np.float64))
+    pair = (np.diff(returns["pulse"].astype(np.int64)) == 0) & (np.abs(later) >= APART)
     row = np.searchsorted(waves.pulses["pulse"], returns["pulse"][1:][pair])
-    way = time[pair] * beams(waves)[1][row]
+    beam, speed = (values[row] for values in beams(waves))
+    way = np.abs(later[pair]) * speed
     place = np.stack([returns[a] for a in "xyz"], axis=1)
-    distance = np.linalg.norm(np.diff(place, axis=0)[pair], axis=1)
+    apart = np.diff(place, axis=0)[pair] * np.sign(later[pair])[:, None]
+    distance, along = np.linalg.norm(apart, axis=1), (apart * beam).sum(axis=1)
+    aside = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
     misplaced = (distance > FARTHER * way + ROUNDED) | (distance < NEARER * way - ROUNDED)
+    misplaced |= (aside > ASIDE * way + ROUNDED) | (along < -ROUNDED)
     return int(pair.sum()), int(misplaced.sum())

@@ -149,7 +149,8 @@ class PlausibilityParams(Params):
     max_recurring : share of the waveforms with echoes that have one no scene makes: always as long behind the highest
         one and as high beside it, or always at one place of the record and as high.
     max_unlike : share of neighbouring returns the stronger of which has the lower echo.
-    max_misplaced : share of neighbouring returns of one pulse that do not lie apart as their locations in time do.
+    max_misplaced : share of neighbouring returns of one pulse that do not lie apart, along their beam, as their
+        locations in time do.
     max_repeated : share of the survey's echoes that have place and time of another.
     max_shared : share of a file's echoes that another file has too: as they are, or moved by less than half a metre.
     max_height_step : median step in height between files, or lines, that see one surface or lie beside each other [m].

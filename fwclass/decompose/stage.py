@@ -329,4 +329,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=15)
 PLACES = Computation(name="places", version=9)
-DECOMPOSE = Computation(name="decompose", version=18, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=19, writes=ECHO_COLUMNS)

@@ -67,8 +67,8 @@ MIXED = (
     "packets are those of other returns, or intensities no measure of strength; export points and waveforms together"
 )
 UNITS = (
-    "locations and beam vectors count the light's way there and back, in picoseconds; where they do, packets are those "
-    "of other returns"
+    "locations and beam vectors count the light's way there and back, in picoseconds, and vectors point from the "
+    "return to the sensor; where they do, packets are those of other returns"
 )
 
 DOUBTFUL, DOUBTED = 0.3, 20
@@ -150,7 +150,7 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
     if some := [s for s in strips if (s["misplaced_share"] or 0.0) > TOLD_FROM]:
         lines.append(
             f"{_part(some, 'misplaced', 'paired', 'neighbouring returns of one pulse')} do not lie as far apart as "
-            f"light goes between their locations: {UNITS} ({names_of(some)})"
+            f"light goes between their locations, or beside their beam: {UNITS} ({names_of(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
         lines.append(
