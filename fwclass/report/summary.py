@@ -18,7 +18,7 @@ SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
 OF_ACCURACY = ("label", "confusion", "assess")
 """Stages without which there is no accuracy."""
 
-KINDS = ("laz", "parquet", "rasters", "model", "quality", "gis", "contours", "vectors", "backscatter", "other")
+KINDS = ("laz", "parquet", "rasters", "model", "quality", "gis", "contours", "vectors", "backscatter", "other", "page")
 """What a run delivers, in the order in which it is told."""
 
 SHOWN = 4
@@ -112,7 +112,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             rows += [f"{kind:<11} {root / top}" for top in sorted({name.partition("/")[0] for name in names})]
         elif kind == "gis":
             rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
-        elif kind == "quality":
+        elif kind in ("quality", "page"):
             rows += [f"{kind:<11} {root / name}" for name in names]
         elif names:
             rows.append(f"{kind:<11} {root / kind}  ({several(len(names), 'file')})")

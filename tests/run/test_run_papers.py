@@ -19,6 +19,7 @@ from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.replay import task_alone
 from fwclass.operate.status.summary import NO_STAGES
 from fwclass.operate.status.walk import RunStatus, Silent, look_at
+from fwclass.report.summary import summary
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -121,10 +122,11 @@ def test_every_claim_has_a_verdict_and_the_page_stands_alone(fan) -> None:
 
 
 @pytest.mark.slow
-def test_a_second_run_makes_nothing(fan, survey: Path) -> None:
+def test_a_second_run_makes_nothing_and_says_where_the_page_is(fan, survey: Path) -> None:
     root, facts = fan
-    runner, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
+    runner, report = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
     assert {o.status for o in runner.outcomes.values()} == {"skipped"}
+    assert f"page        {root / 'fan2013.html'}" in summary(report, root).splitlines()
     assert json.loads((root / "fan2013.json").read_text()) == {
         **facts,
         "selection": json.loads((root / "fan2013.json").read_text())["selection"],

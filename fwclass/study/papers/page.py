@@ -21,15 +21,14 @@ from fwclass.survey.layout import Layout
 def deliver(
     config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any], facts: Mapping[str, Any], **shown: Any
 ) -> dict[str, Any]:
-    """Write ``<paper>.json`` and ``<paper>.html`` beside the report; the report's dict, with them as outputs.
+    """Write ``<paper>.json`` and ``<paper>.html`` beside the report; the report's dict, with the page as an output.
 
     `shown` is what the page draws and the JSON does not hold.
     """
     name = str(facts["paper"])
     write_json(runner.pending / f"{name}.json", dict(facts))
     render_paper({**facts, **shown}, class_picture(config, runner, layout, report), runner.pending / f"{name}.html")
-    page = {f"{name}.html": [f"{name}.html"]}
-    return {**report, "outputs": {**report["outputs"], **page}}
+    return {**report, "outputs": {**report["outputs"], "page": [f"{name}.html"]}}
 
 
 def class_picture(config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any]) -> bytes:
