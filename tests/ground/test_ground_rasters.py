@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import sparse
+from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 from tolerances import SMALL_COORDINATE
 
@@ -192,3 +192,20 @@ def test_domain_closes_gaps_inside_and_adds_nothing_outside():
     expected = np.zeros_like(measured)
     expected[20:40, 20:40] = True
     np.testing.assert_array_equal(closed, expected)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.05, 0.6, 1.0])
+@pytest.mark.parametrize("radius", [0.0, 1.0, 2.5, 5**0.5, 3 * 2**0.5, 12.0, 200.0])
+def test_domain_is_the_closing_by_distances(share, radius):
+    measured = np.random.default_rng(2).random((40, 61)) < share
+    measured[7, 3] = True
+    near = ndimage.distance_transform_edt(~measured) <= radius
+    closed = near if near.all() else (ndimage.distance_transform_edt(near) > radius) | measured
+    np.testing.assert_array_equal(domain(measured, radius), closed)
+
+
+def test_rows_without_a_cell_take_no_part_in_an_opening():
+    surface = np.full((30, 20), np.nan)
+    surface[[2, 3, 3, 15, 16], [4, 4, 9, 12, 11]] = 1.0, 3.0, 2.0, 5.0, 4.0
+    expected = brute_extreme(brute_extreme(surface, 3, min), 3, max)
+    np.testing.assert_array_equal(disk_opening(surface, 3), expected)

@@ -35,39 +35,47 @@ def smrf(
     """
     window = window_over(x, y, params.cell, "smrf.cell", margin=2 if params.survey_edge else 0)
     corner = (window.row, window.col)
-    points, low = _without_low_outliers(x, y, z, window, params)
-    ground = _with_edges(points, _first_ground(points.z, low, corner, params), params)
-    heights = fill_gaps(np.where(ground, points.z, np.nan), corner)
+    points, low, surface = _without_low_outliers(x, y, z, window, params)
+    ground = _with_edges(points, _first_ground(points.z, surface, low, params), params)
+    heights = surface if np.array_equal(ground, np.isfinite(points.z)) else _filled(points.z, ground, corner)
     near = np.empty(len(x), bool)
     slope = gradient(heights, params.cell)
     near_terrain(x, y, z, heights, slope, *corner, params.cell, params.threshold, params.scalar, near)
     return near
 
 
+def _filled(heights: NDArray[np.float64], known: NDArray[np.bool_], corner: tuple[int, int]) -> NDArray[np.float64]:
+    """Surface of the `known` cells alone."""
+    return fill_gaps(np.where(known, heights, np.nan), corner)
+
+
 def _without_low_outliers(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], window: Window, params: SmrfParams
-) -> tuple[LowestPoints, NDArray[np.bool_]]:
-    """The lowest echoes that are not far below their surroundings, and the cells whose lowest echo still is.
+) -> tuple[LowestPoints, NDArray[np.bool_], NDArray[np.float64]]:
+    """The lowest echoes that are not far below their surroundings, the cells whose lowest echo still is, and the
+    surface of all cells, filled.
 
     Pingel leaves such a cell out of the terrain, but the openings see it (`low_first` off).
     """
-    points = lowest_points(x, y, z, window)
-    limit = low_limit(fill_gaps(points.z, (window.row, window.col)), params.cell, params.low_slope)
+    points, corner = lowest_points(x, y, z, window), (window.row, window.col)
+    surface = fill_gaps(points.z, corner)
+    limit = low_limit(surface, params.cell, params.low_slope)
     low = points.z < limit
     if not params.low_first:
-        return points, low
+        return points, low, surface
     radius = int(params.low_radius / params.cell)
     low = without_company(points.z, low, radius, params.low_level, params.low_companions)
     if low.any():
         points = lowest_points(x, y, z, window, np.where(low, limit, -np.inf))
-    return points, np.zeros(window.shape, bool)
+        surface = fill_gaps(points.z, corner)
+    return points, np.zeros(window.shape, bool), surface
 
 
 def _first_ground(
-    lowest: NDArray[np.float64], low: NDArray[np.bool_], corner: tuple[int, int], params: SmrfParams
+    lowest: NDArray[np.float64], surface: NDArray[np.float64], low: NDArray[np.bool_], params: SmrfParams
 ) -> NDArray[np.bool_]:
-    """Measured cells that are neither low outliers nor objects."""
-    measured, surface = np.isfinite(lowest), fill_gaps(lowest, corner)
+    """Measured cells that are neither low outliers nor objects; `surface` is `lowest`, filled."""
+    measured = np.isfinite(lowest)
     reach = params.window or 0.0
     if params.survey_edge:
         surface = np.where(domain(measured, reach / params.cell), surface, np.nan)

@@ -38,7 +38,8 @@ def disk_opening(surface: NDArray[Real], radius: int) -> NDArray[Real]:
 
 
 def _erode_by_disk(surface: NDArray[Real], half_widths: NDArray[np.int64]) -> NDArray[Real]:
-    """Minimum over the disk, strip by strip and row by row, so that the table stays in the processor's cache."""
+    """Minimum over the disk, strip by strip and row by row, so that the table stays in the processor's cache; infinite
+    cells have no part in it, and whatever the minimum around them."""
     radius, (nrows, ncols) = len(half_widths) // 2, surface.shape
     out = np.empty((nrows, ncols), surface.dtype)
     levels = (2 * radius + 1).bit_length()
@@ -48,12 +49,22 @@ def _erode_by_disk(surface: NDArray[Real], half_widths: NDArray[np.int64]) -> ND
 
 
 @kernel
+def _any_below_infinity(values):  # type: ignore[no-untyped-def]
+    for value in values:
+        if value < np.inf:
+            return True
+    return False
+
+
+@kernel
 def _erode(surface, half_widths, strip, table, out):  # type: ignore[no-untyped-def]
     """Each row of the disk is two overlapping runs of 2^k cells from a table of minima, which holds the rows that the
-    disk reaches, row ``r`` at ``r`` modulo their number."""
+    disk reaches, row ``r`` at ``r`` modulo their number. A row without a finite cell takes no part, and stays infinite:
+    sparse surveys have next to no others."""
     nrows, ncols = surface.shape
     radius = len(half_widths) // 2
     levels, held = len(table), table.shape[1]
+    used = np.empty(nrows, np.bool_)
     for start in range(0, ncols, strip):
         count = min(strip, ncols - start)
         wide = count + 2 * radius
@@ -61,7 +72,12 @@ def _erode(surface, half_widths, strip, table, out):  # type: ignore[no-untyped-
         begin = first_in - (start - radius)
         entered = 0
         for r in range(nrows):
+            used[r] = _any_below_infinity(surface[r, first_in:last_in])
+        for r in range(nrows):
             while entered <= min(r + radius, nrows - 1):
+                if not used[entered]:
+                    entered += 1
+                    continue
                 base = table[0, entered % held]
                 base[:begin] = np.inf
                 for c in range(last_in - first_in):
@@ -76,7 +92,11 @@ def _erode(surface, half_widths, strip, table, out):  # type: ignore[no-untyped-
                 entered += 1
             line = out[r, start : start + count]
             line[:] = np.inf
+            if not used[r]:
+                continue
             for dy in range(max(-radius, -r), min(radius, nrows - 1 - r) + 1):
+                if not used[r + dy]:
+                    continue
                 half = half_widths[dy + radius]
                 k = 0
                 while (2 << k) <= 2 * half + 1:
