@@ -34,6 +34,14 @@ def high_byte_first(columns: dict) -> dict:
     return columns | {"samples": [(7 * s.astype(np.uint16)).byteswap() for s in columns["samples"]]}
 
 
+def every_sample_twice(columns: dict) -> dict:
+    return columns | {"samples": [np.repeat(s[::2], 2) for s in columns["samples"]]}
+
+
+def with_a_stuck_bit(columns: dict) -> dict:
+    return columns | {"samples": [s | 8 for s in columns["samples"]]}
+
+
 def in_picoseconds(columns: dict) -> dict:
     return columns | {"begin_ns": 1000 * columns["begin_ns"]}
 
@@ -50,6 +58,12 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str]:
         (upside_down, "have echoes that point down, and are not found", "waveforms have echoes that point down"),
         (without_level, "have more than a quarter of their samples at 0", "waveforms stand at 0"),
         (high_byte_first, "are smooth only with the two bytes", "waveforms have their samples' bytes exchanged"),
+        (
+            every_sample_twice,
+            "600 of 600 waveforms (100.0 %) have every sample twice",
+            "waveforms have every sample twice",
+        ),
+        (with_a_stuck_bit, "have a bit that never changes, though higher", "waveforms have a bit that never changes"),
         (in_picoseconds, "where no land is: are times in nanoseconds", "echoes are implausible"),
     ],
 )
@@ -103,6 +117,13 @@ def test_what_a_receiver_picks_up_is_told(tmp_path: Path) -> None:
     assert "comes back every" not in decompose(tmp_path, columns)[1]
     words = decompose(tmp_path, columns | {"samples": hum})[1]
     assert "of the noise's variance comes back every 11 samples" in words, words
+
+
+def test_two_converters_in_turn_are_told(tmp_path: Path) -> None:
+    """Every other sample is 3 DN higher."""
+    columns = scene(pulses=1500, n=120).columns(at="sensor")
+    words = decompose(tmp_path, columns | {"samples": [s + 3 * (np.arange(120) % 2) for s in columns["samples"]]})[1]
+    assert "of the noise's variance comes back every 2 samples" in words, words
 
 
 def test_noise_alone_is_none_of_it(tmp_path: Path) -> None:

@@ -146,6 +146,8 @@ class PlausibilityParams(Params):
     max_downward : share of the waveforms whose echoes point downward.
     max_floored : share of the waveforms a quarter of whose samples are 0, as if their level had been taken off.
     max_swapped : share of the waveforms whose samples are smooth with their two bytes exchanged alone.
+    max_doubled : share of the waveforms all of whose samples are there twice.
+    max_stuck : share of the waveforms with a bit that never changes between such as do.
     max_recurring : share of the waveforms with echoes that have one no scene makes: always as long behind the highest
         one and as high beside it, or always at one place of the record and as high.
     max_unlike : share of neighbouring returns the stronger of which has the lower echo.
@@ -173,6 +175,8 @@ class PlausibilityParams(Params):
     max_downward: float = Field(ge=0.0, le=1.0)
     max_floored: float = Field(ge=0.0, le=1.0)
     max_swapped: float = Field(ge=0.0, le=1.0)
+    max_doubled: float = Field(ge=0.0, le=1.0)
+    max_stuck: float = Field(ge=0.0, le=1.0)
     max_recurring: float = Field(ge=0.0, le=1.0)
     max_unlike: float = Field(ge=0.0, le=1.0)
     max_misplaced: float = Field(ge=0.0, le=1.0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose import belonging
+from fwclass.decompose import belonging, odd_samples
 from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.fitted_echoes import POOR
 from fwclass.decompose.params import DecomposeParams
@@ -30,11 +30,7 @@ COUNTS = (
     "implausible",
     "poor",
     "returns_without_echo",
-    "waveforms",
-    "blank",
-    "downward",
-    "floored",
-    "swapped",
+    *odd_samples.COUNTS,
     *belonging.COUNTS,
     "off_earth",
 )

@@ -179,7 +179,7 @@ def periodicity(differences: list[float]) -> tuple[float, int]:
     far = np.array(differences[LAGS // 2 :])
     lag = np.arange(len(far))
     best = (np.inf, 0.0, 0)
-    for period in range(3, LAGS // 2 + 1):
+    for period in range(2, LAGS // 2 + 1):
         angle = 2.0 * np.pi * lag / period
         terms = np.stack([np.ones(len(lag)), lag, np.cos(angle), np.sin(angle)], axis=1)
         fit = np.linalg.lstsq(terms, far, rcond=None)[0]

@@ -11,6 +11,7 @@ from fwclass.decompose.belonging import belonging
 from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
+from fwclass.decompose.odd_samples import odd_waveforms
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.placement import AS_STORED, Placement
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
@@ -21,7 +22,7 @@ from fwclass.decompose.water_column import place_water, with_water
 from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
-from fwclass.units import AREA_PER_FWHM, SIGMA_PER_MAD
+from fwclass.units import AREA_PER_FWHM
 from fwclass.waveforms import BATHYMETRY_COLUMNS, ECHO_COLUMNS, IMPLAUSIBLE, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
@@ -87,76 +88,8 @@ def decompose(
     own = table.take(_echo_of_return(table, links))
     seen = (own["origin"] == FITTED) & (own["fit_flags"] & (SATURATED | VENDOR_KEPT) == 0)
     lone = returns_without_echo(waves, table, links, params)
-    odd = _odd_waveforms(waves) | belonging(waves, own, seen)
+    odd = odd_waveforms(waves) | belonging(waves, own, seen)
     return table, links, {**judged, "returns_without_echo": lone, **odd}
-
-
-FLOORED = 0.25
-"""Share of a waveform's samples at 0 from which on its noise cannot be told; of a level two deviations above 0.02."""
-
-DOWNWARD, DEEP, LEAST_SAMPLES = 3.0, 8.0, 8
-"""Times that a waveform of so many samples goes further below its mean than above it where its echoes point down, and
-deviations that it goes below its level: noise does it in 6e-5 of 12 samples, in 1e-5 of 24 or more."""
-
-SMOOTHER = 2.0
-"""Times that samples with their bytes exchanged go less up and down from which they were stored in that order: 256
-where all are below 256, 3 or more where an echo fills the 16 bits; as many times more in sound ones."""
-
-ENDS, QUIETEST = 4, 0.5
-"""Samples at either end that tell the level; the least deviation, of whole numbers [DN]."""
-
-
-def _odd_waveforms(waves: Waveforms) -> dict[str, int]:
-    """How many pulses have samples (``waveforms``), none but zeros or the limit (``blank``), echoes that point
-    ``downward``, and among others so many zeros that their level was cut off (``floored``), or samples that are smooth
-    with their two bytes exchanged alone (``swapped``)."""
-    rows = np.flatnonzero(np.diff(waves.offsets) > 0)
-    if len(rows) == 0:
-        return {"waveforms": 0, "blank": 0, "downward": 0, "floored": 0, "swapped": 0}
-    samples, first = waves.samples[: waves.offsets[-1]], waves.offsets[rows]
-    length = np.diff(waves.offsets)[rows]
-    highest, lowest = (f.reduceat(samples, first).astype(np.float64) for f in (np.maximum, np.minimum))
-    mean = np.add.reduceat(samples, first, dtype=np.int64) / length
-    down = (mean - lowest > DOWNWARD * (highest - mean)) & (length >= LEAST_SAMPLES)
-    down[down] = _dips(samples, first[down], length[down])
-    zeros = np.add.reduceat(samples == 0, first, dtype=np.int64)
-    floored = (zeros > FLOORED * length) & (highest > 0)
-    pulses = waves.pulses["pulse"][rows]
-    waveforms = len(np.unique(pulses))
-    some = (highest > 0) & ~(lowest >= waves.pulses["saturation"][rows])  # none is known: not at it
-    blank = waveforms - len(np.unique(pulses[some]))
-    odd = {"downward": down, "floored": floored, "swapped": _swapped(samples, first)}
-    return {"waveforms": waveforms, "blank": blank} | {k: len(np.unique(pulses[v])) for k, v in odd.items()}
-
-
-def _swapped(samples: NDArray, first: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which waveforms, each from its `first` sample on, go up and down `SMOOTHER` times less with their bytes
-    exchanged: the low byte of a sound echo is as good as random."""
-    if samples.dtype.itemsize != 2:
-        return np.zeros(len(first), bool)
-    stored, exchanged = (_ways(values, first) for values in (samples, samples.byteswap()))
-    return stored > SMOOTHER * exchanged
-
-
-def _ways(samples: NDArray, first: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How far every waveform, each from its `first` sample on, goes up and down in all [DN]."""
-    steps = np.abs(np.diff(samples.astype(np.int32), prepend=np.int32(0)))
-    steps[first] = 0
-    return np.asarray(np.add.reduceat(steps, first, dtype=np.int64))
-
-
-def _dips(samples: NDArray, first: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which waveforms go `DEEP` deviations below the level of their samples and of their ends; a broad echo that fills
-    its record does not."""
-    out = np.zeros(len(first), bool)
-    for n in np.unique(length):
-        rows = np.flatnonzero(length == n)
-        values = samples[first[rows, None] + np.arange(n)].astype(np.float64)
-        middle = np.median(values, axis=1)
-        deviation = SIGMA_PER_MAD * np.median(np.abs(values - middle[:, None]), axis=1)
-        ends = np.minimum(values[:, :ENDS].mean(axis=1), values[:, -ENDS:].mean(axis=1))
-        out[rows] = np.minimum(middle, ends) - values.min(axis=1) > DEEP * np.maximum(deviation, QUIETEST)
-    return out
 
 
 def _judge(
@@ -327,6 +260,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=15)
+PULSE = Computation(name="pulse", version=16)
 PLACES = Computation(name="places", version=9)
-DECOMPOSE = Computation(name="decompose", version=19, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=20, writes=ECHO_COLUMNS)

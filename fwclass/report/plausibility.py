@@ -20,6 +20,9 @@ TOLD_FROM = 0.1
 RARE = 0.001
 """Share of the echoes, or of the waveforms, up to which implausible ones are counted, and not worth a remark."""
 
+DAMAGED = 0.02
+"""Share of the waveforms from which it is told that samples are damaged; up to 0.006 of sound ones look like it."""
+
 INFLATED = 1.1
 """From so many times the noise that was reckoned with on, it is told."""
 
@@ -62,6 +65,10 @@ FLOOR = (
 TURN = "samples grow with the light here: turn the sign of a receiver that counts down (largest value less sample)"
 
 SWAP = "samples of 16 bits were written with the high byte first, or are no samples; export them low byte first"
+
+TWICE = "export one of both, with twice the sample spacing: as they are, a pulse has steps, which are taken for echoes"
+
+BITS = "digitiser or converter lose it, and steps of noise and pulses are taken for echoes; export the samples again"
 
 MIXED = (
     "packets are those of other returns, or intensities no measure of strength; export points and waveforms together"
@@ -112,6 +119,8 @@ def strip_plausibility(
         "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
         "floored_share": counts["floored"] / counts["waveforms"] if counts["waveforms"] else None,
         "swapped_share": counts["swapped"] / counts["waveforms"] if counts["waveforms"] else None,
+        "doubled_share": counts["doubled"] / counts["waveforms"] if counts["waveforms"] else None,
+        "stuck_share": counts["stuck"] / counts["waveforms"] if counts["waveforms"] else None,
         "unlike_share": counts["unlike"] / counts["compared"] if counts["compared"] else None,
         "misplaced_share": counts["misplaced"] / counts["paired"] if counts["paired"] else None,
         "unreadable_packets": unreadable,
@@ -194,6 +203,15 @@ def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
         lines.append(
             f"{_part(some, 'swapped', 'waveforms', 'waveforms')} are smooth only with the two bytes of every sample "
             f"exchanged: {SWAP} ({names_of(some)})"
+        )
+    if some := [s for s in strips if (s["doubled_share"] or 0.0) > DAMAGED]:
+        lines.append(
+            f"{_part(some, 'doubled', 'waveforms', 'waveforms')} have every sample twice: {TWICE} ({names_of(some)})"
+        )
+    if some := [s for s in strips if (s["stuck_share"] or 0.0) > DAMAGED]:
+        lines.append(
+            f"{_part(some, 'stuck', 'waveforms', 'waveforms')} have a bit that never changes, though higher and lower "
+            f"ones do: {BITS} ({names_of(some)})"
         )
     return lines
 
@@ -307,6 +325,8 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
         ("unlike", "unlike", "returns have the strength of other echoes", MIXED),
         ("misplaced", "misplaced", "returns do not lie where their times say", UNITS),
         ("swapped", "swapped", "waveforms have their samples' bytes exchanged", SWAP),
+        ("doubled", "doubled", "waveforms have every sample twice", TWICE),
+        ("stuck", "stuck", "waveforms have a bit that never changes", BITS),
         ("poor", "poor", "fitted echoes fit poorly", SHAPES),
         ("recurring", "recurring", "waveforms have an echo that no scene makes", ADVICE),
         ("implausible", "implausible", "echoes are implausible", LOOK),

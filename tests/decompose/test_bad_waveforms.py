@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms
+from fwclass.decompose.odd_samples import odd_waveforms
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.stage import VENDOR_KEPT, _odd_waveforms, decompose
+from fwclass.decompose.stage import VENDOR_KEPT, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import FwclassError
 from fwclass.schema import Table
@@ -401,14 +402,14 @@ def test_a_long_waveform_in_a_file_is_read_once(tmp_path: Path) -> None:
 def test_noise_and_broad_echoes_do_not_point_down(samples, phi):
     """At most 3 of 20 000 waveforms of noise; none that one echo fills; nearly all that are turned and hold a level."""
     noise, _ = wm.noise_only(20_000, samples=samples, phi=phi, seed=samples)
-    assert _odd_waveforms(noise)["downward"] <= 3
+    assert odd_waveforms(noise)["downward"] <= 3
     time = np.full((500, 1), samples / 2.0)
     for width in (4.0, 0.5 * samples, 1.5 * samples):
         broad, _ = wm.simulate(np.full((500, 1), 80.0), time, np.full((500, 1), width / wm.FWHM), samples=samples)
-        assert _odd_waveforms(broad)["downward"] == 0
+        assert odd_waveforms(broad)["downward"] == 0
     one, _ = wm.simulate(np.full((500, 1), 80.0), time, np.full((500, 1), 4.0 / wm.FWHM), samples=samples)
     turned = replace(one, samples=255 - one.samples)
-    assert _odd_waveforms(turned)["downward"] >= (480 if samples >= 40 else 0)
+    assert odd_waveforms(turned)["downward"] >= (480 if samples >= 40 else 0)
 
 
 def test_a_file_that_changes_while_it_is_decomposed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
