@@ -192,7 +192,9 @@ def _find_crowded(rows: Rows, place: tuple[Rows, ...], edge: float, most: int) -
     """
     size = whole_millimetres(edge, "features.dense")
     n = len(rows)
-    slots = max(SLOTS, 1 << (4 * n - 1).bit_length()) if n else SLOTS
+    if n <= most:
+        return rows[:0], rows[:0]
+    slots = max(SLOTS, 1 << (4 * n - 1).bit_length())
     slot = np.zeros(n, np.uint64)
     for axis, factor in zip(place, MIXED, strict=False):
         slot += (axis[rows] // size).astype(np.uint64) * np.uint64(factor)

@@ -3,7 +3,10 @@ second of every process."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,22 @@ JUDGED, NEAR = 4096, 65_536
 REPEATING = 0.5
 """Different values among those judged, as a share, up to which a dictionary is shorter than byte planes: of 64 features
 of `p1` it is within 1.2 % of the shorter one for each."""
+
+
+TOGETHER = 1 << 20
+"""Bytes of values up to which a file is put together in memory and written at once: Parquet writes page by page, and
+the calls of the system for one row of 28 columns take as long as all else."""
+
+
+@contextmanager
+def file_to_write(path: Path, size: float) -> Iterator[Any]:
+    """Where Parquet writes the file `path` of some `size` bytes to."""
+    if size > TOGETHER:
+        yield path
+        return
+    stream = pa.BufferOutputStream()
+    yield stream
+    path.write_bytes(stream.getvalue())
 
 
 def repeats(values: NDArray) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,7 @@ MAX_CELLS = 1 << 35
 """Cells of a survey-wide raster: 34 000 km² at 1 m. More are stray points, which would fill a disk with nothing."""
 
 
+@lru_cache(maxsize=4)
 def crs_of_wkt(text: str | None) -> CRS | None:
     """The coordinate system that `text` (WKT) describes; None for none."""
     return CRS.from_user_input(text) if text else None

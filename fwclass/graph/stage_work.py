@@ -17,9 +17,9 @@ from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Column, Table
 from fwclass.stage import Chunk
+from fwclass.store.kept import write_and_hold
 from fwclass.store.remote_file import Location
 from fwclass.store.row_digests import ROW_DIGESTS, digests_by_square
-from fwclass.store.tables import write_table
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Work:
         table, facts = self.result(here)
         if table is None:
             return facts
-        write_table(directory / TABLE, table)
+        write_and_hold(directory / TABLE, table)
         return {**facts, **(_row_digests(table, here) if self.row_digests else {})}
 
     def result(self, here: StageInputs) -> tuple[Table | None, Mapping[str, Any]]:

@@ -121,6 +121,6 @@ def class_lookup(names: Mapping[int, str]) -> bytes:
     """The record that names the classes of a file."""
     entries = []
     for code in range(CODES):
-        name = _plain(names.get(code, ""))[:LONGEST].decode(errors="ignore").encode()
+        name = _plain(names[code])[:LONGEST].decode(errors="ignore").encode() if code in names else b""
         entries.append(bytes([code]) + name.ljust(LONGEST, b"\0"))
     return record("LASF_Spec", 0, "classification lookup", b"".join(entries))

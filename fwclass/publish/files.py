@@ -8,6 +8,7 @@ import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 import psutil
@@ -63,6 +64,7 @@ def _place(source: Path, target: Path) -> None:
     _standing[where] = _identity(target)
 
 
+@cache
 def _host() -> str:
     """This host, as part of a file's name."""
     return re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname())[:20]
@@ -70,13 +72,16 @@ def _host() -> str:
 
 def _sweep(path: Path) -> None:
     """Remove what processes of this host that are gone have left beside `path` of an output of its name."""
-    pattern = re.compile(re.escape(f".{path.name}.{_host()}-") + r"(\d+)\.part")
+    begins = f".{path.name}.{_host()}-"
     with os.scandir(path.parent) as entries:
-        leftovers = [(entry, match) for entry in entries if (match := pattern.match(entry.name))]
-    for entry, match in leftovers:
+        leftovers = [entry for entry in entries if entry.name.startswith(begins)]
+    for entry in leftovers:
+        number, part, _ = entry.name[len(begins) :].partition(".part")
+        if not part or not number.isdecimal():
+            continue
         with suppress(FileNotFoundError):  # another process has swept it
             mine = entry.stat(follow_symlinks=False).st_uid == os.geteuid()
-            process = int(match[1])
+            process = int(number)
             if mine and (process == os.getpid() or not psutil.pid_exists(process)):
                 if entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry.path, ignore_errors=True)

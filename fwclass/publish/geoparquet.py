@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -14,7 +15,7 @@ import pyproj
 from numpy.typing import NDArray
 
 from fwclass.cost import counted
-from fwclass.formats.arrow import arrow_array, repeats
+from fwclass.formats.arrow import arrow_array, file_to_write, repeats
 from fwclass.lazy_module import LazyModule
 from fwclass.publish.files import whole
 from fwclass.publish.palette import colours, css
@@ -68,7 +69,8 @@ def write_geoparquet(
     """
     require(table, ("x", "y", "z"), path)
     table = short_coordinates(table)
-    return write_geoparquet_parts([table], bounds_of(table) if table.rows else None, path, crs, params, about)
+    bounds, size = bounds_of(table) if table.rows else None, sum(values.nbytes for values in table.values())
+    return write_geoparquet_parts([table], bounds, path, crs, params, about, size)
 
 
 def about_delivery(names: Mapping[int, str], bits: int) -> dict[str, Any]:
@@ -86,12 +88,14 @@ def write_geoparquet_parts(
     crs: pyproj.CRS | None,
     params: PublishParams,
     about: Mapping[str, Any] | None = None,
+    size: float = math.inf,
 ) -> dict[str, Any]:
     """As `write_geoparquet`, of tables with the same columns one after another, each in row groups of its own.
 
     Parameters
     ----------
     parts : at least one; `bounds` of all their points, None without any.
+    size : bytes of them all, where that is known.
     """
     rest = iter(parts)
     first = next(rest)
@@ -100,13 +104,17 @@ def write_geoparquet_parts(
     more = {b"fwclass": json.dumps(about, sort_keys=True).encode()} if about else {}
     schema, rows = pa.schema(fields, metadata={b"geo": _geo(bounds, crs), **more}), 0
     with whole(path) as beside:
-        with pq.ParquetWriter(beside, schema, **_options(first, params)) as writer:
+        footers: list[pq.FileMetaData] = []
+        with (
+            file_to_write(beside, size) as file,
+            pq.ParquetWriter(file, schema, metadata_collector=footers, **_options(first, params)) as writer,
+        ):
             for table in map(short_coordinates, chain([first], rest)):
                 arrays = [arrow_array(table[name]) for name in first]
                 arrays += [wkb_points(table["x"], table["y"], table["z"]), _boxes(table["x"], table["y"])]
                 writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=params.row_group)
                 rows += table.rows
-        size, groups = beside.stat().st_size, pq.ParquetFile(beside).num_row_groups
+        size, groups = beside.stat().st_size, footers[0].num_row_groups
     return {"path": str(path), "rows": rows, "row_groups": groups, "bytes": size}
 
 

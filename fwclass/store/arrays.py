@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.cost import counted
-from fwclass.formats.arrow import numpy_values
+from fwclass.formats.arrow import file_to_write, numpy_values
 from fwclass.lazy_module import LazyModule
 from fwclass.paths import open_regular
 from fwclass.store.legible import legible
@@ -36,6 +36,9 @@ SMALL = 1 << 24
 
 LARGE = 1 << 16
 """Bytes of numbers above which a better compression pays."""
+
+SHORT = 256
+"""Bytes of numbers up to which none pays."""
 
 LISTED = 16
 """Bytes that a shard takes for each chunk, also for one of nothing."""
@@ -79,14 +82,16 @@ def _write_small(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
     ]
     columns = [pa.array([_planes(array)], pa.large_binary()) for array in arrays.values()]
     about = {_ATTRIBUTES: json.dumps(attributes, allow_nan=False, sort_keys=True)}
-    pq.write_table(
-        pa.Table.from_arrays(columns, schema=pa.schema(fields, about)),
-        path,
-        compression="zstd",
-        compression_level={n: 3 if a.dtype.itemsize > 1 and a.nbytes > LARGE else 1 for n, a in arrays.items()},
-        use_dictionary=False,
-        write_statistics=False,
-    )
+    levels = {n: 3 if a.dtype.itemsize > 1 and a.nbytes > LARGE else 1 for n, a in arrays.items() if a.nbytes > SHORT}
+    with file_to_write(path, sum(a.nbytes for a in arrays.values())) as file:
+        pq.write_table(
+            pa.Table.from_arrays(columns, schema=pa.schema(fields, about)),
+            file,
+            compression={name: "zstd" if name in levels else "none" for name in arrays},
+            compression_level=levels or None,
+            use_dictionary=False,
+            write_statistics=False,
+        )
 
 
 def _planes(array: NDArray) -> bytes:
@@ -193,7 +198,7 @@ def read_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[dict[st
 
 
 def _read_small(path: Path, names: Iterable[str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    with pq.ParquetFile(path) as file:
+    with pq.ParquetFile(path, pre_buffer=False) as file:
         arrow = file.read(None if names is None else list(names), use_threads=False)
     schema = arrow.schema
     wanted = sorted(schema.names) if names is None else list(names)

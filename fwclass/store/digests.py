@@ -39,7 +39,7 @@ def digest_now(path: Path | str) -> str:
     return digest
 
 
-def remember(path: Path, digest: str) -> None:
+def remember(path: Path | str, digest: str) -> None:
     """This process has just written or read the file, and it lies where it stays."""
     _remember(str(path), looks(path), digest)
 

@@ -31,6 +31,7 @@ from fwclass.store.atomic import (
     write_text,
 )
 from fwclass.store.digests import Looks, check_file, looks, remember
+from fwclass.store.kept import moved
 from fwclass.store.links import leads_to, link, link_to, same_file
 from fwclass.store.objects import Mark, StoredObject
 from fwclass.store.receipts import Receipt
@@ -198,7 +199,9 @@ class Directory:
         else:  # `Store.done` looks at every file: names that a power cut took are noticed, and the part is made again
             move_into_place(directory, path_below(self.root, self.unit(receipt), links=False), flush=False)
         for name, facts in receipt.outputs.items():
-            remember(self.root / self.unit(receipt) / name, str(facts["digest"]))
+            path = f"{self.root}/{self.unit(receipt)}/{name}"
+            remember(path, str(facts["digest"]))
+            moved(directory / name, path)
 
     def collect(self, receipt: Receipt, old: Receipt | None) -> None:
         """A part is committed: remove what no receipt names any more."""

@@ -1,4 +1,5 @@
-"""Columns of tables that this process has just read: a tile is read for itself, for its neighbours, stage after stage.
+"""Columns of tables that this process has just written or read: a tile is read for itself, for its neighbours, stage
+after stage.
 
 What is kept goes by the file's path, size and times, as its digest does; the least lately read goes first.
 """
@@ -17,7 +18,7 @@ from fwclass.cost import counted
 from fwclass.grid import Box
 from fwclass.schema import Table
 from fwclass.store.digests import Looks, looks
-from fwclass.store.tables import Group, groups_of, read_table
+from fwclass.store.tables import ROW_GROUP, Group, group_of, groups_of, read_table, write_table
 
 MOST = 64 << 20
 """Bytes of columns that a process keeps: six columns of three rows of tiles in a survey 2 km wide, at 4 echoes/m²."""
@@ -31,6 +32,31 @@ _columns: OrderedDict[tuple[File, int, str], NDArray] = OrderedDict()
 _groups: OrderedDict[File, tuple[Group, ...]] = OrderedDict()
 _bytes = 0
 _guard = threading.Lock()
+_own = threading.local()
+"""The table that a thread has written last, and where: it becomes readable by the name that its part brings it to."""
+
+
+def write_and_hold(path: Path, table: Table) -> None:
+    """As `tables.write_table`, of a table that nobody writes to any more; who reads it under the name that it gets
+    (`moved`) has it from memory."""
+    write_table(path, table)
+    _own.last = (str(path), table) if 0 < table.rows <= ROW_GROUP and 4 * _size(table) <= MOST else None
+
+
+def moved(source: Path | str, target: Path | str) -> None:
+    """A file that this thread has written is now that of a finished part."""
+    last, there = getattr(_own, "last", None), str(target)
+    if last is None or last[0] != str(source):
+        return
+    _own.last, table, file = None, last[1], (there, looks(there))
+    _keep(file, [0], {name: [values.copy()] for name, values in table.items()})
+    group = group_of(table)
+    if group is not None:
+        _note_groups(file, (group,))
+
+
+def _size(table: Table) -> int:
+    return sum(values.nbytes for values in table.values())
 
 
 def groups_touching(path: Path, box: Box | None) -> list[int]:
@@ -72,11 +98,15 @@ def _groups_in(file: File) -> tuple[Group, ...]:
         known = _groups.get(file)
     if known is None:
         known = groups_of(Path(file[0]))
-        with _guard:
-            _groups[file] = known
-            if len(_groups) > FILES:
-                _groups.popitem(last=False)
+        _note_groups(file, known)
     return known
+
+
+def _note_groups(file: File, groups: tuple[Group, ...]) -> None:
+    with _guard:
+        _groups[file] = groups
+        if len(_groups) > FILES:
+            _groups.popitem(last=False)
 
 
 def _keep(file: File, groups: list[int], columns: dict[str, list[NDArray]]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from fwclass.cost import counted
 from fwclass.errors import StoreError
-from fwclass.formats.arrow import arrow_array, numpy_values, repeats
+from fwclass.formats.arrow import arrow_array, file_to_write, numpy_values, repeats
 from fwclass.grid import Box
 from fwclass.lazy_module import LazyModule
 from fwclass.schema import Table, column
@@ -30,6 +31,9 @@ else:
     pa, pq = LazyModule("pyarrow"), LazyModule("pyarrow.parquet")
 
 ROW_GROUP = 65_536
+
+FEW = 64
+"""Rows up to which a group is not compressed: to begin Zstandard for each column takes as long as to write them."""
 
 _TABLE = "a table"
 _QUANTUM, _MILLIMETRES = b"quantum", str(QUANTUM).encode()
@@ -47,15 +51,20 @@ _footers: OrderedDict[str, tuple[tuple[int, ...], pq.FileMetaData]] = OrderedDic
 def to_arrow(table: Table) -> pa.Table:
     """An Arrow table with unit, meaning and source of every column as field metadata."""
     fields, arrays = [], []
-    for name in table:
+    for name, values in table.items():
         c = column(name)
-        about: dict[str | bytes, str | bytes] = {"unit": c.unit, "meaning": c.meaning, "source": c.source}
-        whole = _whole_millimetres(table[name]) if c.unit == "m" and c.dtype == "f8" else None
-        if whole is not None:
-            about[_QUANTUM] = _MILLIMETRES
-        arrays.append(arrow_array(table[name] if whole is None else whole))
-        fields.append(pa.field(name, arrays[-1].type, nullable=False, metadata=about))
+        whole = _whole_millimetres(values) if c.unit == "m" and c.dtype == "f8" else None
+        arrays.append(arrow_array(values if whole is None else whole))
+        fields.append(_field(name, arrays[-1].type, whole is not None))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+
+
+@lru_cache(maxsize=1024)
+def _field(name: str, kind: pa.DataType, whole: bool) -> pa.Field:
+    """The field of a column; `whole` where its numbers are millimetres."""
+    c = column(name)
+    about: dict[str | bytes, str | bytes] = {"unit": c.unit, "meaning": c.meaning, "source": c.source}
+    return pa.field(name, kind, nullable=False, metadata=about | ({_QUANTUM: _MILLIMETRES} if whole else {}))
 
 
 def _whole_millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64] | None:
@@ -66,17 +75,17 @@ def _whole_millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64] | None:
     return whole if np.array_equal(back.view(np.int64), metres.view(np.int64)) else None
 
 
-def _encoding(arrow: pa.Table, repeating: Iterable[str] = ()) -> Mapping[str, Any]:
-    """How columns are written: fractions by byte planes, whole numbers by their differences, codes by dictionary,
-    as fractions that are `repeating`."""
+def _encoding(arrow: pa.Table, rows: int, repeating: Iterable[str] = ()) -> Mapping[str, Any]:
+    """How columns are written, in groups of some `rows`: fractions by byte planes, whole numbers by their differences,
+    codes by dictionary, as fractions that are `repeating`."""
     kinds = {f.name: f.type for f in arrow.schema}
     fractions = {n for n, kind in kinds.items() if pa.types.is_floating(kind)}
     encoding = {n: "BYTE_STREAM_SPLIT" for n in kinds if n in fractions.difference(repeating)}
     wide = (n for n, kind in kinds.items() if pa.types.is_integer(kind) and kind.bit_width >= 32)
     encoding |= dict.fromkeys(wide, "DELTA_BINARY_PACKED")
+    compression = {"compression": "zstd", "compression_level": 1} if rows > FEW else {"compression": "none"}
     return {
-        "compression": "zstd",
-        "compression_level": 1,
+        **compression,
         "use_dictionary": [n for n in kinds if n not in encoding],
         "column_encoding": encoding or None,
         "write_statistics": True,
@@ -88,7 +97,8 @@ def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
     """Write `table` to `path` (which the caller stages)."""
     arrow = to_arrow(table)
     repeating = [name for name, values in table.items() if values.dtype.kind == "f" and repeats(values)]
-    pq.write_table(arrow, path, row_group_size=row_group, **_encoding(arrow, repeating))
+    with file_to_write(path, arrow.nbytes) as file:
+        pq.write_table(arrow, file, row_group_size=row_group, **_encoding(arrow, arrow.num_rows, repeating))
 
 
 @dataclass(frozen=True)
@@ -120,9 +130,22 @@ def _group(file: pq.ParquetFile, number: int) -> Group:
         statistics, unit = about.column(at).statistics, _quantum(schema.field(at)) or 1.0
         if statistics is None or not statistics.has_min_max:
             return Group(about.num_rows, None)
-        sides.append((statistics.min * unit, statistics.max * unit + 1e-9))
-    (west, east), (south, north) = sides
-    return Group(about.num_rows, Box(west, south, east, north).grown(0.001))
+        sides.append((statistics.min * unit, statistics.max * unit))
+    return Group(about.num_rows, _box_of(*sides))
+
+
+def group_of(table: Table) -> Group | None:
+    """What `groups_of` tells of a table of one row group, None where only its file can tell."""
+    if "x" not in table or "y" not in table:
+        return Group(table.rows, None)
+    if any(_whole_millimetres(table[name]) is None for name in "xy"):
+        return None
+    return Group(table.rows, _box_of(*((float(table[name].min()), float(table[name].max())) for name in "xy")))
+
+
+def _box_of(across: tuple[float, float], along: tuple[float, float]) -> Box:
+    """Box that holds rows of these least and greatest x and y [m]."""
+    return Box(across[0], along[0], across[1] + 1e-9, along[1] + 1e-9).grown(0.001)
 
 
 def _quantum(field: pa.Field) -> float | None:
@@ -141,8 +164,8 @@ def open_parquet(path: Path) -> pq.ParquetFile:
     with legible(path, _TABLE):
         now, known = _looks(path), _footers.get(str(path))
         if known is not None and known[0] == now:
-            return pq.ParquetFile(path, metadata=known[1])
-        file = pq.ParquetFile(path)
+            return pq.ParquetFile(path, metadata=known[1], pre_buffer=False)
+        file = pq.ParquetFile(path, pre_buffer=False)  # to read ahead from a disk of here takes longer than to read
         if file.metadata.num_row_groups >= MANY_GROUPS:
             _keep_footer(str(path), now, file.metadata)
         return file
@@ -190,6 +213,7 @@ def write_groups(path: Path, table: Table, offsets: Iterable[int]) -> None:
     """Write `table` with one row group per run of rows ``offsets[k]:offsets[k + 1]``."""
     arrow = to_arrow(table)
     bounds = [int(o) for o in offsets]
-    with pq.ParquetWriter(path, arrow.schema, **_encoding(arrow)) as writer:
+    how = _encoding(arrow, arrow.num_rows // max(len(bounds) - 1, 1))
+    with file_to_write(path, arrow.nbytes) as file, pq.ParquetWriter(file, arrow.schema, **how) as writer:
         for low, high in zip(bounds[:-1], bounds[1:], strict=True):
             writer.write_table(arrow.slice(low, high - low), row_group_size=max(high - low, 1))

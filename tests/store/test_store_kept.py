@@ -81,3 +81,28 @@ def test_a_table_too_large_to_keep_takes_no_place(tmp_path, monkeypatch):
     monkeypatch.setattr(kept, "MOST", 24_000)
     equal(kept.read_kept(large, ["x"], [0]), rows_of(3000).select(["x"]))
     assert len(kept._columns) == 1
+
+
+@pytest.mark.parametrize("rows", [1, 3000])
+def test_what_was_written_is_read_from_memory_as_from_its_file(tmp_path, rows, monkeypatch):
+    table, path, names = rows_of(rows), tmp_path / "part" / "t", ["pulse", "x", "y", "ground"]
+    kept.write_and_hold(tmp_path / "t", table)
+    path.parent.mkdir()
+    (tmp_path / "t").replace(path)
+    kept.moved(tmp_path / "other", path)  # is not what was written
+    assert not kept._columns
+    kept.moved(tmp_path / "t", path)
+    table["x"][0] = -1.0  # it is the writer's
+    monkeypatch.setattr(kept, "read_table", None)
+    monkeypatch.setattr(kept, "groups_of", None)
+    equal(kept.read_kept(path, names, [0]), read_table(path, names))
+    for box in (Box(0.0, 0.0, 100.0, 1.0), Box(20.0, 3.0, 30.0, 4.0)):
+        assert kept.groups_touching(path, box) == row_groups(path, box)
+
+
+def test_coordinates_that_are_no_millimetres_are_known_by_their_file(tmp_path):
+    kept.write_and_hold(tmp_path / "t", rows_of(5).with_columns({"x": np.array([0.1234, 1, 2, 3, np.nan])}))
+    kept.moved(tmp_path / "t", tmp_path / "t")
+    assert kept.groups_touching(tmp_path / "t", Box(9.0, 0.0, 10.0, 1.0)) == row_groups(
+        tmp_path / "t", Box(9.0, 0.0, 10.0, 1.0)
+    )
