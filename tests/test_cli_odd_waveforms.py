@@ -126,6 +126,13 @@ def test_two_converters_in_turn_are_told(tmp_path: Path) -> None:
     assert "of the noise's variance comes back every 2 samples" in words, words
 
 
+def test_volts_have_no_bytes_and_bits(tmp_path: Path) -> None:
+    """An 8 bit digitiser's samples in volts: they were said to have their bytes exchanged, exit code 4."""
+    columns = scene(pulses=600, n=80).columns(at="sensor")
+    code, words = decompose(tmp_path, columns | {"samples": [0.0039 * s - 0.5 for s in columns["samples"]]})
+    assert code == 0 and "plausibility" not in words, words
+
+
 def test_noise_alone_is_none_of_it(tmp_path: Path) -> None:
     columns = scene(pulses=600, n=80).columns(at="sensor")
     noise = np.random.default_rng(2).normal(12.0, 1.0, (600, 80))

@@ -54,8 +54,14 @@ def odd_waveforms(waves: Waveforms) -> dict[str, int]:
     waveforms = len(np.unique(pulses))
     some = (highest > 0) & ~(lowest >= waves.pulses["saturation"][rows])  # none is known: not at it
     blank = waveforms - len(np.unique(pulses[some]))
-    odd = {"downward": down, "floored": floored, "swapped": _swapped(samples, first)}
-    odd |= {"doubled": _doubled(samples, first, length), "stuck": _stuck(samples, first, length, highest - lowest)}
+    odd = {"downward": down, "floored": floored}
+    # steps that the reader of a table has counted in have bytes and bits of their own
+    stored = ((waves.pulses["receiver"] > 0) | (waves.pulses["gain"] == 1.0))[rows]
+    odd |= {
+        "swapped": _swapped(samples, first) & stored,
+        "doubled": _doubled(samples, first, length),
+        "stuck": _stuck(samples, first, length, highest - lowest) & stored,
+    }
     return {"waveforms": waveforms, "blank": blank} | {k: len(np.unique(pulses[v])) for k, v in odd.items()}
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.formats.linear_units import linear_units
-from fwclass.read.beam_source import FAULTS, BeamRows, BeamSource, Ragged, turn_beams
+from fwclass.read.beam_source import FAULTS, OVERLAPPING, BeamRows, BeamSource, Ragged, turn_beams
 from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.spans import Span
 from fwclass.read.wave_kernels import clear_of_last
@@ -15,7 +15,6 @@ from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 SECOND_CHANNEL = "waveforms of a second channel of their pulse left out"
-OVERLAPPING = "waveforms that begin before the one before them ends, left out"
 BAD_OUTGOING = "outgoing pulses that are saturated, left out"
 
 

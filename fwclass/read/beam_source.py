@@ -50,8 +50,10 @@ FAULTS = (
 )
 """What a row lacks; the index is the code in `BeamRows.fault`."""
 
-DAMAGED = FAULTS[1:-1]
-"""Those of a row that should be whole."""
+OVERLAPPING = "waveforms that begin before the one before them ends, left out"
+
+DAMAGED = (*FAULTS[1:-1], OVERLAPPING)
+"""Those of a row that should be whole, and by itself."""
 
 LIMITS = tuple(2.0**bits - 1.0 for bits in range(8, 17))
 """Highest values of digitisers [DN]."""

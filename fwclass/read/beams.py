@@ -28,8 +28,9 @@ from fwclass.units import METRES_PER_NS
 
 Floats = NDArray[np.float64]
 
-LOOKED_AT = 20_000
-"""Points or pulses at the start of a file that are looked at."""
+LOOKED_AT, PIECES = 20_000, 4
+"""Points or pulses at the start of a file that are looked at, and as many at its end; pieces of both in which beams may
+be turned though they are not in all."""
 
 GROUP = 12
 """Pulses whose beams are brought together: 0.1 ms of a fast scanner, in which it flies 1 cm."""
@@ -62,6 +63,7 @@ AT_SENSOR = 5.0
 
 BEGIN = "the time of the first sample after it (begin_ns)"
 LENGTH = "the beam vectors are as long as"
+PART = "in a part of the file "
 HORIZONTAL = "the sign of their horizontal parts is wrong"
 TURNED: dict[str, Callable[[Floats], Floats]] = {
     HORIZONTAL: lambda beam: beam * (-1.0, -1.0, 1.0),
@@ -126,6 +128,8 @@ def check_beams(source: Source) -> None:
 
 
 def _remedy(wrong: str, source: Source) -> str:
+    if PART in wrong:
+        return "export the file again, or cut it where its beams change"
     if LENGTH in wrong:
         return "export the file again, with beam vectors of 0.1499 metres a nanosecond, or times in nanoseconds"
     if HORIZONTAL in wrong and source.mirrored:
@@ -147,18 +151,38 @@ def _remedy(wrong: str, source: Source) -> str:
 def beam_fault(source: Source) -> str:
     """What is wrong with the beams of `source`, as a sentence; "" if nothing is, or too little is there to tell."""
     firsts = _first_samples(source)
+    if wrong := _whole_fault(firsts, source.ranged):
+        return wrong
+    ends = [firsts, _first_samples(source, source.n_records - LOOKED_AT)] if source.n_records > LOOKED_AT else [firsts]
+    for some in ends:
+        for rows in np.array_split(np.arange(len(some.place)), PIECES):
+            if not meeting(some.place[rows], some.beam[rows]).sound and (
+                wrong := _turned_fault(some.place[rows], some.beam[rows])
+            ):
+                return PART + wrong
+    return ""
+
+
+def _whole_fault(firsts: FirstSamples, ranged: bool) -> str:
+    """`beam_fault` of all pulses that are looked at."""
     if wrong := _speed_fault(firsts):
         return wrong
-    place, beam = firsts.place, firsts.beam
-    crossing = meeting(place, beam)
+    crossing = meeting(firsts.place, firsts.beam)
     if crossing.sound:
-        return _distance_fault(crossing, firsts, source.ranged)
+        return _distance_fault(crossing, firsts, ranged)
     if wrong := _sensor_fault(firsts):
         return wrong
+    up = float((firsts.beam[:, 2] > 0.0).mean()) if len(firsts.beam) else 0.0
+    words = f"{100 * up:.0f} % of the beams run up, not down to the ground" if up >= MOST else ""
+    return _turned_fault(firsts.place, firsts.beam) or words
+
+
+def _turned_fault(place: Floats, beam: Floats) -> str:
+    """That beams, which do not meet above, do with a sign or an axis changed; "" where not."""
+    crossing = meeting(place, beam)
     wrong = next((words for words, turned in TURNED.items() if meeting(place, turned(beam)).sound), "")
     if not wrong:
-        up = float((beam[:, 2] > 0.0).mean()) if len(beam) else 0.0
-        return f"{100 * up:.0f} % of the beams run up, not down to the ground" if up >= MOST else ""
+        return ""
     side = "below" if wrong == HORIZONTAL else "behind"
     where = f"{-crossing.away:.0f} m {side} the ground" if crossing.meet and crossing.away < 0.0 else "nowhere"
     return f"the beams of neighbouring pulses meet {where}: {wrong}"
@@ -258,14 +282,15 @@ def _root_mean_square(vectors: Floats) -> Floats:
     return np.asarray(np.sqrt((vectors**2).sum(axis=2).mean(axis=1)))
 
 
-def _first_samples(source: Source) -> FirstSamples:
-    """Of the first pulses of a file, one row a pulse."""
+def _first_samples(source: Source, begin: int = 0) -> FirstSamples:
+    """Of `LOOKED_AT` pulses of a file from its record `begin` on, one row a pulse."""
     if not source.has_waves or source.waves.kind == "none" or source.n_records == 0:
         return FirstSamples.none()
-    last, untimed, speed, way = min(source.n_records, LOOKED_AT), False, np.empty(0), np.empty(0)
+    last, untimed = min(source.n_records, begin + LOOKED_AT), False
+    speed = way = np.empty(0)
     if isinstance(source, PulseSource):
         kinds = Samplings.of(source)
-        waves = find(source, read_records(source, 0, last), kinds)
+        waves = find(source, read_records(source, begin, last), kinds)
         parts = waves.segments.take(np.flatnonzero(kinds.kind[waves.segments.sampling] == RETURNING))
         row, first = np.unique(parts.pulse, return_index=True)
         step, time = waves.step[row], waves.time[row]
@@ -275,7 +300,7 @@ def _first_samples(source: Source) -> FirstSamples:
         distance = waves.anchor_range[row] + way
         length = np.full(len(row), np.nan)
     elif isinstance(source, BeamSource):
-        rows = turn_beams(source.layout.read(0, last), source)
+        rows = turn_beams(source.layout.read(begin, last), source)
         rows = rows.take(rows.fault == 0)
         step, time, place = rows.step, rows.time, rows.ends()[0]
         row, speed = np.arange(len(rows)), np.linalg.norm(step, axis=1)
@@ -286,7 +311,7 @@ def _first_samples(source: Source) -> FirstSamples:
     else:
         las = las_of(source)
         with PointReader(las) as reader:
-            points = reader.read(0, last)
+            points = reader.read(begin, last)
         refs = References.of(points, las.mirrored)
         usable = np.flatnonzero(judge(las, refs) == 0)
         row = usable[np.sort(np.unique(refs.offset[usable], return_index=True)[1])]

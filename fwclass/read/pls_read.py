@@ -18,6 +18,7 @@ from fwclass.read.pls_waves import (
     FEW,
     MISFIT,
     OVERLAP,
+    OVERLAPPING,
     SILENT,
     Pulses,
     Samplings,
@@ -36,7 +37,6 @@ from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 SECOND_CHANNEL = "segments of a second channel left out"
-OVERLAPPING = "segments that begin before the one before them ends, left out"
 RUN_TOGETHER = "outgoing pulses of 8 bits where 16 are declared, and returning samples behind them, taken apart"
 BAD_OUTGOING = "outgoing pulses that are saturated or sampled unlike the returning waveform, left out"
 

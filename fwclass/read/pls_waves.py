@@ -47,8 +47,10 @@ FAULTS = (
 )
 """What a pulse lacks; the index is the code in `Pulses.fault`. The last one is no fault: nothing came back."""
 
-DAMAGED = (*FAULTS[2:4], FAULTS[5], FAULTS[-2])
-"""Those that a file shows which was not copied whole, or has holes of zeros."""
+OVERLAPPING = "segments that begin before the one before them ends, left out"
+
+DAMAGED = (*FAULTS[2:4], FAULTS[5], FAULTS[-2], OVERLAPPING)
+"""Those that a file shows which was not copied whole, has holes of zeros, or samples at one time twice."""
 
 HOLE = 256
 """Bytes of zeros where waveforms should be that tell a hole: silent pulses in a row, of a few bytes each, fall short of

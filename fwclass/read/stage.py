@@ -10,6 +10,7 @@ import numpy as np
 from fwclass.read.beam_read import check_beam_rows, index_beam_rows, read_beam_rows
 from fwclass.read.beams import check_beams
 from fwclass.read.las_read import check_las, index_las, read_las
+from fwclass.read.padding import without_padding
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
@@ -75,6 +76,7 @@ def read_span(source: Source, span: Span, params: ReadParams, waves: bool = True
         read = read_beam_rows(source, span)
     else:
         read = read_las(las_of(source), span, params.use_flagged, waves)
+    read = without_padding(read)
     return read if source.target is None else project_waveforms(read, source, source.target)
 
 
@@ -100,4 +102,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 12)
+READ = Computation("read", 13)

@@ -205,3 +205,35 @@ def test_long_records_at_a_sensor_say_when_they_begin(tmp_path, params, ending):
         check_source(open_source(path), params)
     write(path, columns | {"begin_ns": np.zeros(600)}, told)
     assert not [f for f in info(path)["faults"] if "begin_ns" in f]
+
+
+@pytest.mark.parametrize("where", ["half", "end"])
+def test_beams_that_are_turned_in_a_part_of_the_file(tmp_path, params, monkeypatch, where):
+    """Half of 600 pulses; or the last fifth, further behind than what is looked at from the begin on."""
+    if where == "end":
+        monkeypatch.setattr("fwclass.read.beams.LOOKED_AT", 300)
+    columns = scene(pulses=600).columns(at="first")
+    beams = np.stack([columns[f"d{a}"] for a in "xyz"], axis=1)
+    part = np.arange(600) >= (300 if where == "half" else 480)
+    beams[part] = TURNS["mirrored"](beams[part])
+    columns |= {f"d{a}": beams[:, k] for k, a in enumerate("xyz")}
+    path = write_parquet(tmp_path / "a.parquet", columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
+    with pytest.raises(InputError, match="in a part of the file the beams of neighbouring pulses meet") as fault:
+        check_source(open_source(path), params)
+    assert WORDS["mirrored"] in str(fault.value) and "cut it where its beams change" in fault.value.do
+
+
+def test_samples_of_one_time_that_are_there_twice_are_no_sound_file(tmp_path):
+    """A third of all samples was left out, with exit code 0."""
+    columns = scene(pulses=300, n=80).columns(at="sensor")
+    both = {k: np.repeat(np.asarray(v), 2) for k, v in columns.items() if k != "samples"} | {
+        "pulse": np.arange(600) // 2
+    }
+    both["begin_ns"] = both["begin_ns"] + 30.0 * (np.arange(600) % 2)
+    both["samples"] = [part for s in columns["samples"] for part in (s[:40], s[30:])]
+    path = write_parquet(tmp_path / "a.parquet", both, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
+    ended = process("decompose", path, tmp_path / "a.laz")
+    assert (
+        ended.returncode == 4 and "waveforms that begin before the one before them ends, left out: 300" in ended.stderr
+    )
+    assert "300 of 600 pulses (50.0 %) have a waveform that cannot be read" in ended.stderr, ended.stderr
