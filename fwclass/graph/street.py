@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,13 @@ from fwclass.assess.intervals import DRAWS, LEVEL, SEED, intervals
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.street_answers import Answering
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Model, assemble, class_index
 from fwclass.schema import Table
-from fwclass.street.frames import Track
+from fwclass.street.answers import Answer
+from fwclass.street.frames import Geometry, Placed, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.ring import Ring, Seen, feature_names
 from fwclass.street.sphere_kernels import UNIT
@@ -149,42 +152,74 @@ def rows_of(
     """All returns of the recordings, by blocks of frames; `tell` takes what each recording shows that no sound one does
     (`implausible`), after its last frame."""
     for number, path in enumerate(paths):
-        parts: list[Rows] = []
-        for at, one in enumerate(frames_with_features(path, params, trajectory, tell)):
-            parts.append(_rows(number, at, one))
-            if len(parts) == BLOCK:
-                yield join_rows(parts)
-                parts = []
-        if parts:
-            yield join_rows(parts)
+        seen = frames_with_features(path, params, trajectory, tell)
+        yield from _blocks(_rows(number, at, one.frame, one.features) for at, one in enumerate(seen))
+
+
+def answered_rows(
+    paths: Sequence[Path], params: StreetParams, model: Model, trajectory: TrajectoryFiles = NO_TRAJECTORY
+) -> Iterator[Rows]:
+    """As `rows_of`, with the class codes that `model` answers in place of features (rows, 1)."""
+    for number, path in enumerate(paths):
+        answers = _answered(path, params, model, trajectory)
+        yield from _blocks(_rows(number, at, frame, codes) for at, (frame, codes) in enumerate(answers))
+
+
+def _answered(
+    path: Path, params: StreetParams, model: Model, trajectory: TrajectoryFiles
+) -> Iterator[tuple[Placed, NDArray[np.float32]]]:
+    """The frames of a recording, and the class codes of their beams (beams, 1)."""
+    answering: Answering | None = None
+
+    def columns(answers: Iterable[tuple[Placed, Answer]]) -> Iterator[tuple[Placed, NDArray[np.float32]]]:
+        return ((frame, one.classification[:, None].astype(np.float32)) for frame, one in answers)
+
+    for placed, geometry in _placed_frames(path, params, trajectory):
+        answering = answering or Answering(model, params, geometry)
+        yield from columns(answering.take(placed))
+    if answering is not None:
+        yield from columns(answering.rest())
+
+
+def _blocks(frames: Iterable[Rows]) -> Iterator[Rows]:
+    """The rows of `BLOCK` frames at a time."""
+    frames = iter(frames)
+    while some := list(islice(frames, BLOCK)):
+        yield join_rows(some)
 
 
 def frames_with_features(
     path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY, tell: Tell | None = None
 ) -> Iterator[Seen]:
     """The frames of a recording with their features; `tell` as `rows_of` has it."""
-    track, ring, recording = Track(params), None, open_on_trajectory(path, params, trajectory)
-    for frame in recording.frames():
-        placed = track.take(frame)
-        if placed is None:
-            continue
-        if ring is None and track.geometry is not None:
-            ring = Ring(track.geometry, params)
-        if ring is not None:
-            yield from ring.take(placed)
+    ring: Ring | None = None
+    for placed, geometry in _placed_frames(path, params, trajectory, tell):
+        ring = ring or Ring(geometry, params)
+        yield from ring.take(placed)
     if ring is not None:
         yield from ring.rest()
+
+
+def _placed_frames(
+    path: Path, params: StreetParams, trajectory: TrajectoryFiles, tell: Tell | None = None
+) -> Iterator[tuple[Placed, Geometry]]:
+    """The frames of a recording that are used; `tell` as `rows_of` has it."""
+    track, recording = Track(params), open_on_trajectory(path, params, trajectory)
+    for frame in recording.frames():
+        placed = track.take(frame)
+        if placed is not None and track.geometry is not None:
+            yield placed, track.geometry
     if tell is not None:
         tell(path, implausible(recording, track.counts(), params))
 
 
-def _rows(recording: int, at: int, seen: Seen) -> Rows:
-    frame = seen.frame
+def _rows(recording: int, at: int, frame: Placed, values: NDArray[np.float32]) -> Rows:
+    """`values`: (beams, features) of the frame."""
     beams = np.flatnonzero(~np.isnan(frame.r))
     codes = frame.labels[beams] if frame.labels is not None else np.zeros(len(beams), np.uint8)
     key = (np.uint64(recording) << np.uint64(48)) | (np.uint64(at) << np.uint64(16))
     return Rows(
-        seen.features[beams],
+        values[beams],
         codes,
         key | beams.astype(np.uint64),
         (frame.place + (frame.x[beams] if len(frame.x) else np.zeros(len(beams)))).astype(np.float64) * UNIT,
@@ -291,6 +326,11 @@ def judge_answers(
             road = few.place + 1e6 * (few.key >> np.uint64(48))  # recordings are apart
             parts.append(BlockCounts.of(road, np.zeros(len(road)), few.codes, answers(few), classes, block))
     return crown_accuracy(BlockCounts.merged(parts, len(classes)), classes)
+
+
+def as_answered(rows: Rows) -> NDArray[np.uint8]:
+    """Class codes of `answered_rows`."""
+    return rows.X[:, 0].astype(np.uint8)
 
 
 def by_model(model: Model) -> Callable[[Rows], NDArray[np.uint8]]:

@@ -147,6 +147,8 @@ class StreetParams(Params):
     features : `scanner`, heights count from the scanner (Li 2018); `road`, from the road beside the vehicle.
     intensity : the strongest that the scanner tells, full scale: mean and deviation of a sphere's intensities, as
     shares of it, are features; null: they are none.
+    smooth : radius of the spheres [m] that the share of the first class is averaged over before it decides; null: every
+    return decides alone.
     road_half_width : returns as near as this to the track tell the height of the road [m].
     clock_jump : a leap of the clock by more is none of the vehicle [s].
     split : of a training run: `random`, a share of the returns (Li 2018); `stretch`, the boxes of `areas.train`.
@@ -164,6 +166,7 @@ class StreetParams(Params):
     window: Literal["exact", "paper"]
     features: Literal["scanner", "road"]
     intensity: float | None = Field(gt=0, le=1e9)
+    smooth: float | None = Field(ge=0.02, le=LARGEST_RADIUS)
     road_half_width: float = Field(gt=0, le=20)
     clock_jump: float = Field(gt=0, le=86_400)
     split: Literal["random", "stretch"]

@@ -1,8 +1,8 @@
 """A frame of a 2-D scanner: spheres and features beside a k-d tree, then the answer of an RBF SVM; one thread.
 
-`python tests/bench/bench_street.py [--frames N] [--vectors N] [--answers] [--intensity]`: processor milliseconds a
-frame, as the machine may be busy; median, 99 % and 99.9 %. A simulated street at 1 m/s; 1 081 beams at 40 Hz, 541 at
-50 Hz.
+`python tests/bench/bench_street.py [--frames N] [--vectors N] [--answers] [--intensity] [--smooth RADIUS]`: processor
+milliseconds a frame, as the machine may be busy; median, 99 % and 99.9 %. A simulated street at 1 m/s; 1 081 beams at
+40 Hz, 541 at 50 Hz.
 
 Spheres: ours with the eleven features; `cKDTree.query_ball_point` of the same frames, neighbour lists alone, and
 whether its counts are ours. Answers: features and SVM of a frame as `fwclass street run` makes them, written to memory;
@@ -164,9 +164,11 @@ def main() -> None:
     ask.add_argument("--frames", type=int, default=1500)
     ask.add_argument("--vectors", type=int, default=900)
     ask.add_argument("--intensity", action="store_true", help="every return has an intensity, and features of it")
+    ask.add_argument("--smooth", type=float, help="m, shares are averaged within")
     ask.add_argument("--answers", action="store_true", help="leave the spheres out")
     asked = ask.parse_args()
-    extra = ("street.intensity=255",) if asked.intensity else ()
+    extra: tuple[str, ...] = ("street.intensity=255",) if asked.intensity else ()
+    extra += () if asked.smooth is None else (f"street.smooth={asked.smooth}",)
     config, frames = drive("utm-30lx", asked.frames, extra)
     returns = np.mean([np.isfinite(f.ranges).sum() for f in frames])
     print(f"{len(frames)} frames of 1081 beams, {returns:.0f} returns in each, 1 m/s")

@@ -16,14 +16,13 @@ from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
 from fwclass.graph.street import crown_accuracy, model_remarks, params_of
+from fwclass.graph.street_answers import Answering, halo
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
 from fwclass.model import Model
-from fwclass.model.ranges import RangeCounter
 from fwclass.report.drift import drift
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.run.runner import Runner, require_all
-from fwclass.single_file.street.online import classify_frame
 from fwclass.single_file.street.output import finish
 from fwclass.store.models import load_model, model_digest
 from fwclass.store.unchanged import unchanged
@@ -31,7 +30,6 @@ from fwclass.street.answers import ANSWERS, END, Writer, read_answers
 from fwclass.street.frames import Geometry, Placed, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import seen_again, segments
-from fwclass.street.ring import Ring
 
 FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 5
 PART = "frames.bin"
@@ -107,23 +105,22 @@ def _scan(meta: Mapping[str, Any]) -> Scan:
 
 
 def chunk(work: Work, first: int, last: int, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
-    """Answer the frames `first` to `last`, with as many before and after as their spheres may reach over."""
+    """Answer the frames `first` to `last`, with as many before and after as their answers may reach over."""
     meta = inputs.meta(FRAMES, "all")
     scan, model = _scan(meta), load_model(work.model)
-    halo = work.params.most_frames
-    low, high = max(0, first - halo), min(int(meta["frames"]), last + halo)
-    ring = Ring(Geometry.of(scan, work.params.mounting), work.params, range(first - low, last - low))
-    writer = Writer(scan.beams, ring.geometry.tilted)
-    most, cut, outside = 0, 0, RangeCounter.of(model.card, model.features)
+    around = halo(work.params)
+    low, high = max(0, first - around), min(int(meta["frames"]), last + around)
+    geometry = Geometry.of(scan, work.params.mounting)
+    answering = Answering(model, work.params, geometry, range(first - low, last - low))
+    writer = Writer(scan.beams, geometry.tilted)
     with (directory / PART).open("wb") as file:
         for frame in _frames(inputs, meta, scan, low, high):
-            for one in ring.take(frame):
-                most, cut = max(most, one.frames), cut + int(one.cut)
-                file.write(writer.frame(classify_frame(one, model, outside)))
-        for one in ring.rest():
-            most, cut = max(most, one.frames), cut + int(one.cut)
-            file.write(writer.frame(classify_frame(one, model, outside)))
-    return {"most": most, "cut": cut, "outside": outside.counts() if outside is not None else {}}
+            for _, one in answering.take(frame):
+                file.write(writer.frame(one))
+        for _, one in answering.rest():
+            file.write(writer.frame(one))
+    outside = answering.outside
+    return {"most": answering.most, "cut": answering.cut, "outside": outside.counts() if outside is not None else {}}
 
 
 def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, high: int) -> Iterator[Placed]:

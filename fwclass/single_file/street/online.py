@@ -17,72 +17,55 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
 from fwclass.graph.street import model_remarks, params_of
+from fwclass.graph.street_answers import Answering
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
 from fwclass.model import Model
-from fwclass.model.ranges import RangeCounter
 from fwclass.report.drift import drift
 from fwclass.single_file.street.output import CSV, HEAD, finish, working_in
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
 from fwclass.store.unchanged import unchanged
-from fwclass.street.answers import ANSWERS, END, Answer, Writer, make_answer
+from fwclass.street.answers import ANSWERS, END, Answer, Writer
 from fwclass.street.frames import Frame, Geometry, Recording, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import Prescriber, Segment, seen_again
-from fwclass.street.ring import Ring, Seen
 
 WARM = 40
 """Frames that everything is gone through with before anything is listened to, so that nothing compiles later."""
 
 
-def classify_frame(one: Seen, model: Model, outside: RangeCounter | None = None) -> Answer:
-    """Classes and shares of a frame's returns; `outside` counts features that leave what the model has seen."""
-    here = ~np.isnan(one.frame.r)
-    if not here.any():
-        return make_answer(one.frame, np.empty(0, np.uint8), np.empty(0))
-    if outside is not None:
-        outside.add(one.features[here])
-    winner, shares = answer(one.features[here], model)
-    return make_answer(one.frame, model.codes[winner], np.take_along_axis(shares, winner[:, None], axis=1)[:, 0])
-
-
 @dataclass
 class Loop:
-    """One frame in, the answers that it completes out; the same for every source."""
+    """One frame in, the answers that it completes out; the same for every source.
+
+    `answering` is None until a frame came that is used.
+    """
 
     model: Model
     params: StreetParams
 
     def __post_init__(self) -> None:
         self.track = Track(self.params)
-        self.ring: Ring | None = None
-        self.cut = self.most = 0
-        self.outside = RangeCounter.of(self.model.card, self.model.features)
+        self.answering: Answering | None = None
 
     def take(self, frame: Frame) -> Iterator[Answer]:
         """The answers that this frame completes, in order; it may be left out and complete none."""
         placed = self.track.take(frame)
         if placed is None:
             return
-        if self.ring is None and self.track.geometry is not None:
-            self.ring = Ring(self.track.geometry, self.params)
-        if self.ring is not None:
-            yield from map(self._answer, self.ring.take(placed))
+        if self.answering is None and self.track.geometry is not None:
+            self.answering = Answering(self.model, self.params, self.track.geometry)
+        if self.answering is not None:
+            yield from (one for _, one in self.answering.take(placed))
 
     def rest(self) -> Iterator[Answer]:
         """The answers of the frames that still wait, when no other comes."""
-        if self.ring is not None:
-            yield from map(self._answer, self.ring.rest())
-
-    def _answer(self, one: Seen) -> Answer:
-        self.cut += one.cut
-        self.most = max(self.most, one.frames)
-        return classify_frame(one, self.model, self.outside)
+        if self.answering is not None:
+            yield from (one for _, one in self.answering.rest())
 
 
 @dataclass
@@ -192,7 +175,8 @@ def _answer(
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
     summary = _summary(loop, latency, late, faults, params)
-    drifted = drift(model.card, [loop.outside.counts()] if loop.outside is not None else [])
+    outside = loop.answering.outside if loop.answering is not None else None
+    drifted = drift(model.card, [outside.counts()] if outside is not None else [])
     remarks += [*(drifted or {}).get("remarks", []), *seen_again(files.again), *untested(recording, summary)]
     summary |= {
         "drift": drifted,
@@ -277,12 +261,13 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 
 def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], params: StreetParams) -> dict[str, Any]:
+    most, cut = (loop.answering.most, loop.answering.cut) if loop.answering is not None else (0, 0)
     return {
         **loop.track.counts(),
         "latency": latency.summary(),
         "late": int(late),
         "stream": {name: n for name, n in faults.items() if n},
-        "neighbourhood": {"most_frames": loop.most, "held": 2 * params.most_frames + 1, "cut": int(loop.cut)},
+        "neighbourhood": {"most_frames": most, "held": 2 * params.most_frames + 1, "cut": cut},
         "street": params.model_dump(mode="json"),
     }
 

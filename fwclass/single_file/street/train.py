@@ -14,7 +14,17 @@ from fwclass.assess.remarks import chance_remarks
 from fwclass.classes import ClassDef, class_index
 from fwclass.conf import Config
 from fwclass.errors import InputError, first_few
-from fwclass.graph.street import Rows, Split, by_model, fit_model, judge_answers, recordings_of, rows_of, sample_of
+from fwclass.graph.street import (
+    Rows,
+    Split,
+    answered_rows,
+    as_answered,
+    fit_model,
+    judge_answers,
+    recordings_of,
+    rows_of,
+    sample_of,
+)
 from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
@@ -57,7 +67,7 @@ def train(
         try:
             with unchanged(*paths, *way.files):
                 accuracy = judge_answers(
-                    rows_of(paths, params, way), by_model(model), split, classes, config.assess.block
+                    answered_rows(paths, params, model, way), as_answered, split, classes, config.assess.block
                 )
         except ValueError as fault:
             raise InputError("the answers cannot be judged", where=paths[0], got=str(fault)) from fault
