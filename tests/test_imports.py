@@ -33,13 +33,23 @@ FORBIDDEN = [  # file, what it shall not import
     ("fwclass/walk/steps.py", "fwclass.walk.own_workflow"),
     ("fwclass/novelty/__init__.py", "dask"),
 ]
+CIRCLES = [  # package, a module of it, what of it shall not be imported there
+    ("publish", "palette", "report"),
+    ("decompose", "params", "fitting"),
+    ("ground.methods", "seeds", "ptd"),
+    ("features", "params", "stage"),
+    ("street", "frames", "prescription"),
+    ("delivery", "opened", "viewed"),
+    ("formats", "las_header", "copc"),
+]
 
 
 def test_every_planted_breach_is_caught(tmp_path: Path) -> None:
     for package in ("fwclass", "workflows"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    for name, imported in FORBIDDEN:
+    circles = [(f"fwclass/{p.replace('.', '/')}/{one}.py", f"fwclass.{p}.{other}") for p, one, other in CIRCLES]
+    for name, imported in FORBIDDEN + circles:
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(f"{path.read_text() if path.exists() else ''}\nimport {imported}\n")
@@ -51,6 +61,8 @@ def test_every_planted_breach_is_caught(tmp_path: Path) -> None:
     for name, imported in FORBIDDEN:
         module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         assert f"{module} -> {imported} " in said, f"{module} -> {imported} passes\n{done.stdout}"
+    for package, *_ in CIRCLES:
+        assert f"No cycles are allowed in fwclass.{package}." in said, f"a circle in {package} passes\n{done.stdout}"
     assert re.search(r"not listed as layers:.{0,80}fwclass[.]novelty", said), "a room that no contract lists passes"
 
 
