@@ -49,6 +49,7 @@ def _base(name: str) -> str:
 
 CODES, LONGEST = 256, 15
 """Entries of the record of class names, and the bytes of a name (LAS 1.4 R15, classification lookup)."""
+_UNNAMED = tuple(bytes([code]) + b"\0" * LONGEST for code in range(CODES))
 
 
 @counted("writing")
@@ -119,8 +120,8 @@ def _plain(name: str) -> bytes:
 
 def class_lookup(names: Mapping[int, str]) -> bytes:
     """The record that names the classes of a file."""
-    entries = []
-    for code in range(CODES):
-        name = _plain(names[code])[:LONGEST].decode(errors="ignore").encode() if code in names else b""
-        entries.append(bytes([code]) + name.ljust(LONGEST, b"\0"))
+    entries = list(_UNNAMED)
+    for code in names.keys() & set(range(CODES)):
+        name = _plain(names[code])[:LONGEST].decode(errors="ignore").encode()
+        entries[code] = bytes([code]) + name.ljust(LONGEST, b"\0")
     return record("LASF_Spec", 0, "classification lookup", b"".join(entries))

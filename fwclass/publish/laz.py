@@ -181,9 +181,18 @@ def _bounds(points: NDArray, offset: NDArray[np.int64]) -> list[float]:
     return out
 
 
+_last: list[tuple[pyproj.CRS, str]] = []
+"""The system that was asked for last, and its text: all tiles have one."""
+
+
 def wkt(crs: pyproj.CRS) -> str:
     """WKT 1 as LAS 1.4 asks for, or WKT 2 for what only that can say."""
+    for known, text in _last:
+        if known is crs:
+            return text
     try:
-        return str(crs.to_wkt("WKT1_GDAL"))
+        text = str(crs.to_wkt("WKT1_GDAL"))
     except pyproj.exceptions.CRSError:
-        return str(crs.to_wkt("WKT2_2019"))
+        text = str(crs.to_wkt("WKT2_2019"))
+    _last[:] = [(crs, text)]
+    return text

@@ -80,7 +80,7 @@ def _write_small(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
         pa.field(name, pa.large_binary(), metadata={_SHAPE: json.dumps(array.shape), _DTYPE: array.dtype.str})
         for name, array in arrays.items()
     ]
-    columns = [pa.array([_planes(array)], pa.large_binary()) for array in arrays.values()]
+    columns = [_one_value(_planes(array)) for array in arrays.values()]
     about = {_ATTRIBUTES: json.dumps(attributes, allow_nan=False, sort_keys=True)}
     levels = {n: 3 if a.dtype.itemsize > 1 and a.nbytes > LARGE else 1 for n, a in arrays.items() if a.nbytes > SHORT}
     with file_to_write(path, sum(a.nbytes for a in arrays.values())) as file:
@@ -92,6 +92,12 @@ def _write_small(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
             use_dictionary=False,
             write_statistics=False,
         )
+
+
+def _one_value(data: bytes) -> pa.Array:
+    """A column of one row of bytes; `pa.array` would load pandas."""
+    ends = np.array([0, len(data)], np.int64)
+    return pa.Array.from_buffers(pa.large_binary(), 1, [None, pa.py_buffer(ends), pa.py_buffer(data)])
 
 
 def _planes(array: NDArray) -> bytes:

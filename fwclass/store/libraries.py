@@ -117,7 +117,7 @@ def changes(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
 
 def stale_by(then: Mapping[str, str] | None) -> list[str]:
     """How the libraries of a part differ from those here, in words; nothing where its receipt names none."""
-    if then is None:
+    if then is None or then == fingerprint():  # as nearly every part
         return []
     if not then:
         return ["what it was made with is not recorded any more: a file of store/libraries is gone or damaged"]

@@ -356,9 +356,12 @@ META: dict[str, Shape] = {
 }
 
 
+_NOTHING: dict[str, Any] = {}
+
+
 def misfit_of(stage: str, meta: Any) -> Misfit | None:
     """Where what a receipt of `stage` tells is not what the stage tells; None where it is."""
-    return misfit(meta, EVERY, "meta") or misfit(meta, META.get(stage, {}), "meta")
+    return misfit(meta, EVERY, "meta") or misfit(meta, META.get(stage, _NOTHING), "meta")
 
 
 def is_told(stage: str, name: str) -> bool:

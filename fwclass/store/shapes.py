@@ -77,7 +77,7 @@ def pattern(called: str, expression: str) -> Kind:
     return Kind(called, lambda value: isinstance(value, str) and known.fullmatch(value) is not None)
 
 
-COUNT = Kind("a count", lambda value: _is_whole(value) and value >= 0)
+COUNT = Kind("a count", lambda value: type(value) is int and 0 <= value <= LARGEST_WHOLE)
 KEY = Kind("a whole number of 64 bits", lambda value: type(value) is int and 0 <= value < 2**64)
 WHOLE = Kind("a whole number", _is_whole)
 NUMBER = Kind("a number", _is_number)
@@ -105,21 +105,84 @@ def square(shape: Shape = COUNT) -> Related:
 
 def misfit(value: Any, shape: Shape, at: str = "") -> Misfit | None:
     """The first place where plain data are not of a shape; None where they are. NaN and infinity fit nothing."""
+    return None if _test_of(shape)(value) else first_misfit(value, shape, at)
+
+
+_Test = Callable[[Any], bool]
+_tests: dict[int, tuple[Shape, _Test]] = {}
+"""What tells whether a shape fits, by the shape's identity: most receipts are sound, and are asked for no place."""
+
+
+def _test_of(shape: Shape) -> _Test:
+    known = _tests.get(id(shape))
+    if known is None:
+        known = _tests[id(shape)] = shape, _make_test(shape)
+    return known[1]
+
+
+def _make_test(shape: Shape) -> _Test:
     if isinstance(shape, Maybe):
-        return None if value is None else misfit(value, shape.shape, at)
+        present = _test_of(shape.shape)
+        return lambda value: value is None or present(value)
     if isinstance(shape, Related):
-        wrong = misfit(value, shape.shape, at)
+        parts, holds = _test_of(shape.shape), shape.holds
+        return lambda value: parts(value) and holds(value)
+    if isinstance(shape, Kind):
+        fits = shape.fits
+        return (lambda value: fits(value) and not _is_nan(value)) if fits(math.nan) else fits
+    if isinstance(shape, dict):
+        return _test_of_object(shape)
+    tests = [_test_of(one) for one in shape]
+    if isinstance(shape, tuple):
+        return lambda value: (
+            _is_list(value) and len(value) == len(tests) and all(fits(v) for fits, v in zip(tests, value, strict=True))
+        )
+    (each,) = tests
+    return lambda value: _is_list(value) and all(map(each, value))
+
+
+def _test_of_object(shape: Mapping[Any, Shape]) -> _Test:
+    names = [(n.removesuffix("?"), n.endswith("?"), _test_of(one)) for n, one in shape.items() if isinstance(n, str)]
+    kinds = [(None if n is TEXT else n.fits, _test_of(one)) for n, one in shape.items() if isinstance(n, Kind)]
+
+    def test(value: Any) -> bool:
+        if type(value) is not dict and not isinstance(value, Mapping):
+            return False
+        for name, may_lack, fits in names:
+            if name not in value:
+                if not may_lack:
+                    return False
+            elif not fits(value[name]):
+                return False
+        return all(
+            (is_key is None or all(is_key(str(key)) for key in value)) and all(map(fits, value.values()))
+            for is_key, fits in kinds
+        )
+
+    return test
+
+
+def _is_list(value: Any) -> bool:
+    return type(value) is list or (isinstance(value, Sequence) and not isinstance(value, str))
+
+
+def first_misfit(value: Any, shape: Shape, at: str) -> Misfit | None:
+    """As `misfit`, place by place."""
+    if isinstance(shape, Maybe):
+        return None if value is None else first_misfit(value, shape.shape, at)
+    if isinstance(shape, Related):
+        wrong = first_misfit(value, shape.shape, at)
         return wrong or (None if shape.holds(value) else _wrong(value, shape.called, at))
     if isinstance(shape, Kind):
         return None if shape.fits(value) and not _is_nan(value) else _wrong(value, shape.called, at)
     if isinstance(shape, dict):
         return _in_object(value, shape, at) if isinstance(value, Mapping) else _wrong(value, "an object", at)
-    if not isinstance(value, Sequence) or isinstance(value, str):
+    if not _is_list(value):
         return _wrong(value, "a list", at)
     if isinstance(shape, tuple) and len(value) != len(shape):
         return _wrong(value, f"a list of {len(shape)}", at)
     each = shape if isinstance(shape, tuple) else shape * len(value)
-    inside = (misfit(v, s, f"{at}.{k}") for k, (v, s) in enumerate(zip(value, each, strict=True)))
+    inside = (first_misfit(v, s, f"{at}.{k}") for k, (v, s) in enumerate(zip(value, each, strict=True)))
     return next((wrong for wrong in inside if wrong), None)
 
 
@@ -127,11 +190,11 @@ def _in_object(value: Mapping[Any, Any], shape: Mapping[Any, Shape], at: str) ->
     for name, one in shape.items():
         if isinstance(name, Kind):
             for key, own in value.items():
-                wrong = misfit(str(key), name, f"{at}.{key}") or misfit(own, one, f"{at}.{key}")
+                wrong = first_misfit(str(key), name, f"{at}.{key}") or first_misfit(own, one, f"{at}.{key}")
                 if wrong:
                     return wrong
         elif name.removesuffix("?") in value:
-            wrong = misfit(value[name.removesuffix("?")], one, f"{at}.{name.removesuffix('?')}")
+            wrong = first_misfit(value[name.removesuffix("?")], one, f"{at}.{name.removesuffix('?')}")
             if wrong:
                 return wrong
         elif not name.endswith("?"):
