@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fwclass.decompose.water_column import water_facts
+from fwclass.graph.vectors import DELIVER_VECTORS
 from fwclass.report.facts import receipts_of_run
 from fwclass.run.runner import Runner, Tally
 from fwclass.survey.layout import Survey
@@ -58,6 +59,12 @@ def withheld_returns(runner: Runner) -> int:
 def _chunk_facts(runner: Runner) -> list[Mapping[str, Any]]:
     """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
     return [r.meta for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]
+
+
+def vector_counts(runner: Runner) -> dict[str, int] | None:
+    """Buildings and trees that the run delivers, of what is asked for; None where it delivers no vectors."""
+    metas = [r.meta for r in receipts_of_run(runner, DELIVER_VECTORS.name)]
+    return {name: metas[0][name] for name in ("buildings", "trees") if name in metas[0]} if metas else None
 
 
 def stage_figures(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:

@@ -112,6 +112,9 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             rows += [f"{kind:<11} {root / top}" for top in sorted({name.partition("/")[0] for name in names})]
         elif kind == "gis":
             rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
+        elif kind == "vectors" and report.get("vectors"):
+            counted = ", ".join(several(n, name.removesuffix("s")) for name, n in report["vectors"].items())
+            rows.append(f"{kind:<11} {counted}: {root / 'vectors.gpkg'}, {root / kind}")
         elif kind in ("quality", "page"):
             rows += [f"{kind:<11} {root / name}" for name in names]
         elif names:

@@ -29,6 +29,7 @@ from fwclass.report.counts import (
     echo_counts,
     source_files,
     stage_figures,
+    vector_counts,
     withheld_returns,
 )
 from fwclass.report.earlier import since_earlier
@@ -176,6 +177,7 @@ def _of_the_survey(
         ),
         "ground": ground_facts(runner, config, withheld_returns(runner)),
         "water": [body for bodies in metas_of_run(runner, LEVELS, "bodies") for body in bodies],
+        "vectors": vector_counts(runner),
         "quality": quality,
         "thresholds": thresholds(quality, config.quality) if quality else [],
     }

@@ -94,6 +94,8 @@ def test_tiles_and_workers_change_no_byte(place: Path, words):
 def test_the_delivery_knows_them(place: Path):
     report = json.loads((place / "r/report.json").read_text())
     names = ["buildings"]  # a survey without vegetation
+    assert report["vectors"] == {"buildings": 3}
+    assert "vectors     3 buildings: r/vectors.gpkg, r/vectors" in run(place, "r").stderr
     assert report["outputs"]["vectors"] == ["vectors.gpkg", *(f"vectors/{n}.parquet" for n in names)]
     status = fwclass("status", "r", cwd=place)
     assert status.returncode == 0 and "publish-vectors" in status.stdout + status.stderr
