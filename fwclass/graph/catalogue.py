@@ -56,7 +56,7 @@ def deliver_catalogue(
     ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
     _write_style(here, present)
     bounds = facts["bounds"]
-    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours, bool(drawn[WHOLE]))
+    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours, bool(drawn[WHOLE]), quality=True)
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
@@ -151,7 +151,7 @@ def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
 
 DELIVER_CATALOGUE = Stage(
     "publish-catalogue",
-    5,
+    6,
     "survey",
     "part",
     deliver_catalogue,

@@ -10,6 +10,7 @@ from fwclass.publish.contour_style import contour_style
 from fwclass.publish.qgis import MapLayer
 from fwclass.publish.qgis_style import (
     HEIGHTS,
+    MANY,
     SURE,
     Ramp,
     class_cloud_style,
@@ -17,6 +18,7 @@ from fwclass.publish.qgis_style import (
     outline_style,
     point_style,
     ramp_cloud_style,
+    ramp_raster_style,
 )
 from fwclass.publish.raster_styles import raster_style
 from fwclass.publish.tile_facts import WORTH
@@ -27,6 +29,9 @@ WORK = 10
 
 HEIGHT_SHOWN = 25.0
 """m above ground that the colours of echoes reach; a tall tree."""
+
+STRIPS_APART = 0.1
+"""m that the colours of differences of strips reach, as on the page of the quality."""
 
 LEAST_SURE = (0.0, 0.7, 0.8, 0.9, 0.95, 1.0)
 """Edges of the tiles' colours, mean confidence."""
@@ -81,6 +86,7 @@ def groups_of(
     vectors: Sequence[str] = (),
     contours: bool = False,
     overview: bool = True,
+    quality: bool = False,
 ) -> dict[str, list[MapLayer]]:
     """Groups of layers, the first on top.
 
@@ -95,6 +101,7 @@ def groups_of(
     contours : there are contour lines.
     overview : there is an overview of all echoes. Confidence and height are those of its echoes: QGIS cannot read extra
         bytes of a list of tiles (it takes all of them for eight bytes), of a single file it can.
+    quality : there are the rasters of the survey's quality.
     """
     styles, sure = cloud_styles(names), any("confidence" in of_site for of_site in ranges.values())
     echoes = [MapLayer("by class", "pointcloud", "laz/survey.vpc", styles["classes"], shown=True)]
@@ -121,6 +128,15 @@ def groups_of(
             style = raster_style(name, site_ranges, names, multiply=group == "Maps")
             shown = name in ("classes", "hillshade")
             groups[group].append(MapLayer(title + more, "raster", f"{where}/{name}.tif", style, shown))
+        if quality:  # pulses in the colours of echoes: both compare
+            low, high = site_ranges["density"]
+            ramps = {
+                "pulse_density": ("pulses per m²", ramp_raster_style(MANY, low, high, "pulses/m²")),
+                "strip_dz": ("strips apart in height [m]", ramp_raster_style(MANY, 0, STRIPS_APART, "m")),
+            }
+            for name, (title, style) in ramps.items():
+                layer = MapLayer(title + more, "raster", f"{where}/{name}.tif", style)
+                groups.setdefault("Quality", []).append(layer)
     return groups
 
 

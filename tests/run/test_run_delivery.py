@@ -101,6 +101,7 @@ def test_the_project_names_files_that_are_there(root: Path) -> None:
     assert all(len(i or "") > 10 for i in ids), "QGIS replaces shorter ones"
     assert {e.get("id") for e in project.iter("layer-tree-layer")} == ids
     for path in (root / "rasters").glob("*.tif"):
+        assert f"./rasters/{path.name}" in sources, "the quality's were in no layer"
         assert Xml.parse(path.with_suffix(".qml")).getroot().tag == "qgis"  # noqa: S314
 
 
