@@ -49,7 +49,7 @@ ELSEWHERE = (
     *("bench", "bounds", "faults", "frozen", "run", "security", "store", "uncompiled", "*fuzz*", "test_cli*"),
     *("test_*_sklearn.py", "test_train_others.py", "test_train_search.py"),  # loading scikit-learn takes two seconds
     "test_view_remote.py",  # and that of a server of objects
-    *("test_docs_messages.py", "test_imports.py"),  # they parse the whole program
+    *("test_docs_messages.py", "test_docstrings.py", "test_imports.py"),  # they parse the whole program
 )
 """Folders and files of other tiers: with ``--unit`` they are not even read."""
 

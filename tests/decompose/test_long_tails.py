@@ -131,6 +131,7 @@ def test_detectors_that_nothing_tells_apart_are_named_among_the_causes(tmp_path)
     assert ended.returncode == 4 and "detectors with pulses of their own" in ended.stderr, ended.stderr
 
 
+@pytest.mark.statistics
 def test_descriptors_of_one_detector_stay_one_channel():
     waves, *_ = recorded(4.0)
     turn = np.arange(waves.pulses.rows) % 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -48,6 +49,14 @@ def measured(waves):
     return with_correlated_noise(pulse, recovered(waves, FIT, pulse)[0], FIT)
 
 
+@cache
+def swung(step=1):
+    """Waveforms of a receiver that swings, its pulse without and with what was measured of that."""
+    waves, *_ = recorded(12.0, 20.0, n=600, step=step)
+    plain = estimate_pulse(waves, PULSE)
+    return waves, plain, with_recovery(plain, waves, FIT)
+
+
 def shares(waves, pulse, row, at, height):
     """(strong echoes missing, false ones), as shares."""
     level, doubt = recovered(waves, FIT, pulse)
@@ -90,25 +99,23 @@ def test_a_few_saturated_waveforms_tell_nothing():
 
 
 def test_samples_are_kept_where_they_are_to_be() -> None:
-    waves, *_ = recorded(20.0, 15.0, n=900)
-    plain = estimate_pulse(waves, PULSE)
-    assert with_recovery(plain, waves, FIT).channels[0].recovery > 0.0
+    waves, plain, pulse = swung()
+    assert plain.channels[0].recovery == 0.0 < pulse.channels[0].recovery
     assert with_recovery(plain, waves, FIT.model_copy(update={"recovery": "keep"})) == plain
 
 
 def test_no_receiver_swings_further_than_its_range() -> None:
     """A dip of another shape, right behind: a fast recovery from thousands of DN below the level would explain it."""
-    waves, *_ = recorded(2000.0, 2.0, n=900)
+    waves, *_ = recorded(2000.0, 2.0, n=600)
     assert with_recovery(estimate_pulse(waves, PULSE), waves, FIT).channels[0].recovery == 0.0
 
 
 @pytest.mark.parametrize("step", [1, 2])
 def test_every_waveform_is_corrected_alone(step):
-    waves, *_ = recorded(12.0, 20.0, n=900, step=step)
-    pulse = with_recovery(estimate_pulse(waves, PULSE), waves, FIT)
+    waves, _, pulse = swung(step)
     assert pulse.channels[0].recovery > 0.0 and pulse.channels[0].step == step
     whole, doubt = recovered(waves, FIT, pulse)
-    chosen = np.arange(899, -1, -3)
+    chosen = np.arange(599, -1, -3)
     part, own = recovered(rows_of(waves, chosen), FIT, pulse)
     for k, i in enumerate(chosen):
         here, there = slice(*part.offsets[k : k + 2]), slice(*whole.offsets[i : i + 2])
@@ -118,8 +125,7 @@ def test_every_waveform_is_corrected_alone(step):
 
 
 def test_it_is_stored_and_told():
-    waves, *_ = recorded(12.0, 20.0, n=900)
-    pulse = with_recovery(estimate_pulse(waves, PULSE), waves, FIT)
+    _, _, pulse = swung()
     again = SystemPulse.from_json(json.loads(json.dumps(pulse.to_json())))
     assert again.channels == pulse.channels
     (line,) = pulse_remarks([{"name": "s", "channels": channel_pulses(pulse, None, FIT), "widths": []}])

@@ -39,6 +39,7 @@ def test_the_offset_is_what_the_labels_were_moved_by(moved) -> None:
     assert offset.unmoved == offset.explained if moved == (0, 0) else offset.unmoved < 0.7 * offset.explained
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("size", "gap"), [(6, 14), (10, 4), (20, 15)])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_boxes_that_were_drawn_apart_are_where_they_are(size: int, gap: int, seed: int) -> None:

@@ -274,5 +274,5 @@ def test_ctrl_c_is_heeded_while_polygons_are_tried(monkeypatch):
 
     owners(x[:3], y[:3], zigzag(10, 100_000))  # compiled
     monkeypatch.setattr(room, "_mark", timed)
-    owners(x, y, zigzag(60_000, 100_000))
+    owners(x, y, zigzag(35_000, 100_000))
     assert len(pieces) > 1 and max(pieces) < 3, pieces

@@ -68,13 +68,13 @@ def test_returns_of_a_turned_scanner_are_prescribed_where_they_lie(pitch, yaw):
     track, random = Track(params), np.random.default_rng(1)
     scan, made = Scan(90, -2.0, 0.045, 0.1, 9.0), []
     wanted = Counter()
-    for k in range(800):
+    for k in range(250):
         ranges = random.uniform(0.1, 8.99, scan.beams).astype(np.float32)
-        placed = track.take(Frame(k, 0.025 * k, scan, ranges, place=0.0125 * k))
+        placed = track.take(Frame(k, 0.025 * k, scan, ranges, place=0.04 * k))
         made.append(make_answer(placed, np.full(scan.beams, 5, np.uint8), np.ones(scan.beams)))
         place = np.floor((placed.place + placed.x) * UNIT / params.prescription.segment).astype(int)
         wanted.update(zip(np.where(placed.y >= 0, "left", "right"), place.tolist(), strict=True))
-    assert placed.place * UNIT == pytest.approx(10.0, abs=0.02)
+    assert placed.place * UNIT == pytest.approx(9.96, abs=0.02)
     given, again = segments(made, params, 5, track.geometry)
     keys = [(s.side, round(s.begin / params.prescription.segment)) for s in given]
     assert again == 0 and len(set(keys)) == len(keys)
