@@ -1,6 +1,6 @@
 """Points as plain text: ``x y z [label]``, one a line.
 
-Columns stand apart by spaces, tabs, commas or semicolons (then with a decimal comma, if the numbers have one). Empty
+Columns stand apart by spaces, commas, tabs or semicolons (these two with decimal commas, if numbers have some). Empty
 lines and what follows a ``#`` are passed over. A header line may name the columns, in any order; without one they are
 x, y, z and, if there is a fourth, the label.
 """

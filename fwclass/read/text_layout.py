@@ -11,9 +11,9 @@ from fwclass.errors import InputError
 from fwclass.units import number_of
 
 _NAMES = {
-    "x": ("x", "easting", "east", "e"),
-    "y": ("y", "northing", "north", "n"),
-    "z": ("z", "height", "elevation", "altitude", "h"),
+    "x": ("x", "easting", "east", "e", "rechtswert", "ostwert"),
+    "y": ("y", "northing", "north", "n", "hochwert", "nordwert"),
+    "z": ("z", "height", "elevation", "altitude", "h", "höhe", "hoehe"),
     "label": ("label", "labels", "reference"),
     "code": ("classification", "class", "code", "class_code"),
 }
@@ -55,6 +55,8 @@ def layout_of(path: Path, data: bytes, ignored: Collection[str] = ()) -> Layout:
             continue
         delimiter, decimal = _separator(content)
         words = words_of(content, delimiter)
+        if names is None and all(cells := words_of(content, "\t")) and len(cells) >= 3:
+            words = cells  # a heading whose words have blanks
         numbers = _are_numbers(words, decimal, names)
         if not commented and numbers:
             return _named(path, names, words, delimiter, decimal, at, number)
@@ -76,6 +78,8 @@ def _separator(line: bytes) -> tuple[str, str]:
     """Separator of columns and decimal mark of a line."""
     if b";" in line:
         return ";", "," if b"," in line and b"." not in line else "."
+    if b"\t" in line and b"," in line and b"." not in line:
+        return "\t", ","
     return ("," if b"," in line else " "), "."
 
 

@@ -32,6 +32,7 @@ WAYS = {
     "commas and spaces": lines("{}, {},  {}, {} "),
     "semicolons": lines("{};{};{};{}"),
     "decimal commas": lines("{};{};{};{}", decimal=","),
+    "decimal commas and tabs": lines("{}\t{}\t{}\t{}", decimal=","),
     "windows": lines("{} {} {} {}", ends="\r\n"),
     "old mac": lines("{} {} {} {}", ends="\r"),
     "empty lines": "\n\n" + lines("{} {} {} {}\n\n"),
@@ -148,3 +149,11 @@ def test_isprs_samples_agree_with_another_reader(shared_data, sample):
     path = shared_data / "isprs" / f"samp{sample}.txt"
     cloud = read_text(path)
     np.testing.assert_array_equal(np.column_stack([*cloud.xyz, cloud.label]), np.loadtxt(path))
+
+
+def test_a_german_list_of_points_is_read(tmp_path):
+    rows = "Punkt Nr.\tRechtswert [m]\tHochwert [m]\tHöhe\nP 1\t1,5\t2\t3\nP 2\t4\t5\t6,25\n"
+    cloud = read_text(text(tmp_path / "a.txt", rows))
+    assert cloud.x.tolist() == [1.5, 4.0] and cloud.y.tolist() == [2.0, 5.0] and cloud.z.tolist() == [3.0, 6.25]
+    cloud = read_text(text(tmp_path / "b.txt", "Name\tEasting [m]\tNorthing [m]\tHeight\nP1\t1.5\t2\t3\n"))
+    assert cloud.x.tolist() == [1.5] and cloud.z.tolist() == [3.0]
