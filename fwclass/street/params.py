@@ -199,3 +199,4 @@ class StreetSceneParams(Params):
     roll: float = Field(ge=0, le=10)
     missing: float = Field(ge=0, le=0.9)
     slope: float = Field(ge=0, le=0.3)
+    intensity: float | None = Field(gt=0, le=1e9)

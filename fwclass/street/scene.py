@@ -18,6 +18,18 @@ CROWN, ROAD, GROUND, BUILDING, SHRUB = 5, 11, 2, 6, 4
 TRUNK, FURNITURE, VEHICLE, PERSON = 70, 71, 64, 65
 """Class codes of simulated returns; ASPRS's where it has one."""
 
+SHINE = {
+    CROWN: (0.4, 0.55),
+    SHRUB: (0.35, 0.55),
+    TRUNK: (0.2, 0.35),
+    BUILDING: (0.2, 0.6),
+    FURNITURE: (0.1, 0.5),
+    VEHICLE: (0.05, 0.6),
+    PERSON: (0.1, 0.5),
+}
+"""Reflectances, least and most, about, in the near infrared: leaves are bright, bark is not, paint and cloth may be
+anything."""
+
 KERB = 3.6
 """m, from the track to the kerb."""
 
@@ -82,6 +94,7 @@ class _Builder:
         for k, row in enumerate(self.rows):
             rows[k, : len(row)] = row
         rows = rows[np.argsort(rows[:, 2], kind="stable")]
+        rows[:, -1] = _reflectances(rows, np.random.default_rng([self.params.seed, 3]))
         knots = np.arange(-20.0, self.params.length + 40.0, 20.0)
         lean = self.random.normal(0, 0.5 * self.params.slope, len(knots))
         metres = np.arange(-20.0, self.params.length + 21.0)
@@ -241,6 +254,13 @@ class _Builder:
                 self.box(VEHICLE, x, 1.6, 0.4, 1.6, 2.4, 3.0)  # a van or bus, near
             else:
                 self._car(x, 3.4, 1.0, self.params.speed / (self.params.speed + self.between(5, 12)))
+
+
+def _reflectances(rows: NDArray[np.float64], random: np.random.Generator) -> NDArray[np.float64]:
+    """Of every solid, drawn from what `SHINE` has for its class; limbs and twigs of crowns are bark."""
+    of = np.where((rows[:, 0] == CAPSULE) & (rows[:, 1] == CROWN), TRUNK, rows[:, 1]).astype(int)
+    low, high = np.array([SHINE[k] for k in of.tolist()]).reshape(-1, 2).T
+    return low + (high - low) * random.random(len(rows))
 
 
 def build(params: StreetSceneParams) -> Street:

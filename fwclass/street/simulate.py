@@ -42,15 +42,18 @@ def simulate_frames(params: StreetSceneParams, scanner: ScannerParams, mounting:
             speed, standing = 0.0, standing - 1
         lean = float(np.interp(place, np.arange(-20.0, len(street.leaning) - 20.0), street.leaning))
         ranges, labels = np.empty(scan.beams, np.float32), np.empty(scan.beams, np.uint8)
+        light = None if params.intensity is None else np.empty(scan.beams, np.float32)
         trace(
             *(street.solids, _near(street, place, scan.range_max * math.radians(3 * params.roll)), place),
             *(mounting.height, angles, side, math.radians(params.roll) * roll()),
             math.radians(params.roll) * pitch() + math.radians(mounting.pitch),
             *(lean, KERB, KERB_HEIGHT, scanner.spot, scanner.noise, params.missing, scan.range_max),
-            *(random.integers(1, 2**63, scan.beams, dtype=np.uint64), ranges, labels),
+            *(random.integers(1, 2**63, scan.beams, dtype=np.uint64), ranges, labels, light),
         )
         measured = speed * (1.0 + 0.002 * float(random.normal()))
-        yield Frame(number, number * scanner.period, scan, ranges, speed=measured, labels=labels)
+        full = np.float32(params.intensity or 0.0)
+        intensities = None if light is None else full * np.minimum(light, np.float32(1.0))
+        yield Frame(number, number * scanner.period, scan, ranges, measured, math.nan, labels, intensities)
         place += speed * scanner.period
 
 

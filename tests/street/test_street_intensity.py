@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from streetmaker import config, drive
+from commandline import fwclass
+from streetmaker import QUICK, SHORT, config, drive
 
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, InputError
@@ -170,3 +171,26 @@ def test_a_list_of_another_length_is_refused(tmp_path):
 def test_a_frame_behind_the_begin_of_one_is_read():
     sent = encode_frame(lit_drive()[0])
     assert [f.number for f in Decoder(2000).feed(b"FWSFWS" + sent + b"FWS2" + sent)] == [0, 0]
+
+
+@pytest.mark.slow
+def test_a_simulated_street_with_intensities_goes_through_all_commands(tmp_path):
+    sets = [w for s in (*SHORT, *QUICK, "street_scene.intensity=255", "street.split=random") for w in ("--set", s)]
+    lit, ways = ("--set", "street.intensity=255"), []
+
+    def done(*words):
+        ended = fwclass("street", *words, *sets)
+        assert ended.returncode == 0, ended.stderr
+        return ended
+
+    drive, model = tmp_path / "drive.parquet", tmp_path / "model"
+    done("simulate", "--out", drive)
+    assert not [line for line in done("info", drive, *lit).stdout.splitlines() if line.lstrip().startswith("!")]
+    done("train", "street-sim", "--model", model, "--recordings", tmp_path, *lit)
+    card = load_model(model).card
+    assert card["computed"]["street"]["intensity"] == 255 and len(card["features"]) == 13
+    smooth = ("--set", "street.smooth=0.3")
+    for words in (("classify", drive, tmp_path / "a", "--workers", "0"), ("run", drive, "--out", tmp_path / "b")):
+        done(*words, "--model", model, *smooth)
+        ways.append((tmp_path / ("a" if words[0] == "classify" else "b") / ANSWERS).read_bytes())
+    assert ways[0] == ways[1]

@@ -593,7 +593,11 @@ def work_street(_: Path) -> Any:
             part for one in with_features(frames, track.geometry, asked) for part in (one.frame.r, one.features)
         ]
     fast = StreetSceneParams(**section("street_scene", length=30.0, speed=40.0, stops=0))
-    return answers + [f.ranges for f in islice(simulate_frames(fast, own, base.mounting), 20)]
+    lit = [
+        f.intensities
+        for f in islice(simulate_frames(scene.model_copy(update={"intensity": 255.0}), own, base.mounting), 4)
+    ]
+    return answers + lit + [f.ranges for f in islice(simulate_frames(fast, own, base.mounting), 20)]
 
 
 WORK: dict[str, Callable[[Path], Any]] = {
