@@ -5,11 +5,14 @@ project. Returns within 30 m, vegetation against the rest, depth is |y|. Its rin
 from a k-d tree; formulas are those of `fwclass street`. Error, detection, false alarm in %.
 
 - other side: trained on y < 0, judged on y > 0.
-- own: the features of `fwclass street`, without and with intensities, as they are.
+- plain: the features of `fwclass street`, without and with intensities, as they are; and a recipe whose figures on a
+  whole other street are known (error 5.3, detection 84.4, false alarm 2.9).
 - unseen piece: the street in four pieces along x, each judged by what was chosen, and trained, on the other three.
 
-Features and method are chosen on folds of what trains: six sectors about the mast, each judged by the others less a gap
-of four degrees to both sides. What is reported is looked at once.
+Features and methods are chosen on folds of what trains: six sectors about the mast, each judged by the others less a
+gap of four degrees to both sides. The two that err least answer together, by the mean of their shares; folds say too
+within which radius the shares of neighbours are averaged, if at all (`street.smooth`). What is reported is looked at
+once.
 """
 
 from __future__ import annotations
@@ -41,6 +44,12 @@ RADII = (0.3, 0.6, 1.0)
 
 OWN = "fwclass street"
 """What the program itself has, by name."""
+
+RECIPE = "recipe of 5.3 % elsewhere: two radii, height, range"
+"""Known from a whole other street."""
+
+SMOOTH = (0.0, 0.3, 0.6)
+"""m, radii that shares are averaged within; 0: not at all."""
 
 SECTORS, GAP = 6, 4.0
 """Folds about the mast, and the degrees to both sides of one that do not train for it."""
@@ -158,15 +167,30 @@ def fitted(X, y, method, most=40000, trees=100):
     return train_other(sample, config.train, config.compare.model_copy(update={"rbf_svm": rbf}), CLASSES, method)
 
 
-def figures(y: NDArray[np.uint8], answered: NDArray[np.uint8]) -> str:
-    error = (y != answered).mean()
-    detection, alarm = (answered[y == 0] == 0).mean(), (answered[y == 1] == 0).mean()
+def figures(y: NDArray[np.uint8], share: NDArray[np.float64]) -> str:
+    answered = share < 0.5
+    error = (answered != y).mean()
+    detection, alarm = 1.0 - answered[y == 0].mean(), 1.0 - answered[y == 1].mean()
     return f"{100 * error:5.1f} / {100 * detection:5.1f} / {100 * alarm:5.1f}"
 
 
-def answers(X, y, train, test, method, most=40000, trees=100) -> NDArray[np.uint8]:
+def shares(X, y, train, test, method, most=40000, trees=100) -> NDArray[np.float64]:
+    """Share of vegetation of the rows that test."""
     model = fitted(X[train], y[train], method, most, trees)
-    return np.asarray(answer(np.ascontiguousarray(X[test], np.float32), model)[0])
+    return np.asarray(answer(np.ascontiguousarray(X[test], np.float32), model)[1][:, 0])
+
+
+def smoothed(points: NDArray[np.float64], share: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Means of `share` within the spheres of `points`."""
+    if radius == 0:
+        return share
+    tree, out = cKDTree(points), np.empty(len(points))
+    for first in range(0, len(points), 2000):
+        lists = tree.query_ball_point(points[first : first + 2000], radius)
+        count = np.array([len(i) for i in lists])
+        sums = np.add.reduceat(share[np.concatenate(lists).astype(np.int64)], np.r_[0, np.cumsum(count)[:-1]])
+        out[first : first + 2000] = sums / count
+    return out
 
 
 def candidates(points: NDArray[np.float64], intensity: NDArray[np.float64]) -> dict[str, tuple[NDArray, str]]:
@@ -190,40 +214,65 @@ def candidates(points: NDArray[np.float64], intensity: NDArray[np.float64]) -> d
         "three radii, ground, intensity, columns": (three, ground, lit, columns),
     }
     tries: dict[str, tuple[NDArray, str]] = {f"paper's 11, {r} m": (one[r][:, :11], "rbf-svm") for r in (0.3, 0.6)}
+    tries[RECIPE] = np.column_stack([*(one[r][:, sorted([*shape, 6])] for r in (0.3, 0.6)), low, reach]), "forest"
     for name, parts in named.items():
         tries |= {f"{name}: {method}": (np.column_stack(parts), method) for method in ("forest", "boosting")}
     return tries
 
 
-def chosen(tries, y, train, azimuth) -> tuple[str, float]:
-    """The candidate, but for `own`, that errs least on folds of `train`, sectors of `azimuth` [deg], and its error."""
+def chosen(tries, points, y, train, azimuth) -> tuple[tuple[str, str], float]:
+    """The two candidates that err least on folds of `train`, sectors of `azimuth` [deg], and the radius that their mean
+    shares are averaged within."""
     edges = np.quantile(azimuth[train], np.linspace(0.0, 1.0, SECTORS + 1))
     edges[-1] += 1.0
-    errors = {}
+    folds = [(first, last, train & (azimuth >= first) & (azimuth < last)) for first, last in pairwise(edges)]
+    known, errors = {}, {}
+
+    def error(share: NDArray[np.float64]) -> float:
+        return 100 * float(((share < 0.5) != y)[train].mean())
+
     for name, (X, method) in tries.items():
-        if name.startswith(OWN):
+        if name.startswith((OWN, RECIPE)):
             continue
-        wrong = 0
-        for first, last in pairwise(edges):
-            test = train & (azimuth >= first) & (azimuth < last)
+        share = np.empty(len(y))
+        for first, last, test in folds:
             apart = np.abs((azimuth - 0.5 * (first + last) + 180.0) % 360.0 - 180.0) - 0.5 * (last - first)
-            got = answers(X, y, train & (apart > GAP), test, method, most=8000, trees=25)
-            wrong += int((got != y[test]).sum())
-        errors[name] = wrong / int(train.sum())
-        print(f"      {name:<50}{100 * errors[name]:5.1f}", flush=True)
-    best = min(errors, key=errors.__getitem__)
-    return best, errors[best]
+            share[test] = shares(X, y, train & (apart > GAP), test, method, most=8000, trees=25)
+        known[name], errors[name] = share, error(share)
+        print(f"      {name:<50}{errors[name]:5.1f}", flush=True)
+    first, second = sorted(errors, key=errors.__getitem__)[:2]
+    mean, by_radius = 0.5 * (known[first] + known[second]), {}
+    for radius in SMOOTH:
+        share = np.empty(len(y))
+        for _, _, test in folds:
+            share[test] = smoothed(points[test], mean[test], radius)
+        by_radius[radius] = error(share)
+    print("      the best two, smoothed within", *(f"{r:g} m {e:.1f}  " for r, e in by_radius.items()), flush=True)
+    return (first, second), min(by_radius, key=by_radius.__getitem__)
 
 
-def own(tries, y, side, piece) -> None:
-    """The features of `fwclass street` at three radii, without and with intensities; nothing is chosen."""
-    for name in (n for n in tries if n.startswith(OWN)):
+def by_choice(tries, points, y, train, test, azimuth) -> NDArray[np.float64]:
+    """Shares of the rows that test, by what folds of `train` choose."""
+    names, radius = chosen(tries, points, y, train, azimuth)
+    mean = np.mean([shares(X, y, train, test, method) for X, method in (tries[n] for n in names)], axis=0)
+    print(f"      {' + '.join(names)}: {figures(y[test], mean)}, within {radius:g} m", flush=True)
+    return smoothed(points[test], mean, radius)
+
+
+def plain(tries, points, y, side, piece) -> None:
+    """Nothing is chosen: the recipe, and the features of `fwclass street`, the latter also smoothed."""
+    for name in (n for n in tries if n.startswith((OWN, RECIPE))):
         X, method = tries[name]
-        answered = np.empty_like(y)
+        share, there = np.empty(len(y)), side > 0
         for one in range(4):
-            answered[piece == one] = answers(X, y, piece != one, piece == one, method)
-        other = figures(y[side > 0], answers(X, y, side < 0, side > 0, method))
-        print(f"  {name:<50} other side {other}   unseen pieces {figures(y, answered)}", flush=True)
+            share[piece == one] = shares(X, y, piece != one, piece == one, method)
+        other = shares(X, y, side < 0, there, method)
+        for radius in SMOOTH[:1] if name == RECIPE else SMOOTH:
+            even = np.empty(len(y))
+            for one in range(4):
+                even[piece == one] = smoothed(points[piece == one], share[piece == one], radius)
+            across = figures(y[there], smoothed(points[there], other, radius))
+            print(f"  {name:<58} {radius:g} m  other side {across}   unseen pieces {figures(y, even)}", flush=True)
 
 
 def main() -> None:
@@ -236,27 +285,19 @@ def main() -> None:
     piece = np.searchsorted(np.quantile(x, (0.25, 0.5, 0.75)), x)  # of the street, as many returns in each
     for name, (X, method) in list(tries.items())[:2]:
         cells = [
-            f"{kind} {figures(y[test], answers(X, y, train, test, method))}"
+            f"{kind} {figures(y[test], shares(X, y, train, test, method))}"
             for kind, train, test in (("random 5 %", chance, ~chance), ("other side", side < 0, side > 0))
         ]
         print(f"  {name:<20}", "   ".join(cells), flush=True)
-    own(tries, y, side, piece)
-    train, test = side < 0, side > 0
-    name, error = chosen(tries, y, train, azimuth)
-    X, method = tries[name]
-    print(
-        f"  other side {figures(y[test], answers(X, y, train, test, method))}   {name}, {100 * error:.1f} on its folds"
-    )
-    answered = np.empty_like(y)
+    plain(tries, points, y, side, piece)
+    test = side > 0
+    print(f"  other side {figures(y[test], by_choice(tries, points, y, side < 0, test, azimuth))}")
+    share = np.empty(len(y))
     for one in range(4):
-        train, test = piece != one, piece == one
-        name, error = chosen(tries, y, train, azimuth)
-        X, method = tries[name]
-        answered[test] = answers(X, y, train, test, method)
-        print(
-            f"    piece {one} {figures(y[test], answered[test])}   {name}, {100 * error:.1f} on its folds", flush=True
-        )
-    print(f"  unseen piece of street, all four {figures(y, answered)}")
+        test = piece == one
+        share[test] = by_choice(tries, points, y, ~test, test, azimuth)
+        print(f"    piece {one} {figures(y[test], share[test])}", flush=True)
+    print(f"  unseen piece of street, all four {figures(y, share)}")
 
 
 if __name__ == "__main__":
