@@ -43,8 +43,8 @@ class Answering:
     Attributes
     ----------
     asked : as of `Ring`.
-    most : frames of a neighbourhood. cut : frames whose neighbourhood `most_frames` ended. outside : features that
-        leave what the model has seen. All of frames that are asked for.
+    most : frames of a neighbourhood, that of the largest sphere. cut : frames whose neighbourhood `most_frames` ended.
+        outside : features that leave what the model has seen. All of frames that are asked for.
     """
 
     model: Model
@@ -55,11 +55,12 @@ class Answering:
     def __post_init__(self) -> None:
         self.most = self.cut = 0
         self.outside = RangeCounter.of(self.model.card, self.model.features)
-        around, self._smoother = self.asked, None
+        around, self._smoother, self._smoothing_reaches_further = self.asked, None, False
         if self.params.smooth is not None:
             around, inner = self._wider()
             classes = len(self.model.codes)
             self._smoother = Smoother(self.geometry, self.params, self.params.smooth, classes, inner)
+            self._smoothing_reaches_further = self.params.smooth > max(self.params.radii)
         self._ring = Ring(self.geometry, self.params, around)
         self._at = around.start if around is not None else 0
 
@@ -88,8 +89,8 @@ class Answering:
     def _answered(self, one: Seen) -> Iterator[tuple[Placed, Answer]]:
         counted = self.asked is None or self._at in self.asked
         self._at += 1
-        if counted:
-            self.most, self.cut = max(self.most, one.frames), self.cut + int(one.cut)
+        if counted and not self._smoothing_reaches_further:
+            self._count(one)
         winner, shares = classify_frame(one, self.model, self.outside if counted else None)
         if self._smoother is None:
             yield self._answer(one.frame, winner, shares)
@@ -98,7 +99,12 @@ class Answering:
         of_beams[~np.isnan(one.frame.r)] = shares
         yield from map(self._smoothed, self._smoother.put(one.frame, of_beams))
 
+    def _count(self, one: Seen) -> None:
+        self.most, self.cut = max(self.most, one.frames), self.cut + int(one.cut)
+
     def _smoothed(self, one: Seen) -> tuple[Placed, Answer]:
+        if self._smoothing_reaches_further:
+            self._count(one)
         shares = one.features[~np.isnan(one.frame.r)].astype(np.float64)
         return self._answer(one.frame, shares.argmax(axis=1), shares)
 

@@ -88,6 +88,30 @@ def test_online_and_whole_give_the_same_bytes(tmp_path, turned):
         assert whole["neighbourhood"] == told["neighbourhood"] and whole["drift"] == told["drift"]
 
 
+def test_averages_that_most_frames_cut_are_counted_alike(tmp_path):
+    """Frames that are cut for averages wider than the features' spheres went uncounted."""
+    settings = ("street.most_frames=10", "street.chunk=37")
+    plain, smooth = (
+        Answering(load_model(directory() / "model"), config(*settings, *more).street, placed(config().street)[1])
+        for more in ((), ("street.smooth=1.2",))
+    )
+    frames, _ = placed(config().street, 0, 40)
+    for one in (plain, smooth):
+        for frame in frames:
+            list(one.take(frame))
+        list(one.rest())
+    assert plain.cut < smooth.cut and plain.most <= smooth.most == 21
+    parts = []
+    for first, last in ((0, 13), (13, 40)):
+        low = max(0, first - halo(smooth.params))
+        part = Answering(smooth.model, smooth.params, smooth.geometry, range(first - low, last - low))
+        for frame in frames[low : last + halo(smooth.params)]:
+            list(part.take(frame))
+        list(part.rest())
+        parts.append(part)
+    assert sum(p.cut for p in parts) == smooth.cut and max(p.most for p in parts) == smooth.most
+
+
 def test_training_judges_what_is_answered_and_fewer_returns_are_wrong(tmp_path):
     figures = {}
     for smooth in ("null", "0.3"):
