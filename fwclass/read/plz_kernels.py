@@ -33,6 +33,9 @@ from fwclass.read.wave_kernels import (
 EXTRA_BYTES, PULSE_0, SOURCE_16, SOURCE_32 = 1000, 1001, 1002, 1003
 """Items that a pulse consists of, as the file has them."""
 
+_OVER = -1
+"""What reading a pulse ends in where its waves take more bytes than there may be."""
+
 _UNKNOWN = 0x7FFFFFFF
 """A difference that was not seen yet."""
 
@@ -288,6 +291,47 @@ def unpack_pulses(data, state, counts, below, models, bits, at, end, items, out)
 
 
 @kernel
+def _unpack_segments(  # type: ignore[no-untyped-def]
+    data, state, counts, below, models, bits, described, samplings, returning, most, limit, short, to, out
+):
+    """Unpack the segments of one pulse of the descriptor `described` into `out`, from byte `to` on; the byte behind
+    them, and what reading them ended in: `_OVER` where they need more than `limit` bytes, `short` where data end."""
+    duration = length = seen = 0
+    for m in range(described[FIRST], described[FIRST] + described[COUNT]):
+        wide, counted = samplings[m, DURATION_BYTES], samplings[m, SEGMENT_BYTES]
+        segments = samplings[m, SEGMENTS]
+        if counted > 0:
+            segments = 1 + difference(data, state, counts, below, models, bits, 0, 1, 0, 32)
+            if not 0 <= segments < 1 << (8 * counted):
+                return to, DAMAGED
+            _put(out, to, counted, segments)
+            to += counted
+        seen += segments
+        if seen > most:
+            return to, TOO_MANY
+        for _ in range(segments):
+            if wide > 0:
+                duration = _signed(duration + difference(data, state, counts, below, models, bits, 0, 1, 0, 32))
+                _put(out, to, wide, duration)
+                to += wide
+            n = samplings[m, SAMPLES]
+            if samplings[m, LENGTH_BYTES] > 0:
+                n = length = _signed(length + difference(data, state, counts, below, models, bits, 0, 1, 0, 32))
+                if not 0 <= n < 1 << (8 * samplings[m, LENGTH_BYTES]):
+                    return to, DAMAGED
+                _put(out, to, samplings[m, LENGTH_BYTES], n)
+                to += samplings[m, LENGTH_BYTES]
+            if to + n * samplings[m, SAMPLE_BYTES] > limit:
+                return to, UNREAD if passed(state) and short == UNREAD else _OVER
+            to = _unpack_samples(
+                data, state, counts, below, models, bits, n, samplings[m, SAMPLE_BYTES], returning[m], to, out
+            )
+            if passed(state):
+                return to, short
+    return to, SOUND
+
+
+@kernel
 def unpack_waves(  # type: ignore[no-untyped-def]
     data,
     state,
@@ -335,50 +379,12 @@ def unpack_waves(  # type: ignore[no-untyped-def]
             to += 1
         forget(models[:_EIGHT], bits[:1])
         begin(data, state, at, end[i])
-        ends[i] = SOUND
-        duration = length = seen = 0
-        for m in range(described[d, FIRST], described[d, FIRST] + described[d, COUNT]):
-            wide, counted = samplings[m, DURATION_BYTES], samplings[m, SEGMENT_BYTES]
-            segments = samplings[m, SEGMENTS]
-            if counted > 0:
-                segments = 1 + difference(data, state, counts, below, models, bits, 0, 1, 0, 32)
-                if not 0 <= segments < 1 << (8 * counted):
-                    ends[i] = DAMAGED
-                    break
-                _put(out, to, counted, segments)
-                to += counted
-            seen += segments
-            if seen > most:
-                ends[i] = TOO_MANY
-                break
-            for _ in range(segments):
-                if wide > 0:
-                    duration = _signed(duration + difference(data, state, counts, below, models, bits, 0, 1, 0, 32))
-                    _put(out, to, wide, duration)
-                    to += wide
-                n = samplings[m, SAMPLES]
-                if samplings[m, LENGTH_BYTES] > 0:
-                    n = length = _signed(length + difference(data, state, counts, below, models, bits, 0, 1, 0, 32))
-                    if not 0 <= n < 1 << (8 * samplings[m, LENGTH_BYTES]):
-                        ends[i] = DAMAGED
-                        break
-                    _put(out, to, samplings[m, LENGTH_BYTES], n)
-                    to += samplings[m, LENGTH_BYTES]
-                if to + n * samplings[m, SAMPLE_BYTES] > limit:
-                    if passed(state) and short == UNREAD:
-                        ends[i] = UNREAD
-                        break
-                    return limit + 1
-                to = _unpack_samples(
-                    data, state, counts, below, models, bits, n, samplings[m, SAMPLE_BYTES], returning[m], to, out
-                )
-                if passed(state):
-                    ends[i] = short
-                    break
-            if ends[i] != SOUND:
-                break
-        if passed(state):
-            ends[i] = short
+        to, ended = _unpack_segments(
+            data, state, counts, below, models, bits, described[d], samplings, returning, most, limit, short, to, out
+        )
+        if ended == _OVER:
+            return limit + 1
+        ends[i] = short if passed(state) else ended
         if ends[i] == SOUND:
             total, stop[i] = to, position(state) - place[i] + offset[i]
     return total
