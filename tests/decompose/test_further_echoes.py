@@ -59,6 +59,7 @@ def test_where_noise_is_correlated_the_whole_threshold_holds(fit):
     assert "need 100% of the threshold" in line and line.endswith("and the noise is correlated")
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("kind", "shape"), [({"pulse": wm.skewed()}, "gaussian"), ({"growth": 0.15, "noise": (1.3, 1.3)}, None)]
 )

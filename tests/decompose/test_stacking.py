@@ -63,6 +63,7 @@ def test_nine_pulses_show_what_one_cannot():
     assert 0.85 < np.sqrt(np.mean((errors / sigma) ** 2)) < 1.15
 
 
+@pytest.mark.statistics
 def test_noise_alone_and_what_the_surface_is_off_by():
     told, _, _ = many(0.0, 12)
     assert told["candidates"] > 10_000 and told["stacked"] == 0 and told["false"] <= 1e-3 * told["decoys"] + 4.0, told

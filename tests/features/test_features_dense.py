@@ -104,8 +104,7 @@ def test_one_echo_of_every_small_cube_counts_and_speaks_for_it():
     assert (made["count_g100"] > 100).any(), "cells are no neighbourhoods: all of their echoes count"
 
 
-@pytest.mark.parametrize("size", [5.0, 2.0, 1.3])
-@pytest.mark.parametrize("blob", [(5.0, 5.0), (4.8, 5.2)])
+@pytest.mark.parametrize(("size", "blob"), [(5.0, (5.0, 5.0)), (5.0, (4.8, 5.2)), (2.0, (4.8, 5.2)), (1.3, (5.0, 5.0))])
 def test_one_tile_is_many_tiles_with_halo_to_the_bit(size, blob):
     table = crowded(1500, blob)
     one, halo, seen = features(whole(table), NAMES, PARAMS), Asked.of(NAMES).halo(PARAMS), 0
