@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, Protocol
 
 from pyproj import CRS
@@ -70,6 +71,12 @@ def _elsewhere(crs: CRS, other: CRS) -> bool:
 def units_of(crs: CRS) -> list[str]:
     """Units of its axes that are no metres, sorted."""
     return sorted({a.unit_name for a in crs.axis_info if abs(a.unit_conversion_factor - 1.0) > 1e-9})
+
+
+@lru_cache(maxsize=4)
+def crs_of_wkt(text: str | None) -> CRS | None:
+    """The coordinate system that `text` describes, in WKT or otherwise; None for none."""
+    return CRS.from_user_input(text) if text else None
 
 
 def epsg_of(crs: CRS) -> int | None:

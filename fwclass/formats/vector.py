@@ -11,6 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import ConfigError, InputError, nearest, set_words
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.formats.gdal import offline
 from fwclass.formats.polygon_magic import check_format
 from fwclass.paths import BESIDE
@@ -112,7 +113,7 @@ def files_of(path: Path) -> list[Path]:
 
 def _crs(text: str | None) -> CRS | None:
     try:
-        crs = CRS.from_user_input(text) if text else None
+        crs = crs_of_wkt(text)
         if crs is not None:
             crs.to_2d()  # what PROJ reads, it need not be able to make another of
         return crs

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, join_samples
 from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.errors import ConfigError
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.ground import around_block, survey_blocks, terrain_blocks
-from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
+from fwclass.graph.outputs import NO_BYTE
 from fwclass.graph.rasters import Mosaic, owned
 from fwclass.graph.sources import (
     MEASURE_PULSE,

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.assess import COUNT_CONFUSION
-from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names, crs_of_wkt
+from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names
 from fwclass.graph.overview import DELIVER_OVERVIEW, cloud_arguments, cloud_columns, overview_parts, overviews_of
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites

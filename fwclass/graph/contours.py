@@ -15,8 +15,8 @@ from fwclass.contours.lines import lines
 from fwclass.contours.params import ContourParams
 from fwclass.contours.smooth import margin, smooth_terrain
 from fwclass.errors import first_few
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.ground import terrain_blocks
-from fwclass.graph.outputs import crs_of_wkt
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from fwclass.classify.kept import Kept
 from fwclass.classify.unsure import by_percent
 from fwclass.conf import Config
 from fwclass.errors import StoreError, first_few
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.classify import classes_written
 from fwclass.graph.kept import check_written, deciding_column, kept_argument, other_names
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
@@ -63,14 +62,6 @@ NO_BYTE = frozenset({"raster_cache", "figure_pixels", "overview_echoes", "overvi
 """Settings that change no byte of what these parts write."""
 
 _ECHO_BITS = 8
-MAX_CELLS = 1 << 35
-"""Cells of a survey-wide raster: 34 000 km² at 1 m. More are stray points, which would fill a disk with nothing."""
-
-
-@lru_cache(maxsize=4)
-def crs_of_wkt(text: str | None) -> CRS | None:
-    """The coordinate system that `text` (WKT) describes; None for none."""
-    return CRS.from_user_input(text) if text else None
 
 
 def deliver_tile(

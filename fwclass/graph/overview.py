@@ -8,14 +8,8 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.outputs import (
-    NO_BYTE,
-    class_names,
-    columns_of_tiles,
-    crs_of_wkt,
-    repeated_argument,
-    repeated_columns,
-)
+from fwclass.formats.crs import crs_of_wkt
+from fwclass.graph.outputs import NO_BYTE, class_names, columns_of_tiles, repeated_argument, repeated_columns
 from fwclass.graph.sites import WHOLE
 from fwclass.graph.stage import Names, Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs

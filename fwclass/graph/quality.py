@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass import __version__
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.formats.wkb import point_wkb
 from fwclass.graph.check_points import CHECK_POINTS, FILE, has_check_points
 from fwclass.graph.coverage import area_coverage, read_area
 from fwclass.graph.ground import survey_blocks
 from fwclass.graph.left_aside import LEFT_ASIDE
-from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
+from fwclass.graph.outputs import NO_BYTE
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites

@@ -12,8 +12,9 @@ import numpy as np
 from pyproj import CRS
 
 from fwclass.errors import InputError
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.ground import terrain_blocks
-from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of_wkt
+from fwclass.graph.outputs import NO_BYTE, class_names
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Stage
@@ -31,6 +32,9 @@ from fwclass.publish.raster_styles import MASK, STYLED, Spread, raster_style
 from fwclass.publish.shade import hillshade, slope
 from fwclass.quality.covered import CoveredArea
 from fwclass.run.inputs import PartInputs
+
+MAX_CELLS = 1 << 35
+"""Cells of a survey-wide raster: 34 000 km² at 1 m. More are stray points, which would fill a disk with nothing."""
 
 
 def map_classes(here: StageInputs, params: PublishParams) -> Result:

@@ -13,8 +13,9 @@ from fwclass.decompose.params import DecomposeParams, StackParams
 from fwclass.decompose.plane_surface import planar, plane_surface
 from fwclass.decompose.stack_candidates import Candidates, Surface, candidates
 from fwclass.decompose.stacking import STACK, STACK_COLUMNS, roughness_of, stack
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.ground import around_block, survey_blocks, terrain_blocks
-from fwclass.graph.outputs import NO_BYTE, crs_of_wkt
+from fwclass.graph.outputs import NO_BYTE
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.sources import placement_of, pulse_of, strip_of, waveforms_of
 from fwclass.graph.stage import Names, Plan, Stage

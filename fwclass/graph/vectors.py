@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.formats.wkb import point_wkb, polygon_wkb
 from fwclass.graph.ground import survey_blocks
-from fwclass.graph.outputs import NO_BYTE, class_names, crs_of_wkt
+from fwclass.graph.outputs import NO_BYTE, class_names
 from fwclass.graph.rasters import owned
 from fwclass.graph.stage import Names, Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs

@@ -7,12 +7,12 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
 
 from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
 from fwclass.errors import refuse_unsound
 from fwclass.formats.area_of_use import dates, kind_faults, place_facts, time_faults
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
 from fwclass.grid import Box
 from fwclass.publish.tile_facts import WORTH, least_sure_first
@@ -41,7 +41,7 @@ def place_without_tiles(crs: str | None, box: Box, heights: tuple[float, float] 
     `box` and the `heights` [m] that all returns lie in: of a run that delivers no tiles."""
     if heights is None:
         return None
-    system = CRS.from_user_input(crs) if crs else None
+    system = crs_of_wkt(crs)
     return place_facts(system, [box.xmin, box.ymin, heights[0]], [box.xmax, box.ymax, heights[1]])
 
 
@@ -55,7 +55,7 @@ def place_of(
     """
     if not tiles:
         return None
-    system = CRS.from_user_input(crs) if crs else None
+    system = crs_of_wkt(crs)
     points = sum(r.meta["facts"]["points"] for r in tiles)
     times = [t for r in tiles for t in r.meta["facts"]["times"] or ()]
     bounds = np.array([r.meta["facts"]["bounds"] for r in tiles])

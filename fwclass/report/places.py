@@ -12,6 +12,7 @@ from pyproj import CRS
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_named, several, visible
 from fwclass.formats.area_of_use import away_from_area, elsewhere, outside_of_area, overruled, place_faults
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.sources import strip_of
 from fwclass.read.return_counts import join_counts
 from fwclass.store.receipts import Receipt
@@ -77,7 +78,7 @@ def file_places(
     `bounds`: of the files, by number; `tiles`: where the echoes of tiles lie, by key; `echoes`: of the files, by
     number, in which tile (`echoes_in_tiles`).
     """
-    system = CRS.from_user_input(survey.crs) if survey.crs else None
+    system = crs_of_wkt(survey.crs)
     files = {s.number: visible(s.path.name) for s in survey.strips if s.number in bounds}
     away = {k: place_faults(system, *bounds[k])[0] for k in files if elsewhere(system, *bounds[k])}
     for k in files:
@@ -85,7 +86,7 @@ def file_places(
             away[k] = text
     near = [k for k in files if k not in away]
     named = {s.number: survey.overruled.get(s.path.name) for s in survey.strips}
-    own = {k: CRS.from_wkt(wkt) if (wkt := named[k]) else None for k in near}
+    own = {k: crs_of_wkt(named[k]) for k in near}
     odd = {k: overruled(system, own[k], *bounds[k]) for k in near}
     every = (f([b[k] for b in bounds.values()], axis=0).tolist() for k, f in enumerate((np.min, np.max)))
     all_away = bool(away) and elsewhere(system, *every)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from fwclass.errors import InputError, several
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.grid import Box
 from fwclass.survey.files import box_text
 from fwclass.survey.layout import Layout
@@ -57,7 +57,7 @@ class Area:
         opened = open_polygons(self.path)
         _, shapes = read_polygons(opened, None)
         self._some(opened, shapes)
-        survey = CRS.from_wkt(crs) if crs is not None else None
+        survey = crs_of_wkt(crs)
         do = "export them with their system: GeoPackage and GeoParquet keep it"
         own = source_crs(opened, None, survey, do)
         if own is not None and survey is not None:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pyproj import CRS
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
+from fwclass.formats.crs import crs_of_wkt
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
 from fwclass.grid import Box, TileGrid, joint_box
 from fwclass.ground.stage import TERRAIN
@@ -73,7 +73,7 @@ def reference_polygons(
     user_crs = given_crs(reference.crs, "survey.reference.crs")
     if reference.kind != "polygons":
         return ()
-    survey = CRS.from_wkt(crs) if crs is not None else None
+    survey = crs_of_wkt(crs)
     files = []
     for place in digests.find(reference.files, directory, "survey.reference.files", config):
         path = local(place)
@@ -107,7 +107,7 @@ def shape_file(
     user_crs = given_crs(section_params.crs, f"{section}.crs")
     if section_params.file is None:
         return None
-    survey = CRS.from_wkt(crs) if crs is not None else None
+    survey = crs_of_wkt(crs)
     places = digests.find([section_params.file], directory, f"{section}.file", config)
     if len(places) > 1:
         raise InputError(

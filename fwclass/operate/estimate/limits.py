@@ -9,7 +9,7 @@ import psutil
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.graph.outputs import MAX_CELLS
+from fwclass.graph.raster_outputs import MAX_CELLS
 from fwclass.operate.estimate.estimate import Choice, Estimate
 
 MIB, GIB = 1 << 20, 1 << 30
