@@ -112,7 +112,8 @@ class Stage:
     parts : its parts; unless given all tiles, the blocks that own an echo, or the one part `all` of the survey.
     waves : of strips and chunks those with (True) or without (False) waveforms alone.
     edge, margin : of its blocks [m], and how many more lie around those that own an echo.
-    part_name : of a part, in the store and in receipts.
+    part_name : of a part, in the store and in receipts: unless given its `key`, as tiles, blocks, strips and spans have
+        one (the `key` of a receipt is another, a digest of all that the part is made from).
     arguments : what `function` gets besides, the same for every part; all of it enters the key. One called `params`, a
         section of the configuration, enters field by field, so that its fields stand beside the other arguments.
     each : likewise, of one part.
