@@ -47,12 +47,13 @@ def test_shares_are_the_means_of_the_sphere(turned):
         ]
     )
     level = np.rint(np.concatenate([s[h, 0] for s, h in zip(shares, here, strict=True)]) * (LEVELS - 1))
-    near = cKDTree(places.astype(float)).query_ball_point(places.astype(float), 0.3 / UNIT)
+    some = slice(None, None, 7)  # a Python list of each one's neighbours takes seconds
+    near = cKDTree(places.astype(float)).query_ball_point(places[some].astype(float), 0.3 / UNIT)
     mean = np.array([level[i].mean() for i in near]) / (LEVELS - 1)
     got = list(given_back(frames, geometry, params, shares))
     assert [f.number for f, _ in got] == [f.number for f in frames]
     values = np.concatenate([v[h] for (_, v), h in zip(got, here, strict=True)])
-    np.testing.assert_allclose(values[:, 0], mean, atol=1e-6)
+    np.testing.assert_allclose(values[some, 0], mean, atol=1e-6)
     np.testing.assert_allclose(values.sum(axis=1), 1.0, atol=1e-6)
     own = np.concatenate([s[h] for s, h in zip(shares, here, strict=True)])
     np.testing.assert_allclose(values[:, 1] * own[:, 2], values[:, 2] * own[:, 1], atol=1e-5)
