@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from fwclass.classes import NOISE_CODES
 from fwclass.model import ClassifierMethod
-from fwclass.model.contextual import MOST_CELLS, WIDEST
+from fwclass.model.contextual import MOST_CELLS, MOST_WEIGHT, WIDEST
 from fwclass.params import Params
 from fwclass.schema import scaled
 
@@ -77,12 +77,14 @@ class ContextParams(Params):
     folds : so many first layers answer for the training areas, each for squares that it has not learned from.
     trees : of each of these, and of the second layers that are tried, where they are forests; at most as many as a
         forest of the run has.
+    most_weight : the share of a class weighs at most so many times another's; 1: all weigh the same.
     """
 
     cells: Literal["auto"] | Cells | None
     auto_cells: Cells = Field(min_length=1)
     folds: int = Field(ge=2, le=50)
     trees: int = Field(ge=1, le=10_000)
+    most_weight: float = Field(ge=1.0, le=MOST_WEIGHT)
 
     @property
     def tried(self) -> tuple[float, ...]:

@@ -27,7 +27,7 @@ def answer(X: NDArray[np.float32], model: Model) -> Answer:
     - boosting: largest score; shares are probabilities, the softmax of the scores.
     - linear SVM: largest score; shares are the softmax of the scores, which is no calibrated probability.
     - RBF SVM: most votes of the pairs; shares see `votes_and_shares`.
-    - in context: largest share; shares are the means of both layers.
+    - in context: largest share; shares are the means of both layers, weighed by class.
     - two layers: what the first one says; which echoes the second one answers a row alone does not tell.
 
     `InputError` if the matrix does not fit the model or the model is damaged.
@@ -75,6 +75,9 @@ def _by_pairs(X: NDArray[np.float32], model: KernelMachine) -> Answer:
 def _in_context(X: NDArray[np.float32], model: Contextual) -> Answer:
     first = answer(np.ascontiguousarray(X[:, : len(model.features)]), model.coarse)[1]
     shares = (first + answer(X, model.fine)[1]) / 2
+    if model.weights:
+        shares *= model.weights
+        shares /= shares.sum(axis=1, keepdims=True)
     return shares.argmax(axis=1), shares
 
 

@@ -1,5 +1,5 @@
 """The stages of a layer that decides in context, as it is learned: first layers by folds, what they say of the training
-areas, what the second layer learns from, and whether it pays.
+areas, what the second layer learns from, whether it pays, and what its classes weigh.
 
 In the training areas a first layer knows the echoes too well. So there the shares that the second layer learns from are
 those of a model that has not learned from the echo's square; where it decides they are those of the whole first layer.
@@ -21,7 +21,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of, tries
-from fwclass.graph.context_trial import LayerTrial, Verdict, verdict
+from fwclass.graph.context_trial import LayerTrial, Verdict, Weighing, verdict, weighing
 from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
 from fwclass.graph.loaded_models import MODEL, model_at, used_model
 from fwclass.graph.stage import Plan, Stage
@@ -53,7 +53,7 @@ from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, merge
 FOLDS, FOLD_SHARES = "fold-models", "fold-shares"
 DRAWN, MERGED, TRIED = "context-sample", "context-training", "context-folds"
 FOLD_SHARE = "fold_share"
-SQUARES = "squares"
+SQUARES, ANSWERS = "squares", "answers"
 LEAST_SQUARE = 2.0
 """m, squares of the folds are halved down to this where training areas are small."""
 
@@ -205,6 +205,7 @@ def try_context(
     square = asked.place // whole_millimetres(edge, "select.block")
     trial = LayerTrial.of(square, asked.y, first.argmax(axis=1), both.argmax(axis=1), len(classes))
     write_arrays(here.directory / SQUARES, vars(trial))
+    write_arrays(here.directory / ANSWERS, {"shares": both, "truth": asked.y})
     return {"rows": asked.rows}
 
 
@@ -219,6 +220,7 @@ def train_context(
     block: float,
     gap: float,
     folds: int,
+    most_weight: float,
     alone: bool = False,
 ) -> Result:
     """The second layer, and both as one model, delivered as the run's; with `alone` the first one where the second does
@@ -239,6 +241,10 @@ def train_context(
     )
     card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
     context = {"cells": list(layer.cells), "judged": dict(judged.facts)}
+    weighed = _weighed(here, sample, classes, folds, most_weight)
+    if weighed is not None:
+        context["weights"] = list(weighed.weights)
+        notes, tried = [*notes, weighed.sentence], f"{tried}; {weighed.sentence}"
     both = Contextual(coarse, fine, {**card, "notes": notes, "kind": Contextual.kind, "context": context})
     both.check("a newly trained model")
     save_model(here.directory / MODEL, both)
@@ -247,9 +253,21 @@ def train_context(
 
 def _judged(here: StageInputs, sample: Sample, classes: tuple[ClassDef, ...], folds: int) -> Verdict:
     """Whether the second layer pays, by what the folds tried."""
-    tried = [str(k) for k in range(folds) if here.inputs.meta(TRIED, str(k))["rows"]]
-    trials = (LayerTrial(**here.inputs.arrays(TRIED, part, SQUARES)[0]) for part in tried)
+    trials = (LayerTrial(**here.inputs.arrays(TRIED, part, SQUARES)[0]) for part in _tried(here, folds))
     return verdict(LayerTrial.joined(trials, len(classes)), sample.eligible, tuple(c.name for c in classes))
+
+
+def _weighed(
+    here: StageInputs, sample: Sample, classes: tuple[ClassDef, ...], folds: int, most: float
+) -> Weighing | None:
+    """What the classes weigh, by what both layers said of the folds' rows."""
+    told = [here.inputs.arrays(TRIED, part, ANSWERS)[0] for part in _tried(here, folds)]
+    return weighing([(t["shares"], t["truth"]) for t in told], sample.eligible, tuple(c.name for c in classes), most)
+
+
+def _tried(here: StageInputs, folds: int) -> list[str]:
+    """The folds that both layers were tried on."""
+    return [str(k) for k in range(folds) if here.inputs.meta(TRIED, str(k))["rows"]]
 
 
 def _in_words(judged: Verdict, alone: bool) -> str:
@@ -296,7 +314,7 @@ def _fitting_folds(plan: Plan) -> Mapping[str, Any]:
 
 
 _OF_LAYERS = 1000 * BASELINE_VERSION + TRAIN.version
-_OF_JUDGING = 1_000_000 + _OF_LAYERS
+_OF_JUDGING = 2_000_000 + _OF_LAYERS
 _OF_NOTES = 1_000_000 + _OF_JUDGING
 _OF_ROWS = 1000 * CONTEXT.version + TRAIN_SAMPLE.version
 
@@ -381,6 +399,7 @@ TRAIN_CONTEXT = Stage(
         "layer": layer_of(plan),
         "classes": plan.config.written_classes,
         "computed": parameters_of(plan, plan.names),
+        "most_weight": plan.config.classify.context.most_weight,
     },
     after=(MERGED, TRIED, TRAIN_COARSE, BASE_ROWS),
     needs=lambda plan, part: (

@@ -1,5 +1,7 @@
 """Means of neighbours' shares against plain loops; rows, order and surroundings that do not change them; answers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from modelmaker import contextual, models
@@ -8,6 +10,7 @@ from fwclass.classify.context import REACH, coarse_share_columns, context_of, ha
 from fwclass.classify.shares import answer
 from fwclass.classify.stage import classify
 from fwclass.grid import millimetres
+from fwclass.model import Contextual
 from fwclass.model.contextual import context_names
 from fwclass.schema import Table
 
@@ -90,6 +93,19 @@ def test_the_answer_is_the_mean_of_both_layers():
     np.testing.assert_allclose(shares, (answer(X, model.coarse)[1] + second) / 2, atol=1e-7)
     np.testing.assert_array_equal(table["classification"], model.codes[shares.argmax(axis=1)])
     np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-6)
+
+
+def test_classes_weigh_in_the_answer_as_the_card_says():
+    model, r = contextual(), np.random.default_rng(5)
+    fine = replace(model.fine, child=np.array([1, 2, 3, 0, 1], np.uint32))  # which does not always say the first class
+    X = r.uniform(-3, 3, (400, len(fine.features))).astype(np.float32)
+    plain = answer(X, Contextual(model.coarse, fine, model.card))[1]
+    card = {**model.card, "context": {**model.card["context"], "weights": [1.0, 1.414, 2.0]}}
+    told, shares = answer(X, Contextual(model.coarse, fine, card))
+    wanted = plain * [1.0, 1.414, 2.0]
+    np.testing.assert_allclose(shares, wanted / wanted.sum(axis=1, keepdims=True), atol=1e-12)
+    np.testing.assert_array_equal(told, wanted.argmax(axis=1))
+    assert (told != plain.argmax(axis=1)).any()
 
 
 @pytest.mark.parametrize("kind", sorted(models()))

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from fwclass.graph.context_trial import MOST_SQUARES, LayerTrial, verdict
+from fwclass.graph.context_trial import MOST_SQUARES, LayerTrial, verdict, weighing
 
 NAMES = ("ground", "roof", "water")
 EVEN = np.array([1000, 1000, 1000])
@@ -67,3 +67,43 @@ def test_the_order_of_folds_changes_nothing_and_squares_are_no_more_than_can_be_
     whole, turned = LayerTrial.joined(parts, 3), LayerTrial.joined(parts[::-1], 3)
     assert len(whole.square) == 700 <= MOST_SQUARES and whole.first.sum() == 4200
     assert verdict(whole, EVEN, NAMES) == verdict(turned, EVEN, NAMES)
+
+
+MANY = np.array([9000, 500, 500])
+
+
+def fold_of(seed, towards=0.0, rows=3000):
+    """Shares of three classes, as many rows of each, that tell them badly apart; class 0 gets `towards` more."""
+    r = np.random.default_rng(seed)
+    truth = r.integers(0, 3, rows).astype(np.uint8)
+    shares = r.uniform(0, 1, (rows, 3))
+    shares[np.arange(rows), truth] += 0.5
+    shares[:, 0] += towards
+    return shares, truth
+
+
+def test_shares_of_a_class_that_the_sample_has_too_few_of_weigh_more():
+    folds = [fold_of(seed) for seed in range(4)]
+    weighed = weighing(folds, MANY, NAMES, 2.0)
+    assert weighed.weights[0] > 1.5 and min(weighed.weights) == 1.0
+    assert weighed.sentence.startswith("the shares of the classes weigh ground 1.")
+    assert "overall accuracy by +" in weighed.sentence and "mean IoU by +" in weighed.sentence
+    assert weighing([(s[::-1], t[::-1]) for s, t in folds[::-1]], MANY, NAMES, 2.0) == weighed, "no order counts"
+    least = weighing(folds, MANY, NAMES, 1.2)
+    assert max(least.weights) == 1.189
+
+
+def test_weights_that_gain_only_on_the_squares_that_they_were_chosen_on_are_none():
+    """What the folds gain by opposite weights: each is judged by the others' and loses."""
+    assert weighing([fold_of(1, 0.3), fold_of(2, -0.3)], EVEN, NAMES, 2.0) is None
+    assert weighing([fold_of(1, 0.3), fold_of(2, 0.3)], EVEN, NAMES, 2.0).weights[0] == 1.0
+
+
+@pytest.mark.parametrize(("folds", "most"), [(1, 2.0), (4, 1.0), (0, 2.0)])
+def test_nothing_weighs_where_nothing_can_be_told(folds, most):
+    assert weighing([fold_of(seed) for seed in range(folds)], MANY, NAMES, most) is None
+
+
+def test_classes_that_are_told_apart_weigh_the_same():
+    truth = np.tile(np.arange(3, dtype=np.uint8), 100)
+    assert weighing([(np.eye(3)[truth], truth)] * 3, MANY, NAMES, 2.0) is None

@@ -18,7 +18,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph import context_training
 from fwclass.graph.context_layer import context_layer, tries
 from fwclass.graph.context_training import _folds_at, squares_of
-from fwclass.graph.context_trial import verdict
+from fwclass.graph.context_trial import Weighing, verdict
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent
 from fwclass.report.summary import summary
@@ -99,6 +99,21 @@ def test_its_model_classifies_another_run_and_a_file(survey, in_context, tmp_pat
         assert described["kind"] == "contextual" and len(described["classes"]) > 2
         files.append(out.read_bytes())
     assert files[0] == files[1]
+
+
+@pytest.mark.slow
+def test_weights_of_the_classes_are_learned_told_and_decide(survey, in_context, tmp_path, monkeypatch):
+    heavy = (3.0, *(1.0 for _ in load_model(in_context[0] / "model").classes[1:]))
+    monkeypatch.setattr(context_training, "weighing", lambda *_: Weighing(heavy, "ground weighs 3"))
+    runner, report = walk(survey, tmp_path / "run", *LAYER, "classify.context.most_weight=3")
+    assert not runner.failures
+    assert load_model(tmp_path / "run" / "model").weights == heavy
+    assert report["training"]["context_trial"].endswith("; ground weighs 3")
+    assert "ground weighs 3" in report["training"]["notes"]
+    before, after = delivered_echoes(in_context[0]), delivered_echoes(tmp_path / "run")
+    ground = before["classification"] == 2
+    assert (after["classification"][ground] == 2).all() and (after["classification"][~ground] == 2).any()
+    assert after["confidence"].max() <= 1
 
 
 @pytest.mark.slow

@@ -356,6 +356,11 @@ def test_a_contextual_model_round_trips(tmp_path):
         ({"context": {"cells": [0.5, 0.00001]}}, "whole millimetres"),
         ({"context": {"cells": [0.5, 2.0]}}, "other features"),
         ({"context": {"cells": [0.5] * 1000}}, "none"),
+        ({"context": {"cells": [0.5, 1.0], "weights": [1.0, 2.0]}}, "weights of 1, 2 are none"),
+        ({"context": {"cells": [0.5, 1.0], "weights": [1.0, 2.0, float("nan")]}}, "weights of 1, 2, nan are none"),
+        ({"context": {"cells": [0.5, 1.0], "weights": [1.0, 0.0, 1.0]}}, "weights of 1, 0, 1 are none"),
+        ({"context": {"cells": [0.5, 1.0], "weights": [1.0, 1.0, 1e9]}}, "are none of its classes"),
+        ({"context": {"cells": [0.5, 1.0], "weights": [1.0, 1.0, "much"]}}, "what classes weigh"),
         ({"features": ["zc"]}, "other features or classes"),
     ],
 )
