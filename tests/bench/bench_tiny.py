@@ -78,7 +78,7 @@ def measured(conf: Path, workers: int) -> str:
     line = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, words)]
     ended = subprocess.run(line, capture_output=True, text=True)
     wall, after = time.perf_counter() - began, psutil.Process().cpu_times()
-    assert ended.returncode == 0, ended.stderr[-2000:]
+    assert ended.returncode in (0, 4), ended.stderr[-2000:]  # 4: one point a tile teaches a model next to nothing
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
     return f"{wall:.0f} s, {cpu:.0f} s of the processor, {workers} workers"
 
