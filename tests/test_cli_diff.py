@@ -67,7 +67,8 @@ def test_two_generations(runs):
     assert echoes["matrix"] == matrix and echoes["only_first"] == echoes["only_second"] == 0
     assert found["settings"] == {"survey.features": [["zc", "height_range_c100"], ["amplitude"]]}
     assert found["files"] == {"added": [], "removed": [], "changed": []} and found["libraries"] == {}
-    assert found["accuracy"]["kappa"][0] > found["accuracy"]["kappa"][1] and found["accuracy"]["paired"] is None
+    assert found["accuracy"]["kappa"][0] > found["accuracy"]["kappa"][1] and found["accuracy"]["why"] is None
+    assert found["accuracy"]["paired"]["kappa"]["difference"] < 0, "two generations of one run had no intervals"
     assert found["accuracy"]["tested"][0] == found["accuracy"]["tested"][1] > 0 and "not the same ones" not in describe(
         found
     )

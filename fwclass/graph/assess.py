@@ -30,6 +30,8 @@ from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 
 COUNTS = "counts"
+BLOCKS = "assess.parquet"
+"""A delivery's copy of the counts by block, by which later ones are held against it."""
 
 FAN_2013 = ("echo_number", "amplitude", "backscatter", "width")
 """Of the seven features of Fan 2013 those that no neighbourhood is needed for; the report sets their distribution

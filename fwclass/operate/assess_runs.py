@@ -26,11 +26,18 @@ def assess_runs(first: Path, second: Path) -> dict[str, Any]:
     InputError
         A directory is no assessed run; the runs judge other classes or other echoes; too few blocks for an interval.
     """
-    (classes, a), (other, b) = (_blocks(run) for run in (first, second))
+    return compare(_blocks(first), _blocks(second), f"{first}, {second}")
+
+
+def compare(
+    first: tuple[tuple[str, ...], BlockCounts], second: tuple[tuple[str, ...], BlockCounts], where: str
+) -> dict[str, Any]:
+    """`assess_runs` of class names and counts by block; `where` names both in faults."""
+    (classes, a), (other, b) = first, second
     if classes != other:
         raise InputError(
             "the runs tell other classes apart",
-            where=f"{first}, {second}",
+            where=where,
             expected=", ".join(classes),
             got=", ".join(other),
             do="compare runs with the same survey.classes and assess.block",
@@ -40,7 +47,7 @@ def assess_runs(first: Path, second: Path) -> dict[str, Any]:
     if len(x) != len(a.place) or len(x) != len(b.place) or (x.sum(axis=2) != y.sum(axis=2)).any():
         raise InputError(
             "the runs were not judged on the same echoes",
-            where=f"{first}, {second}",
+            where=where,
             expected="the same reference and test areas",
             got=f"{len(x)} blocks in common of {len(a.place)} and {len(b.place)}",
             do="give both runs the same areas, reference and assess.block",
@@ -48,10 +55,7 @@ def assess_runs(first: Path, second: Path) -> dict[str, Any]:
     intervals = difference(x, y)
     if intervals is None:
         raise InputError(
-            "too few blocks to tell two runs apart",
-            where=f"{first}, {second}",
-            got=f"{len(x)} blocks",
-            do="a larger test area",
+            "too few blocks to tell two runs apart", where=where, got=f"{len(x)} blocks", do="a larger test area"
         )
     return intervals
 
@@ -84,8 +88,13 @@ def _blocks(run: Path) -> tuple[tuple[str, ...], BlockCounts]:
             expected="the directory of a run with test areas",
             do="give two run directories, or two files",
         )
-    arrays, _ = read_arrays(store.arrays_path("assess", "all", COUNTS))
-    return tuple(receipt.meta["accuracy"]["classes"]), BlockCounts(arrays["place"], arrays["blocks"])
+    return tuple(receipt.meta["accuracy"]["classes"]), counts_in(store.arrays_path("assess", "all", COUNTS))
+
+
+def counts_in(path: Path) -> BlockCounts:
+    """The counts by block that assessment left at `path`."""
+    arrays, _ = read_arrays(path)
+    return BlockCounts(arrays["place"], arrays["blocks"])
 
 
 def _keys(blocks: BlockCounts) -> NDArray[np.int64]:

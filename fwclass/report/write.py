@@ -9,6 +9,7 @@ from fwclass import __version__
 from fwclass.classify.kept import Kept
 from fwclass.classify.params import RegularizeParams
 from fwclass.conf import Config
+from fwclass.graph.assess import ASSESS, BLOCKS, COUNTS
 from fwclass.graph.classify import codes_on_lines
 from fwclass.graph.corrections import CORRECTIONS, ECHO_LABELS
 from fwclass.graph.kept import class_remarks, kept_codes, known_codes, other_names
@@ -106,6 +107,10 @@ def write_report(
     report["remarks"] = _remarks(report, config, runner, source, card)
     write_json(runner.pending / REPORT, report)
     render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
+    if report["accuracy"] is not None:
+        counts = runner.store.arrays_path(ASSESS.name, "all", COUNTS)
+        if counts.is_file():  # those of a million blocks are a directory
+            link(counts, runner.pending / BLOCKS)
     return report
 
 
@@ -331,7 +336,7 @@ def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] 
         and (standing.get("libraries") or {}).get("accepted") != report_libraries(runner)["accepted"]
     ):
         return None
-    for path in (report, page):
+    for path in filter(None, (report, page, runner.store.generations.shown(BLOCKS))):
         link(path, runner.pending / path.name)
     return dict(standing)
 

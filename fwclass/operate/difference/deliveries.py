@@ -12,7 +12,8 @@ import numpy as np
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.formats.geopackage import rectangles, write_layer
 from fwclass.formats.geoparquet import header
-from fwclass.operate.assess_runs import assess_runs
+from fwclass.graph.assess import BLOCKS
+from fwclass.operate.assess_runs import compare, counts_in
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
 from fwclass.operate.difference.rasters import DIFFERS, raster_changes
 from fwclass.publish.files import whole
@@ -108,7 +109,8 @@ def _delivery(run: Path, number: int | None) -> ComparedDelivery:
     report, listed = chosen.path / "report.json", generations.manifest(chosen) or {}
     there = [*(chosen.path / "parquet").glob("*"), *(chosen.path / "rasters").rglob("*.tif")]
     read = {n for n in listed if n.startswith("parquet/") or (n.startswith("rasters/") and n.endswith(".tif"))}
-    for name in ("report.json", *sorted(read | {str(path.relative_to(chosen.path)) for path in there})):
+    kept = [BLOCKS] if (chosen.path / BLOCKS).exists() else []
+    for name in ("report.json", *kept, *sorted(read | {str(path.relative_to(chosen.path)) for path in there})):
         path, facts = chosen.path / name, listed.get(name)
         if facts is None or path.stat().st_size != facts["bytes"] or digest_now(path) != facts["digest"]:
             raise InputError(
@@ -215,11 +217,13 @@ def _tested(delivery: ComparedDelivery) -> int:
 
 
 def _paired(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[str, Any] | None, str | None]:
-    """Differences with intervals, and why there are none: an earlier generation of one run has no counts by block."""
-    if first.run.resolve() == second.run.resolve():
-        return None, "counts by block of an earlier generation are not kept: run into two directories to have intervals"
+    """Differences with intervals, and why there are none, as of deliveries of earlier versions."""
+    both = [(delivery, delivery.generation.path / BLOCKS) for delivery in (first, second)]
+    if not all(path.is_file() for _, path in both):
+        return None, "a delivery keeps no counts by block: no accuracy, a very large survey, or an earlier version"
+    a, b = ((tuple((d.report.get("accuracy") or {}).get("classes", ())), counts_in(path)) for d, path in both)
     try:
-        return assess_runs(first.run, second.run), None
+        return compare(a, b, f"{first.name}, {second.name}"), None
     except InputError as fault:
         return None, fault.what
 
