@@ -72,6 +72,9 @@ def test_two_generations(runs):
     assert found["accuracy"]["tested"][0] == found["accuracy"]["tested"][1] > 0 and "not the same ones" not in describe(
         found
     )
+    found["accuracy"]["paired"]["kappa"]["interval"] = [-0.02, 0.01]
+    assert "LOST        overall accuracy, mean iou\n" in describe(found), "what chance explains was lost, too"
+    assert "by chance   kappa: lower, and their intervals hold 0" in describe(found)
     found["accuracy"]["tested"][1] -= 40
     assert "tested echoes, not the same ones" in describe(found)
     assert found["labels"] == {}

@@ -289,8 +289,12 @@ def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
             "decide): part of the difference may be theirs"
         )
     worse = [k for k in FIGURES if None not in accuracy[k] and accuracy[k][1] < accuracy[k][0]]
-    if worse:
-        yield f"LOST        {', '.join(w.replace('_', ' ') for w in worse)}"
+    paired = accuracy["paired"] or {}
+    chance = [k for k in worse if ((paired.get(k) or {}).get("interval") or (0.0, -1.0))[1] >= 0.0]
+    for head, some in (("LOST", [k for k in worse if k not in chance]), ("by chance", chance)):
+        if some:
+            more = ": lower, and their intervals hold 0" if some is chance else ""
+            yield f"{head:<12}{', '.join(w.replace('_', ' ') for w in some)}{more}"
     if accuracy["paired"] is not None:
         level = 100 * accuracy["paired"]["level"]
         for key in FIGURES:
