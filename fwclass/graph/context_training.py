@@ -261,8 +261,8 @@ def _weighed(
     here: StageInputs, sample: Sample, classes: tuple[ClassDef, ...], folds: int, most: float
 ) -> Weighing | None:
     """What the classes weigh, by what both layers said of the folds' rows."""
-    told = [here.inputs.arrays(TRIED, part, ANSWERS)[0] for part in _tried(here, folds)]
-    return weighing([(t["shares"], t["truth"]) for t in told], sample.eligible, tuple(c.name for c in classes), most)
+    answers = [here.inputs.arrays(TRIED, part, ANSWERS)[0] for part in _tried(here, folds)]
+    return weighing([(a["shares"], a["truth"]) for a in answers], sample.eligible, tuple(c.name for c in classes), most)
 
 
 def _tried(here: StageInputs, folds: int) -> list[str]:

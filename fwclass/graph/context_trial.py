@@ -171,10 +171,10 @@ def weighing(
     if not all(gain[name] > 0 for name in _FIGURES):
         return None
     weights = tuple(_weights(chosen - chosen.min()).tolist())
-    told = ", ".join(f"{name} {weight:.2f}" for name, weight in zip(names, weights, strict=True))
+    each = ", ".join(f"{name} {weight:.2f}" for name, weight in zip(names, weights, strict=True))
     changed = " and ".join(f"{words} by {gain[name]:+.2f}" for name, words in _FIGURES.items())
     return Weighing(
-        weights, f"the shares of the classes weigh {told}: on squares that this was not chosen on {changed} points"
+        weights, f"the shares of the classes weigh {each}: on squares that this was not chosen on {changed} points"
     )
 
 
@@ -195,8 +195,8 @@ def _counted(
 ) -> NDArray[np.int64]:
     """int64 (classes, classes): echoes by class and answer."""
     classes = shares.shape[1]
-    told = (shares * _weights(level)).argmax(axis=1)
-    counts = np.bincount(truth.astype(np.int64) * classes + told, minlength=classes**2)
+    winner = (shares * _weights(level)).argmax(axis=1)
+    counts = np.bincount(truth.astype(np.int64) * classes + winner, minlength=classes**2)
     return counts.reshape(classes, classes) * stand_for
 
 

@@ -36,7 +36,7 @@ class Contextual(Layered):
 
     @property
     def weights(self) -> tuple[float, ...] | None:
-        """What the share of every class is multiplied by; None where all weigh the same."""
+        """What the share of every class is multiplied by, (classes,); None where all weigh the same."""
         weights = self.card["context"].get("weights")
         return None if weights is None else tuple(float(w) for w in weights)
 
