@@ -31,6 +31,7 @@ from fwclass.decompose.pulse_shape import (
     chi,
     measure_pulse,
     narrow_width,
+    predicted_gain,
     surest,
     template_of,
 )
@@ -229,6 +230,8 @@ def _agree(main: SystemPulse, pulse: SystemPulse, echoes: Echoes | None, params:
     """Whether `main` says of these echoes what their own `pulse` says."""
     if echoes is None or abs(pulse.fwhm - main.fwhm) > CLOSE * main.fwhm:
         return False
+    if pulse.shape == "measured":
+        return predicted_gain(echoes, template_of(pulse), template_of(main), params) < params.worth
     of_main, of_own = template_of(main), template_of(pulse)
     gain = chi(fit_template(echoes, of_main), of_main) - chi(fit_template(echoes, of_own), of_own)
     return gain < params.worth * len(echoes)

@@ -127,6 +127,12 @@ def _measure_shape(echoes: Echoes, template: Template, params: PulseParams) -> t
     return template, _closest(echoes, template, params)[0]
 
 
+def predicted_gain(echoes: Echoes, own: Template, other: Template, params: PulseParams) -> float:
+    """Mean gain of chi-square of an echo where one half of `echoes` is predicted by the shape of the other half, from
+    their `own` on, in place of the `other` shape; that of all echoes would follow the noise of few."""
+    return _trial(_closest(fit_template(echoes, own), own, params)[0], own, other, params)[0]
+
+
 def _trial(echoes: Echoes, measured: Template, smooth: Template, params: PulseParams) -> tuple[float, float]:
     """How one half of `echoes` is predicted by the shape of the other: (mean gain of chi-square of an echo over the
     Gaussian `smooth`, shape error)."""

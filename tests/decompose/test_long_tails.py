@@ -74,6 +74,14 @@ def test_a_tail_far_longer_than_the_rise_makes_no_echoes(tail):
     assert abs(np.median(fits.time[single] - first[fits.row[single]])) * METRES_PER_NS < 0.01
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_descriptors_of_one_detector_share_its_pulse_however_few_their_echoes(seed):
+    waves, _, _ = recorded(4.0, 700, seed)
+    receiver = (np.arange(700) % 3).astype(waves.pulses["receiver"].dtype)
+    pulse = estimate_pulse(replace(waves, pulses=waves.pulses.with_columns({"receiver": receiver})), PULSE)
+    assert pulse.shape == "measured" and len(pulse.channels) == 1
+
+
 def two_detectors(path, descriptors, n=2000):
     """Every second pulse is a detector's of other shape, of a sixth of the gain, with a sixth of the noise; the number
     of echoes, a return each."""
