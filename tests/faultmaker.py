@@ -235,7 +235,7 @@ class Reader:
 
     def _whole(self, generation: Path) -> None:
         facts = json.loads((generation / "generation.json").read_text())
-        aside = {"generation.json", "manifest.json", "report.json", "report.html"}
+        aside = {"generation.json", "manifest.json", "report.json", "report.html", "assess.parquet"}
         files = [p for p in generation.rglob("*") if p.is_file() and p.name not in aside]
         if len(files) != facts["files"]:
             raise ValueError(f"{len(files)} files of {facts['files']}")
