@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -89,6 +90,7 @@ def write_report(
     """
     standing = _standing(config, runner, survey)
     if standing is not None:
+        _keep_counts(standing, runner)
         return standing
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
 
@@ -107,11 +109,17 @@ def write_report(
     report["remarks"] = _remarks(report, config, runner, source, card)
     write_json(runner.pending / REPORT, report)
     render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
-    if report["accuracy"] is not None:
-        counts = runner.store.arrays_path(ASSESS.name, "all", COUNTS)
-        if counts.is_file():  # those of a million blocks are a directory
-            link(counts, runner.pending / BLOCKS)
+    _keep_counts(report, runner)
     return report
+
+
+def _keep_counts(report: Mapping[str, Any], runner: Runner) -> None:
+    """The counts by block that the accuracy of a delivery stands on, as a copy: a link would lead into the store."""
+    if report.get("accuracy") is None:
+        return
+    counts = runner.store.arrays_path(ASSESS.name, "all", COUNTS)
+    if counts.is_file():  # those of a million blocks are a directory
+        shutil.copyfile(counts, runner.pending / BLOCKS)
 
 
 def _of_the_run(
@@ -336,7 +344,7 @@ def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] 
         and (standing.get("libraries") or {}).get("accepted") != report_libraries(runner)["accepted"]
     ):
         return None
-    for path in filter(None, (report, page, runner.store.generations.shown(BLOCKS))):
+    for path in (report, page):
         link(path, runner.pending / path.name)
     return dict(standing)
 

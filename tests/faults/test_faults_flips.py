@@ -137,10 +137,11 @@ def test_the_advice_of_status_leads_back(survey, copy, expected):
     assert fwclass("status", copy, "--verify").returncode == 0
 
 
-@pytest.mark.parametrize("how", ["gone", "shorter", "report"])
+@pytest.mark.parametrize("how", ["gone", "shorter", "report", "counts"])
 def test_a_run_restores_what_its_delivery_has_lost(survey, copy, expected, how):
     """Copies, as on file systems without hard links."""
-    lost = (copy / "current" / "report.html" if how == "report" else next((copy / "parquet").iterdir())).resolve()
+    beside = {"report": "report.html", "counts": "assess.parquet"}
+    lost = (copy / "current" / beside[how] if how in beside else next((copy / "parquet").iterdir())).resolve()
     held = lost.read_bytes()
     lost.unlink()
     if how == "shorter":
@@ -151,6 +152,7 @@ def test_a_run_restores_what_its_delivery_has_lost(survey, copy, expected, how):
     walk(survey, copy, *SMALL)
     assert (copy / "current").readlink().name == "0002" and delivered(copy) == expected
     assert how != "report" or (copy / "current" / "report.html").read_bytes() != changed
+    assert how != "counts" or (copy / "current" / "assess.parquet").read_bytes() == held
     assert not (copy / "generations" / "0001").exists()
     walk(survey, copy, *SMALL)
     assert (copy / "current").readlink().name == "0002"
