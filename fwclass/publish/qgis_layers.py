@@ -11,6 +11,7 @@ from fwclass.publish.qgis import MapLayer
 from fwclass.publish.qgis_style import (
     HEIGHTS,
     MANY,
+    STRIPS_APART,
     SURE,
     Ramp,
     class_cloud_style,
@@ -29,9 +30,6 @@ WORK = 10
 
 HEIGHT_SHOWN = 25.0
 """m above ground that the colours of echoes reach; a tall tree."""
-
-STRIPS_APART = 0.1
-"""m that the colours of differences of strips reach, as on the page of the quality."""
 
 LEAST_SURE = (0.0, 0.7, 0.8, 0.9, 0.95, 1.0)
 """Edges of the tiles' colours, mean confidence."""

@@ -15,6 +15,9 @@ VERSION = "3.34.0"
 MULTIPLY = 6
 """QGIS's number of that way to mix a layer with what lies below it."""
 
+STRIPS_APART = 0.1
+"""m, differences of strips in height that are drawn as the largest; on the page of the quality at least."""
+
 HEIGHTS: tuple[tuple[float, RGB], ...] = (
     (0.0, (68, 1, 84)),
     (0.33, (49, 104, 142)),

@@ -15,7 +15,7 @@ from fwclass.publish.figures import share_map
 from fwclass.publish.files import write_page
 from fwclass.publish.palette import RGB, css
 from fwclass.publish.params import PublishParams
-from fwclass.publish.qgis_style import HEIGHTS
+from fwclass.publish.qgis_style import HEIGHTS, STRIPS_APART
 from fwclass.publish.quality_section import quality
 from fwclass.publish.report import data_uri, environment, report_style
 from fwclass.publish.sections import quantity
@@ -23,9 +23,6 @@ from fwclass.publish.sections import quantity
 TEMPLATE = "quality.html.j2"
 NEAR: tuple[tuple[float, RGB], ...] = ((0.0, (33, 102, 172)), (0.5, (253, 219, 119)), (1.0, (178, 24, 43)))
 """Small differences are blue, large ones red."""
-
-LEAST_RANGE = 0.1
-"""m, differences that are drawn as the largest, at least."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ def difference_picture(values: NDArray[np.float32], view: View, params: PublishP
     known = values[np.isfinite(values)]
     if not known.size:
         return None
-    high = max(LEAST_RANGE, float(np.percentile(known, 98)))
+    high = max(STRIPS_APART, float(np.percentile(known, 98)))
     png = share_map(np.clip(values / high, 0, 1), view, params, NEAR)
     text = "The largest difference in height of two strips, where both see one flat surface. White: no such place."
     return Picture("Differences of strips", text, png, "0", f"{100 * high:.3g}", "cm", _gradient(NEAR))
