@@ -11,7 +11,11 @@ from dataclasses import dataclass, field
 from fwclass.run.part import Name, Outcome, Task
 
 SECONDS = 0.2
-"""That the parts of a bundle take together: thirty times what Dask does, and nothing against a run's end."""
+"""Of a processor that the parts of a bundle take together: thirty times what Dask does, and nothing against a run's
+end."""
+
+WAITING = 5
+"""Times as long a bundle may take by the clock: on a busy machine, or with a store far away, short parts take long."""
 
 EACH_WORKER = 0.02
 """Seconds more a worker above ten: one scheduler hands out no more than some fifty bundles a second."""
@@ -26,19 +30,23 @@ UNKNOWN = 8
 """Parts for each worker that are handed over of a stage before it is known what one takes; then that is waited for."""
 
 
+RECENT = 8
+"""Parts that what one takes is the mean of, about: the first ones load and compile."""
+
+
 @dataclass
 class _Took:
     given: int = 0
     ended: int = 0
-    seconds: float = 0.0
+    each: float = 0.0
 
     @property
     def known(self) -> bool:
         return self.ended >= ENOUGH
 
-    @property
-    def each(self) -> float:
-        return self.seconds / self.ended
+    def note(self, seconds: float) -> None:
+        self.ended += 1
+        self.each += (seconds - self.each) / min(self.ended, RECENT)
 
 
 @dataclass
@@ -88,14 +96,13 @@ class Bundles:
         """A part has ended."""
         took = self._took[outcome.stage]
         if outcome.status in ("computed", "failed"):
-            took.ended += 1
-            took.seconds += outcome.seconds
+            took.note(max(outcome.processor, outcome.seconds / WAITING))
         else:  # it took nothing, and tells nothing of those that do
             took.given -= 1
 
     def _expected(self, task: Task) -> float:
-        """Seconds that the part will take, as others of its stage, or else as those that it needs; infinite where
-        nothing is known."""
+        """Seconds of a processor that the part will take, or those by the clock through `WAITING`, as others of its
+        stage, or else as those that it needs; infinite where nothing is known."""
         own = self._took[task.stage]
         if own.known:
             return own.each

@@ -67,7 +67,8 @@ Status = Literal["computed", "skipped", "failed", "blocked"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a part ended; small, because it travels through the scheduler. `lost`: why workers that had it were lost."""
+    """How a part ended; small, because it travels through the scheduler. `processor`: seconds of one that it took;
+    `lost`: why workers that had it were lost."""
 
     stage: str
     part: str
@@ -76,6 +77,7 @@ class Outcome:
     peak_mib: float = 0.0
     message: str = ""
     lost: tuple[str, ...] = ()
+    processor: float = 0.0
 
     @property
     def ok(self) -> bool:
@@ -129,7 +131,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
     single_thread()
     keep_freed()
     key = ""
-    began = time.perf_counter()
+    began, used = time.perf_counter(), time.process_time()
     try:
         store = open_store(location)
         digests = input_digests(task, store)
@@ -157,11 +159,13 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
     except Exception as fault:
         if is_interrupt(fault):
             raise KeyboardInterrupt from fault
-        outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_message(location, task, fault))
+        took, processor = time.perf_counter() - began, time.process_time() - used
+        outcome = Outcome(*task.name, "failed", took, message=_message(location, task, fault), processor=processor)
         trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
         log_attempt(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
         return outcome
-    outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
+    processor = time.process_time() - used
+    outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib, processor=processor)
     log_attempt(location, *task.name, _attempt(outcome, key) | _log_values(receipt))
     return outcome
 

@@ -34,7 +34,7 @@ def noted(workers: int, **seconds: float) -> Bundles:
     known = Bundles(workers, 2000)
     for stage, each in seconds.items():
         for part in range(bundles.ENOUGH):
-            known.note(Outcome(stage, str(part), "computed", each))
+            known.note(Outcome(stage, str(part), "computed", each, processor=each))
     return known
 
 
@@ -51,7 +51,7 @@ def test_what_a_part_takes_is_waited_for():
             break
     assert under_way == 2 * bundles.UNKNOWN
     for _ in range(bundles.ENOUGH):
-        known.note(Outcome("a", "0", "failed", 0.009))
+        known.note(Outcome("a", "0", "failed", 0.009, processor=0.009))
     assert not known.waits and sizes(known, [task("a", k) for k in range(44)]) == [22, 22]
 
 
@@ -68,6 +68,25 @@ def test_parts_that_are_not_made_tell_nothing_of_those_that_are():
 @pytest.mark.parametrize(("each", "size"), [(0.0001, 64), (0.009, 22), (0.07, 2), (0.15, 1), (3.0, 1)])
 def test_as_many_go_together_as_take_a_fifth_of_a_second(each: float, size: int):
     assert set(sizes(noted(2, a=each), [task("a", k) for k in range(640)])) <= {size, 640 % size or size}
+
+
+def test_what_waits_goes_together_by_the_processor_that_it_takes():
+    """Parts of 9 ms take 40 by the clock on a busy machine: they went by fours. No bundle takes a second there."""
+    known = Bundles(2, 2000)
+    for part in range(bundles.ENOUGH):
+        known.note(Outcome("a", str(part), "computed", 0.04, processor=0.009))
+        known.note(Outcome("b", str(part), "computed", 0.3, processor=0.009))
+    assert sizes(known, [task("a", k) for k in range(44)]) == [22, 22]
+    assert sizes(known, [task("b", k) for k in range(6)]) == [3, 3]
+
+
+def test_first_parts_that_load_and_compile_are_soon_forgotten():
+    known = Bundles(2, 2000)
+    for part in range(2):
+        known.note(Outcome("a", str(part), "computed", 2.0, processor=2.0))
+    for part in range(60):
+        known.note(Outcome("a", str(part), "computed", 0.01, processor=0.01))
+    assert sizes(known, [task("a", k) for k in range(38)])[0] > 15
 
 
 def test_a_large_cluster_gets_more_at_a_time():
