@@ -150,6 +150,7 @@ class PlausibilityParams(Params):
     max_stuck : share of the waveforms with a bit that never changes between such as do.
     max_recurring : share of the waveforms with echoes that have one no scene makes: always as long behind the highest
         one and as high beside it, or always at one place of the record and as high.
+    max_uneven : share of the echoes that the length of their beam vector moves.
     max_unlike : share of neighbouring returns the stronger of which has the lower echo.
     max_misplaced : share of neighbouring returns of one pulse that do not lie apart, along their beam, as their
         locations in time do.
@@ -178,6 +179,7 @@ class PlausibilityParams(Params):
     max_doubled: float = Field(ge=0.0, le=1.0)
     max_stuck: float = Field(ge=0.0, le=1.0)
     max_recurring: float = Field(ge=0.0, le=1.0)
+    max_uneven: float = Field(ge=0.0, le=1.0)
     max_unlike: float = Field(ge=0.0, le=1.0)
     max_misplaced: float = Field(ge=0.0, le=1.0)
     max_repeated: float = Field(ge=0.0, le=1.0)

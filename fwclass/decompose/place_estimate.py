@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.beam_lengths import uneven_echoes
 from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms
@@ -112,7 +113,8 @@ def measure_placement(
         placement = Placement(_curves(sample, fits, params, pulse) if params.vendor_offset == "auto" else ())
     else:
         placement = _outgoing(sample, fits, params, pulse, from_outgoing)
-    return replace(placement, recurring=recurring_echoes(fits, pulse.fwhm, params.vendor_tolerance))
+    recurring = recurring_echoes(fits, pulse.fwhm, params.vendor_tolerance)
+    return replace(placement, recurring=recurring, uneven=uneven_echoes(sample, fits))
 
 
 def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> tuple[OffsetCurve, ...]:

@@ -67,6 +67,7 @@ class Placement:
     places, ranges : roughness along the line as stored, and less the outgoing pulse's time [m]; None unknown.
     outgoing : pulses of the sample with a recorded outgoing pulse.
     recurring : echoes of the sample that no scene makes.
+    uneven : echoes of the sample that the length of their beam vector moves (`uneven_echoes`), and all of them.
     """
 
     curves: tuple[OffsetCurve, ...] = ()
@@ -77,6 +78,7 @@ class Placement:
     ranges: tuple[float, float] | None = None
     outgoing: int = 0
     recurring: tuple[Recurring, ...] = ()
+    uneven: tuple[int, int] = (0, 0)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data that `from_json` reads."""
@@ -91,7 +93,8 @@ class Placement:
         )
         pairs = {name: None if plain[name] is None else tuple(plain[name]) for name in ("places", "ranges")}
         recurring = tuple(Recurring(**one) for one in plain["recurring"])
-        return cls(**{**plain, **pairs, "curves": curves, "recurring": recurring})
+        uneven = tuple(plain["uneven"])
+        return cls(**{**plain, **pairs, "curves": curves, "recurring": recurring, "uneven": uneven})
 
 
 AS_STORED = Placement()
@@ -119,8 +122,8 @@ def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], N
 
 
 def describe_placement(placement: Placement) -> dict[str, Any]:
-    """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None, and
-    ``recurring`` echoes."""
+    """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None,
+    ``recurring`` and ``uneven`` echoes."""
     lists = ("heights", "offsets", "receivers")
     channels = [{**asdict(c), **{name: list(getattr(c, name)) for name in lists}} for c in placement.curves]
     recorded = {
@@ -135,4 +138,5 @@ def describe_placement(placement: Placement) -> dict[str, Any]:
         "vendor_offset": channels,
         "outgoing_time": recorded if placement.outgoing else None,
         "recurring": [asdict(one) for one in placement.recurring],
+        "uneven": list(placement.uneven),
     }

@@ -261,5 +261,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=16)
-PLACES = Computation(name="places", version=9)
+PLACES = Computation(name="places", version=10)
 DECOMPOSE = Computation(name="decompose", version=20, writes=ECHO_COLUMNS)

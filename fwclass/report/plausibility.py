@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.assess.remarks import percent_words
+from fwclass.decompose.beam_lengths import OFF
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.errors import refuse_unsound
@@ -22,6 +23,9 @@ RARE = 0.001
 
 DAMAGED = 0.02
 """Share of the waveforms from which it is told that samples are damaged; up to 0.006 of sound ones look like it."""
+
+UNEVEN = 0.01
+"""Share of the echoes moved by their beam vectors from which it is told; none on the receivers measured."""
 
 INFLATED = 1.1
 """From so many times the noise that was reckoned with on, it is told."""
@@ -73,6 +77,11 @@ BITS = "digitiser or converter lose it, and steps of noise and pulses are taken 
 MIXED = (
     "packets are those of other returns, or intensities no measure of strength; export points and waveforms together"
 )
+LENGTHS = (
+    "write vectors with more digits (7 decimals of metres a nanosecond), all as long as light's way; of a file put "
+    "together of others, in one unit"
+)
+
 UNITS = (
     "locations and beam vectors count the light's way there and back, in picoseconds, and vectors point from the "
     "return to the sensor; where they do, packets are those of other returns"
@@ -114,6 +123,7 @@ def strip_plausibility(
         **noise,
         "places": places,
         **recurring_facts(places, counts, checked),
+        **uneven_facts(places),
         "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
         "blank_share": counts["blank"] / counts["waveforms"] if counts["waveforms"] else None,
         "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
@@ -127,6 +137,13 @@ def strip_plausibility(
         "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
         "pulses": pulses,
     }
+
+
+def uneven_facts(places: Mapping[str, Any] | None) -> dict[str, Any]:
+    """``uneven`` echoes of a strip's sample, moved by the length of their beam vector, of ``uneven_asked``, and their
+    ``uneven_share``, None where none was asked."""
+    some, asked = (places or {}).get("uneven", (0, 0))
+    return {"uneven": some, "uneven_asked": asked, "uneven_share": some / asked if asked else None}
 
 
 def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
@@ -160,6 +177,12 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
         lines.append(
             f"{_part(some, 'misplaced', 'paired', 'neighbouring returns of one pulse')} do not lie as far apart as "
             f"light goes between their locations, or beside their beam: {UNITS} ({names_of(some)})"
+        )
+    if some := [s for s in strips if (s["uneven_share"] or 0.0) > UNEVEN]:
+        lines.append(
+            f"{_part(some, 'uneven', 'uneven_asked', 'echoes')} of a sample lie more than {OFF:g} m off along their "
+            "beam, as beam vectors are not as long as light's way, or not all of them, or are rounded: "
+            f"{LENGTHS} ({names_of(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
         lines.append(
@@ -324,6 +347,7 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
         ("floored", "floored", "waveforms stand at 0", FLOOR),
         ("unlike", "unlike", "returns have the strength of other echoes", MIXED),
         ("misplaced", "misplaced", "returns do not lie where their times say", UNITS),
+        ("uneven", "uneven", "echoes lie off by the length of their beam vector", LENGTHS),
         ("swapped", "swapped", "waveforms have their samples' bytes exchanged", SWAP),
         ("doubled", "doubled", "waveforms have every sample twice", TWICE),
         ("stuck", "stuck", "waveforms have a bit that never changes", BITS),

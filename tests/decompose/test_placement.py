@@ -304,3 +304,50 @@ def test_a_raw_tables_begin_is_when_the_light_passed(tmp_path, begin):
         assert told is None and "outgoing" not in words
     else:
         assert not told["from_outgoing"] and "is not taken off" in words and "it is +5.00 ns" in words
+
+
+@pytest.mark.parametrize("digits", [9, 4])
+def test_beam_vectors_of_few_digits_are_told(tmp_path, digits):
+    """Four decimals of metres a nanosecond are 1 dm, 600 m from the sensor."""
+    truth = scene(pulses=400)
+    columns = truth.columns("ns", "sensor")
+    columns |= {axis: np.round(columns[axis], digits) for axis in ("dx", "dy", "dz")}
+    path = write_parquet(tmp_path / "a.parquet", columns, {"crs": "EPSG:25832", "spacing_ns": "1"})
+    words, judged = decompose_file(path, tmp_path / "a.laz", (), True)
+    las = laspy.read(tmp_path / "a.laz")
+    off = np.linalg.norm(np.c_[las.x, las.y, las.z] - truth.place, axis=1)
+    share = judged["plausibility"]["uneven_share"]
+    assert ("beam vectors" in words) == (digits == 4), words
+    assert (share > 0.3 and np.median(off) > 0.05) if digits == 4 else (share == 0.0 and np.median(off) < 0.01)
+
+
+@pytest.mark.parametrize("part", [slice(0), slice(PULSES // 2, None), slice(None, None, 2), slice(None)])
+def test_beam_vectors_longer_than_lights_way_are_told(tmp_path, part):
+    """2 % too long, in none, half, every other or all of the pulses: 6 cm of two returns 3 m apart."""
+    rng, n = np.random.default_rng(4), PULSES
+    height, time = rng.uniform(60.0, 150.0, n), rng.uniform(20.0, 24.0, n)
+    noise = rng.normal(0.0, 0.6, (n, 90))
+    waves = [
+        digitise(gaussian(90, [(a, t, 3.6), (a, t + 30.0, 3.6)], 10.0) + v)
+        for a, t, v in zip(height, time, noise, strict=True)
+    ]
+    x, y = 500000.0 + 0.5 * (np.arange(n) % 30), 5400000.0 + 0.5 * (np.arange(n) // 30)
+    first, last = np.c_[x, y, np.full(n, 204.0)], np.c_[x, y, np.full(n, 204.0 - 30.0 * METRES_PER_NS)]
+    beam = np.tile([0.0, 0.0, METRES_PER_NS], (n, 1))
+    beam[part] *= 1.02
+    path = write_las(
+        tmp_path / "a.las",
+        np.stack([first, last], axis=1).reshape(-1, 3),
+        waveforms=waves,
+        pulse=np.repeat(np.arange(n), 2),
+        location=np.stack([time, time + 30.0], axis=1).ravel(),
+        gps_time=1000.0 + 1e-5 * np.repeat(np.arange(n), 2),
+        step=np.repeat(beam, 2, axis=0),
+        return_number=np.tile([1, 2], n),
+        number_of_returns=2,
+        descriptors={1: _samples(90)},
+    )
+    words, judged = decompose_file(path, tmp_path / "a.laz", (), True)
+    facts = judged["plausibility"]
+    assert ("beam vectors" in words) == (part != slice(0)), words
+    assert facts["uneven_share"] == 0.0 if part == slice(0) else facts["uneven_share"] > 0.15
