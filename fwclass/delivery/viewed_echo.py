@@ -15,7 +15,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.delivery.explain import deciding_values
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import FwclassError, InputError
-from fwclass.graph.context_training import MERGED as CONTEXT_TRAINING
+from fwclass.graph.context_training import context_sample
 from fwclass.graph.sources import pulse_of, span_name, strip_of, waveforms_of
 from fwclass.graph.training_rows import load_sample
 from fwclass.model import Contextual
@@ -185,8 +185,9 @@ class BehindEchoes:
         return _quantiles(X, self._class_numbers(X, forest), forest)
 
     def _of_training(self, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
-        stage = CONTEXT_TRAINING if isinstance(forest, Contextual) else "training"
-        sample = load_sample(self._inputs, stage, "all", forest.deciding)
+        sample = load_sample(self._inputs, "training", "all", forest.features)
+        if isinstance(forest, Contextual):
+            sample = context_sample(self._inputs, sample, forest.deciding[len(forest.features) :])
         return _quantiles(sample.X, sample.y, forest)
 
     def _class_numbers(self, X: NDArray, forest: Any) -> NDArray:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classify.context import CONTEXT, context_of, whole_shares, with_context
+from fwclass.classify.context import CONTEXT, context_from, context_of, whole_shares, with_context
 from fwclass.classify.shares import answer
 from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
@@ -40,6 +40,7 @@ from fwclass.graph.training_rows import (
 )
 from fwclass.grid import Tile, millimetres, whole_millimetres
 from fwclass.model import ClassDef, Contextual, sample_matrix
+from fwclass.run.inputs import PartInputs
 from fwclass.schema import IDENTITY, PLACE, Table, canonical_key
 from fwclass.select.folds import Folds, spatial_folds
 from fwclass.store.arrays import write_arrays
@@ -53,7 +54,7 @@ from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, merge
 FOLDS, FOLD_SHARES = "fold-models", "fold-shares"
 DRAWN, MERGED, TRIED = "context-sample", "context-training", "context-folds"
 FOLD_SHARE = "fold_share"
-SQUARES, ANSWERS = "squares", "answers"
+SQUARES, ANSWERS, NEAR = "squares", "answers", "context"
 LEAST_SQUARE = 2.0
 """m, squares of the folds are halved down to this where training areas are small."""
 
@@ -164,21 +165,27 @@ def draw_context_tile(here: StageInputs, layer: ContextLayer) -> Result:
         mine = np.flatnonzero(np.isin(chosen, these))
         core = chunk.core[np.searchsorted(these, chosen[mine])]
         more[mine] = context_of(chunk.table, core, layer.columns(FOLD_SHARE), layer.cells)
-    sample = replace(drawn, features=layer.names, X=with_context(drawn.X, more))
-    write_arrays(here.directory / SAMPLE, sample.arrays())
-    return {"rows": sample.rows}
+    write_arrays(here.directory / SAMPLE, {NEAR: more})
+    return {"rows": drawn.rows}
 
 
-def merge_context_samples(
-    here: StageInputs, names: tuple[str, ...], params: TrainParams, layer: ContextLayer
-) -> Result:
-    """The rows of the survey's sample, with their context."""
-    tiles = here.parts(DRAWN)
-    context = merge((load_sample(here.inputs, DRAWN, t, layer.names) for t in tiles), params)
-    own = survey_sample(here.inputs, names)
-    sample = replace(own, features=(*names, *layer.names), X=np.concatenate([own.X, context.X], axis=1))
-    write_arrays(here.directory / SAMPLE, sample.arrays())
+def merge_context_samples(here: StageInputs, params: TrainParams, layer: ContextLayer) -> Result:
+    """The context of the rows of the survey's sample, in their order."""
+    drawn = ((t, load_sample(here.inputs, TRAIN_SAMPLE.name, t, ())) for t in here.parts(DRAWN))
+    sample = merge((_in_context(here.inputs, DRAWN, t, some, layer.names) for t, some in drawn), params)
+    write_arrays(here.directory / SAMPLE, {NEAR: context_from(sample.X)})
     return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+def context_sample(inputs: PartInputs, own: Sample, names: tuple[str, ...]) -> Sample:
+    """`own`, the survey's sample, with the context of its rows, columns `names`."""
+    return _in_context(inputs, MERGED, "all", own, names)
+
+
+def _in_context(inputs: PartInputs, stage: str, part: str, rows: Sample, names: tuple[str, ...]) -> Sample:
+    """`rows` with what a part of `stage` tells of each, columns `names`."""
+    context = inputs.arrays(stage, part, SAMPLE, (NEAR,))[0][NEAR]
+    return replace(rows, features=(*rows.features, *names), X=with_context(rows.X, context))
 
 
 def try_context(
@@ -194,7 +201,7 @@ def try_context(
     alone: bool = False,
 ) -> Result:
     """What the first layer and what both say of the rows of a fold's squares, which they have not learned from."""
-    sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
+    sample = context_sample(here.inputs, survey_sample(here.inputs, names), layer.names)
     division, edge = squares_of(sample, block, gap, folds, alone)
     rest = _rest(here, sample, division)
     if rest is None:
@@ -227,7 +234,7 @@ def train_context(
     not pay."""
     place = here.inputs.path(TRAIN_COARSE, "model", MODEL)
     coarse = load_model(place)
-    sample = load_sample(here.inputs, MERGED, "all", (*names, *layer.names))
+    sample = context_sample(here.inputs, survey_sample(here.inputs, names), layer.names)
     judged = _judged(here, sample, classes, folds)
     tried = _in_words(judged, alone)
     notes = [*coarse.card["notes"], tried]
@@ -316,7 +323,7 @@ def _fitting_folds(plan: Plan) -> Mapping[str, Any]:
 _OF_LAYERS = 1000 * BASELINE_VERSION + TRAIN.version
 _OF_JUDGING = 2_000_000 + _OF_LAYERS
 _OF_NOTES = 1_000_000 + _OF_JUDGING
-_OF_ROWS = 1000 * CONTEXT.version + TRAIN_SAMPLE.version
+_OF_ROWS = 1_000_000 + 1000 * CONTEXT.version + TRAIN_SAMPLE.version  # their context alone
 
 TRAIN_FOLDS = Stage(
     FOLDS,
@@ -363,15 +370,15 @@ DRAW_CONTEXT = Stage(
 )
 MERGE_CONTEXT = Stage(
     MERGED,
-    TRAIN_SAMPLE.version,
+    _OF_ROWS,
     "survey",
     "row",
     merge_context_samples,
     when=_learns,
-    arguments=lambda plan: {"names": plan.names, "params": plan.config.train, "layer": layer_of(plan)},
+    arguments=lambda plan: {"params": plan.config.train, "layer": layer_of(plan)},
     silent=NOT_OF_THE_SAMPLE,
-    after=("training", DRAWN),
-    needs=lambda plan, part: [("training", "all"), *((DRAWN, t.key) for t in training_tiles(plan))],
+    after=(TRAIN_SAMPLE.name, DRAWN),
+    needs=lambda plan, part: [(stage, t.key) for stage in (TRAIN_SAMPLE.name, DRAWN) for t in training_tiles(plan)],
 )
 TRY_CONTEXT = Stage(
     TRIED,
@@ -383,8 +390,8 @@ TRY_CONTEXT = Stage(
     parts=_folds,
     arguments=lambda plan: {**_fitting_folds(plan), "layer": layer_of(plan)},
     silent=frozenset({"importance_repeats", "base_rows"}),
-    after=(MERGED, BASE_ROWS),
-    needs=lambda plan, part: ((MERGED, "all"), *base_rows_part(plan)),
+    after=("training", MERGED, BASE_ROWS),
+    needs=lambda plan, part: (("training", "all"), (MERGED, "all"), *base_rows_part(plan)),
 )
 TRAIN_CONTEXT = Stage(
     TRAIN.name,
@@ -401,8 +408,9 @@ TRAIN_CONTEXT = Stage(
         "computed": parameters_of(plan, plan.names),
         "most_weight": plan.config.classify.context.most_weight,
     },
-    after=(MERGED, TRIED, TRAIN_COARSE, BASE_ROWS),
+    after=("training", MERGED, TRIED, TRAIN_COARSE, BASE_ROWS),
     needs=lambda plan, part: (
+        ("training", "all"),
         (MERGED, "all"),
         (TRAIN_COARSE, "model"),
         *base_rows_part(plan),

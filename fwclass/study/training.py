@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classify.context import context_from
+from fwclass.classify.context import context_from, with_context
 from fwclass.classify.unsure import MEASURED_BELOW, share_below
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.context_training import MERGED
+from fwclass.graph.context_training import MERGED, NEAR
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
 from fwclass.graph.training_rows import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
@@ -102,8 +102,11 @@ def kept_rows(config: Config, store: Store, most: int) -> ModelRows:
     """Of every class at most so many of the survey's training rows, those with the smallest hashes."""
     config = with_model(config)
     receipt = store.receipt("train", "model")
-    stage = MERGED if receipt and receipt.meta["card"].get("context") else "training"
-    sample = thin(Sample.from_arrays((), read_arrays(store.arrays_path(stage, "all", SAMPLE))[0]), most)
+    sample = Sample.from_arrays((), read_arrays(store.arrays_path("training", "all", SAMPLE))[0])
+    if receipt and receipt.meta["card"].get("context"):
+        near = read_arrays(store.arrays_path(MERGED, "all", SAMPLE))[0][NEAR]
+        sample = replace(sample, X=with_context(sample.X, near))
+    sample = thin(sample, most)
     codes, features = np.array([c.code for c in config.classes], np.uint8)[sample.y], len(config.features_asked)
     return ModelRows(sample.X[:, :features], codes, context_from(sample.X[:, features:]))
 

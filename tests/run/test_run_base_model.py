@@ -167,8 +167,11 @@ def test_both_layers_learn_from_base_rows_though_a_class_has_no_label(contextual
     ended = learn(contextual, tmp_path / "run")
     assert ended.returncode == 0, ended.stderr
     root = tmp_path / "run"
-    base, own = sample(root, ("base-rows", "all")), sample(root, ("context-training", "all"))
-    assert set(own["y"].tolist()) == {0} and base["X"].shape[1] == own["X"].shape[1] == len(model.deciding)
+    base, own = sample(root, ("base-rows", "all")), sample(root, ("training", "all"))
+    near = sample(root, ("context-training", "all"))
+    assert set(near) == {"context"} and len(near["context"]) == len(own["y"]), "the rows themselves are kept once"
+    assert set(own["y"].tolist()) == {0} and own["X"].shape[1] + near["context"].shape[1] == len(model.deciding)
+    assert base["X"].shape[1] == len(model.deciding)
     learned = load_model(Store(root, read_only=True).path("train", "model", "model"))
     assert isinstance(learned, Contextual) and learned.cells == model.cells
     rows = len(own["y"]) + len(base["y"])
@@ -248,7 +251,9 @@ def test_rows_are_matched_by_what_codes_mean(contextual, tmp_path):
         roots[name] = tmp_path / name
         said = "note: the base model's rows are learned by the codes that they count: ground (2) as Boden (20), bush"
         assert (said in ended.stderr) == (name == "renamed")
-    for part in (("base-rows", "all"), ("context-training", "all")):
+    nears = [sample(roots[name], ("context-training", "all"))["context"] for name in roots]
+    assert np.array_equal(*nears)
+    for part in (("base-rows", "all"), ("training", "all")):
         own, renamed = sample(roots["own"], part), sample(roots["renamed"], part)
         assert all((own[n] == renamed[n]).all() for n in ("y", "key")) and np.array_equal(
             own["X"], renamed["X"], equal_nan=True
