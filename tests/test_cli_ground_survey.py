@@ -102,11 +102,16 @@ def test_contours_are_lines_of_the_terrain(bare: Path, run: Path) -> None:
         assert np.abs(200 + 0.05 * (x - 500_000) - height).max() < 0.25 + 0.1  # a share of the interval, and bushes
         assert y.min() >= 5_400_000 and y.max() <= 5_400_040  # whole cells
     with zipfile.ZipFile(run / "survey.qgz") as project:
-        assert "contours.gpkg|layername=contours" in project.read("survey.qgs").decode()
-    told = fwclass("run", bare, "--out", bare.parent / "none", *WORDS, "--set", "contours.enabled=false")
+        shown = project.read("survey.qgs").decode()
+    assert "contours.gpkg|layername=contours" in shown
+    assert ("quality.gpkg|layername=voids" in shown) == (run / "quality.gpkg").exists()
+    other = ("--set", "contours.enabled=false", "--set", "quality.cell=0.5", "--set", "quality.void_spacings=1.5")
+    told = fwclass("run", bare, "--out", bare.parent / "none", *WORDS, *other)
     assert told.returncode == 0 and not (bare.parent / "none" / "contours.gpkg").exists()
     with zipfile.ZipFile(bare.parent / "none" / "survey.qgz") as project:
-        assert "contours" not in project.read("survey.qgs").decode()
+        shown = project.read("survey.qgs").decode()
+    assert "contours" not in shown
+    assert "quality.gpkg|layername=voids" in shown and (bare.parent / "none" / "quality.gpkg").exists()
     told = fwclass("run", bare, "--out", bare.parent / "bad", *WORDS, "--set", "contours.interval=0")
     assert told.returncode == 2 and "contours.interval" in told.stderr and not (bare.parent / "bad").exists()
 

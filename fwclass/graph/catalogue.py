@@ -11,6 +11,7 @@ from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.assess import COUNT_CONFUSION
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names
 from fwclass.graph.overview import DELIVER_OVERVIEW, cloud_arguments, cloud_columns, overview_parts, overviews_of
+from fwclass.graph.quality import DELIVER_QUALITY
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Names, Plan, Stage
@@ -57,7 +58,8 @@ def deliver_catalogue(
     ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
     _write_style(here, present)
     bounds = facts["bounds"]
-    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours, bool(drawn[WHOLE]), quality=True)
+    quality = here.inputs.meta(DELIVER_QUALITY.name, "all")["layers"]
+    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours, bool(drawn[WHOLE]), quality)
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
@@ -142,7 +144,12 @@ def _areas(plan: Plan) -> dict[str, list[list[float]]]:
 def _parts_listed(plan: Plan, part: object) -> list[tuple[str, str]]:
     tiles = [(DELIVER_TILE.name, t.key) for t in plan.layout.tiles]
     rasters = [(DELIVER_RASTERS.name, site.name) for site in sites(plan.layout)]
-    return [*tiles, *rasters, *((DELIVER_OVERVIEW.name, str(key)) for key in overview_parts(plan))]
+    return [
+        *tiles,
+        *rasters,
+        (DELIVER_QUALITY.name, "all"),
+        *((DELIVER_OVERVIEW.name, str(key)) for key in overview_parts(plan)),
+    ]
 
 
 def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
@@ -152,7 +159,7 @@ def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
 
 DELIVER_CATALOGUE = Stage(
     "publish-catalogue",
-    6,
+    7,
     "survey",
     "part",
     deliver_catalogue,
@@ -165,7 +172,7 @@ DELIVER_CATALOGUE = Stage(
         **({"vectors": vector_layers(plan)} if vector_layers(plan) else {}),
         "contours": plan.config.contours.enabled,
     },
-    after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
+    after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_QUALITY.name, DELIVER_OVERVIEW.name),
     needs=_parts_listed,
     place="deliver",
 )

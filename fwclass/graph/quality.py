@@ -167,7 +167,7 @@ def deliver_quality(
     write_json(here.directory / FACTS, facts)
     largest = Box(*max(places.values(), key=lambda b: (Box(*b).area, b)))
     render_quality(facts, _pictures(counted, differences, largest, publish), __version__, here.directory / PAGE)
-    return {"quality": facts}
+    return {"quality": facts, "layers": [layer.name for layer in layers]}
 
 
 def _density_raster(
@@ -239,7 +239,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    11,
+    12,
     "survey",
     "cell",
     deliver_quality,

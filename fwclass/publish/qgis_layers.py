@@ -59,6 +59,12 @@ _VECTORS = {
     "crowns": outline_style((40, 130, 60), 0.2),
 }
 
+_MARKS = {
+    "check_points": ("check points", point_style((20, 20, 20), 2.0), "Point"),
+    "voids": ("boxes around the largest voids", outline_style((200, 20, 120), 0.5), "Polygon"),
+    "gaps": ("boxes around the largest gaps of the area", outline_style((230, 120, 0), 0.5), "Polygon"),
+}
+
 
 def cloud_styles(names: Mapping[int, str]) -> dict[str, list[Xml.Element]]:
     """Styles of the echoes: by class, confidence and height above ground."""
@@ -84,7 +90,7 @@ def groups_of(
     vectors: Sequence[str] = (),
     contours: bool = False,
     overview: bool = True,
-    quality: bool = False,
+    quality: Sequence[str] | None = None,
 ) -> dict[str, list[MapLayer]]:
     """Groups of layers, the first on top.
 
@@ -99,7 +105,7 @@ def groups_of(
     contours : there are contour lines.
     overview : there is an overview of all echoes. Confidence and height are those of its echoes: QGIS cannot read extra
         bytes of a list of tiles (it takes all of them for eight bytes), of a single file it can.
-    quality : there are the rasters of the survey's quality.
+    quality : layers of ``quality.gpkg``, None where there are no rasters of the survey's quality either.
     """
     styles, sure = cloud_styles(names), any("confidence" in of_site for of_site in ranges.values())
     echoes = [MapLayer("by class", "pointcloud", "laz/survey.vpc", styles["classes"], shown=True)]
@@ -118,6 +124,12 @@ def groups_of(
     if contours:
         source = f"{CONTOURS}|layername={LAYER}"
         groups["Terrain"].append(MapLayer("contours", "vector", source, contour_style(), True, "Line"))
+    if quality:
+        groups["Quality"] = [
+            MapLayer(title, "vector", f"quality.gpkg|layername={name}", style, True, geometry)
+            for name, (title, style, geometry) in _MARKS.items()
+            if name in quality
+        ]
     for site, site_ranges in ranges.items():
         where, more = ("rasters", "") if site == whole else (f"rasters/{site}", f", {site}")
         for name, (title, group) in _RASTERS.items():
@@ -126,7 +138,7 @@ def groups_of(
             style = raster_style(name, site_ranges, names, multiply=group == "Maps")
             shown = name in ("classes", "hillshade")
             groups[group].append(MapLayer(title + more, "raster", f"{where}/{name}.tif", style, shown))
-        if quality:  # pulses in the colours of echoes: both compare
+        if quality is not None:  # pulses in the colours of echoes: both compare
             low, high = site_ranges["density"]
             ramps = {
                 "pulse_density": ("pulses per m²", ramp_raster_style(MANY, low, high, "pulses/m²")),

@@ -337,7 +337,7 @@ META: dict[str, Shape] = {
     },
     "quality-block": dict.fromkeys(("echoes", "noise", "pairs", "between_files", "between_lines"), COUNT),
     "check-points": CHECKED,
-    "publish-quality": {"quality": QUALITY},
+    "publish-quality": {"quality": QUALITY, "layers?": [TEXT]},
     "publish-tile": {"rows": COUNT, "beyond": {TEXT: COUNT}, "facts": _TILE_FACTS, "percent": Maybe([COUNT])},
     "publish-rasters": {
         "dtm_cells": COUNT,

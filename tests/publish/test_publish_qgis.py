@@ -66,6 +66,15 @@ def test_hostile_names_are_only_text(tmp_path: Path) -> None:
     assert list(stac.iter_errors(item | {"stac_version": "1.1.0", "bbox": [1, 2]}))
 
 
+def test_voids_gaps_and_check_points_lie_above_the_rasters_of_the_quality() -> None:
+    ranges = {"all": dict.fromkeys(STYLED, (0.0, 1.0))}
+    for asked, expected in (((), []), (("voids",), ["voids"]), (("gaps", "check_points"), ["check_points", "gaps"])):
+        layers = groups_of(NAMES, (), ranges, ("tiles",), "all", quality=asked)["Quality"]
+        assert [one.source for one in layers[:-2]] == [f"quality.gpkg|layername={name}" for name in expected]
+        assert all(one.shown for one in layers[:-2]) and [one.kind for one in layers[-2:]] == ["raster", "raster"]
+    assert "Quality" not in groups_of(NAMES, (), ranges, ("tiles",), "all")
+
+
 def test_the_same_layers_give_the_same_bytes(tmp_path: Path) -> None:
     for name in "ab":
         directory = tmp_path / name
