@@ -9,6 +9,7 @@ from typing import Any
 from fwclass.decompose.water_column import water_facts
 from fwclass.graph.vectors import DELIVER_VECTORS
 from fwclass.report.facts import receipts_of_run
+from fwclass.report.summary import KINDS
 from fwclass.run.runner import Runner, Tally
 from fwclass.survey.layout import Survey
 
@@ -83,26 +84,14 @@ def stage_figures(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
 
 
 def delivered_files(runner: Runner) -> dict[str, list[str]]:
-    """Paths of the files that the run delivers, by kind; an array (``.zarr``) counts as one. ``other``: those of stages
-    that the program does not know."""
+    """Paths of the files that the run delivers, by kind (`KINDS`); an array (``.zarr``) counts as one."""
     names = {
         _path(n)
         for stage in sorted(runner.delivering_stages)
         for r in receipts_of_run(runner, stage)
         for n in r.outputs
     }
-    kinds: dict[str, str | tuple[str, ...]] = {
-        "laz": "laz/",
-        "parquet": "parquet/",
-        "rasters": "rasters/",
-        "model": "model/",
-        "quality": "quality.",
-        "gis": ("survey.qgz", "tiles.gpkg"),
-        "contours": ("contours.gpkg", "contours.qml"),
-        "vectors": ("vectors.gpkg", "vectors/"),
-        "backscatter": ("samples/", "stacked/", "voxels.zarr", "profiles.zarr"),
-    }
-    listed = {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
+    listed = {kind: sorted(n for n in names if n.startswith(begin)) for kind, begin in KINDS.items()}
     return {**listed, "other": sorted(names.difference(*listed.values()))}
 
 

@@ -18,8 +18,19 @@ SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
 OF_ACCURACY = ("label", "confusion", "assess")
 """Stages without which there is no accuracy."""
 
-KINDS = ("laz", "parquet", "rasters", "model", "quality", "gis", "contours", "vectors", "backscatter", "other", "page")
-"""What a run delivers, in the order in which it is told."""
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "laz": ("laz/",),
+    "parquet": ("parquet/",),
+    "rasters": ("rasters/",),
+    "model": ("model/",),
+    "quality": ("quality.",),
+    "gis": ("survey.qgz", "tiles.gpkg"),
+    "contours": ("contours.gpkg", "contours.qml"),
+    "vectors": ("vectors.gpkg", "vectors/"),
+    "backscatter": ("samples/", "stacked/", "voxels.zarr", "profiles.zarr"),
+}
+"""What a run delivers, in the order in which it is told, and how the paths of each begin; then follow ``other``, of
+stages that the program does not know, and ``page``, of a paper."""
 
 SHOWN = 4
 """Names that are told of a longer list."""
@@ -105,7 +116,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(
             f"water       {flat} of {len(report['water'])} polygons flattened, each with its level in report.json"
         )
-    for kind, names in sorted(report["outputs"].items(), key=lambda one: KINDS.index(one[0])):
+    order = (*KINDS, "other", "page")
+    for kind, names in sorted(report["outputs"].items(), key=lambda one: order.index(one[0])):
         if kind == "contours":
             rows += [f"{kind:<11} {root / name}" for name in names if name.endswith(".gpkg")]
         elif kind in ("backscatter", "other"):

@@ -25,6 +25,7 @@ from fwclass.operate.request import Request
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.verify import verify
 from fwclass.operate.status.walk import Silent
+from fwclass.report.summary import summary
 from fwclass.run.cluster import Cluster
 from fwclass.schema import Table
 from fwclass.store.run_location import open_store
@@ -70,6 +71,13 @@ def test_a_stage_of_one_s_own_is_a_feature_and_is_delivered(uneven):
     tile = next((root / "laz" / "tiles").glob("*.laz"))
     values = np.asarray(laspy.read(tile)["unevenness"])
     assert np.isfinite(values).all() and values.max() > 0.5
+
+
+def test_the_last_words_of_a_run_tell_of_a_new_kind_of_output(uneven):
+    root, report = uneven
+    with mock.patch.dict("fwclass.report.summary.KINDS", csv=("csv/",)):
+        said = summary({**report, "outputs": {**report["outputs"], "csv": ["csv/1_1.csv"]}}, root).splitlines()
+    assert f"csv         {root / 'csv'}  (1 file)" in said
 
 
 @pytest.mark.slow
