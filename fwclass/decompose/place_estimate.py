@@ -55,6 +55,9 @@ SPREAD, STRETCHED = 5.0, 0.005
 """Standard deviation of locations [ns] that tells whether samples are as far apart as they say, and the share by which
 they are not; a Leica's locations stretch by 0.001."""
 
+PIECES = 4
+"""Parts along a strip that are asked for it, too, as clocks may drift."""
+
 MOST_BENT = 4.0
 """Second differences of so many times their median are no ground that tells anything of locations."""
 
@@ -140,7 +143,9 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             if (curve.phase or walks) and _placed_alike(sample, fits, near, gap):
                 curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False, alike=walks)
             left = gap[near] - curve.at(fits.amplitude[near])
-            stretch = _stretch(left, sample.pulses["anchor_time"].astype(np.float64)[fits.row[near]])
+            location = sample.pulses["anchor_time"].astype(np.float64)[fits.row[near]]
+            pieces = np.array_split(np.arange(len(near)), PIECES)  # by pulse, as rows are
+            stretch = _stretch(left, location) or max((_stretch(left[p], location[p]) for p in pieces), key=abs)
             left = np.abs(left)
             astray = float((left > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
             receivers = next((c.receivers for c in pulse.channels[int(k) : int(k) + 1]), ())

@@ -32,7 +32,8 @@ class OffsetCurve:
     astray : share of the echoes whose time is not where the curve has it, by more than 0.1 m and their error; 0 where
         locations lack the phase.
     alike : locations walk with the height, and places go with them: nothing is taken off.
-    stretch : share by which fitted times grow faster than locations; 0 where that is not sure.
+    stretch : share by which fitted times grow faster than locations, of all the strip, or else of its worst quarter; 0
+        where that is not sure.
     """
 
     sample_spacing: float

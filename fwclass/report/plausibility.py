@@ -287,7 +287,8 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     if some:
         _, worst = max(some, key=lambda one: abs(one[1]["stretch"]))
         lines.append(
-            f"fitted times grow by {worst['stretch']:+.1%} against the vendor's locations{channel_words(worst)}: "
+            f"fitted times grow by {worst['stretch']:+.1%} against the vendor's locations{channel_words(worst)}, in a "
+            "quarter of the strip or all of it: "
             "samples are not as far apart as the file says, or locations are not, and echoes lie too far from their "
             f"pulse's first return, or too near, by that share ({names_of(strips_once(s for s, _ in some))})"
         )
