@@ -17,6 +17,7 @@ from fwclass.errors import InputError
 from fwclass.grid import Box
 from fwclass.operate.draft import areas, survey
 from fwclass.operate.draft.areas import ClassPlaces, best_split
+from fwclass.survey.files import find_files
 
 CODES = np.array([2, 5, 6])
 
@@ -76,6 +77,32 @@ def test_files_elsewhere_are_named_from_there(tmp_path):
     assert conf.load(tmp_path / "work" / "s.yaml").survey.directory == str(tmp_path / "data")
     again = fwclass("init", "../data/a.las", "--to", "s.yaml", cwd=tmp_path / "work")
     assert again.returncode == 2 and "exists" in again.stderr
+
+
+def test_a_directory_of_las_and_laz_with_brackets_in_its_name_is_a_pattern_each(tmp_path):
+    folder = tmp_path / "Los [1] Süd"
+    folder.mkdir()
+    town(folder, n=6000)
+    town(folder, "b", n=6000, east=200.0)
+    (folder / "b.las").rename(folder / "b.LAS")
+    for words, sources in (((folder.name,), ["*.LAS", "*.las"]), ((f"{folder.name}/a.las",), ["a.las"])):
+        ended = fwclass("init", *words, "--to", "s.yaml", "--force", cwd=tmp_path)
+        assert ended.returncode == 0, ended.stderr
+        config = conf.load(tmp_path / "s.yaml")
+        assert [name.split("/")[-1] for name in config.survey.sources] == sources
+        found = find_files(config.survey.sources, tmp_path, "", tmp_path, config.store)
+        assert len(found) == len(sources) and all(path.parent == folder for path in found)
+
+
+def test_all_files_that_cannot_be_read_are_told_at_once(tmp_path):
+    for name in "abc":
+        town(tmp_path, name, n=600)
+        if name != "a":
+            (tmp_path / f"{name}.las").write_bytes((tmp_path / f"{name}.las").read_bytes()[:300])
+    ended = fwclass("init", ".", cwd=tmp_path)
+    assert ended.returncode == 1 and not ended.stdout
+    assert "2 of 3 source files cannot be used" in ended.stderr
+    assert "b.las: " in ended.stderr and "c.las: " in ended.stderr and "a.las" not in ended.stderr
 
 
 def test_what_files_do_not_tell_is_said(tmp_path):

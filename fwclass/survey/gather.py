@@ -129,18 +129,23 @@ def open_all(places: Sequence[Location], config: Config, copied: bool = False) -
             opened.append(source)
         except InputError as fault:
             faults.append(fault)
+    refuse_unusable(faults, len(places), f"{config.path}: survey.sources")
+    return opened
+
+
+def refuse_unusable(faults: Sequence[InputError], files: int, where: str) -> None:
+    """`InputError` naming all of so many `files` that cannot be used, if `faults` tell of any."""
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        lines = [f"{Path(f.where).name}: {f.what}{f', {f.got}' if f.got else ''}" for f in faults[:BAD_FILES]]
+        lines = [f"{Path(f.where or '').name}: {f.what}{f', {f.got}' if f.got else ''}" for f in faults[:BAD_FILES]]
         lines += [f"and {len(faults) - BAD_FILES} more"] if len(faults) > BAD_FILES else []
         raise InputError(
-            f"{len(faults)} of {len(places)} source files cannot be used",
-            where=f"{config.path}: survey.sources",
+            f"{len(faults)} of {files} source files cannot be used",
+            where=where,
             got="\n    ".join(["", *lines]),
             do="get them again, or take them out of the survey's directory (`fwclass info` tells all of each)",
         )
-    return opened
 
 
 def _here(place: Location, source: Source) -> Source:

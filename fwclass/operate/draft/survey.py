@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 import os
@@ -29,7 +30,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.polygons import is_polygon_file
 from fwclass.read.source import is_beam_file, open_source
-from fwclass.survey.gather import require_distinct
+from fwclass.survey.gather import refuse_unusable, require_distinct
 from fwclass.workflows import workflow_of
 
 LEAST = 500
@@ -113,17 +114,22 @@ def _system(crs: Mapping[str, Any] | None) -> str:
     return f"EPSG:{crs['epsg']}" if crs.get("epsg") else str(crs["name"])
 
 
-def look_into(files: Iterable[Path]) -> Holdings:
-    """Read all `files` once more than their headers: classes and where they lie."""
-    holdings = Holdings()
+def look_into(files: Sequence[Path]) -> Holdings:
+    """Read all `files` once more than their headers: classes and where they lie; `InputError` naming all that cannot
+    be read."""
+    holdings, faults = Holdings(), list[InputError]()
     for path in files:
         if is_polygon_file(path) and not is_beam_file(path):
             holdings.polygons.append(path)
             continue
-        facts = info(path)
-        holdings.facts.append(facts)
-        if set(facts.get("classes") or ()) - {"0"}:
-            _count_places(path, holdings)
+        try:
+            facts = info(path)
+            if set(facts.get("classes") or ()) - {"0"}:
+                _count_places(path, holdings)
+            holdings.facts.append(facts)
+        except InputError as fault:
+            faults.append(fault)
+    refuse_unusable(faults, len(files), os.path.commonpath([p.resolve().parent for p in files]) if faults else "")
     if not holdings.facts or not holdings.records:
         raise InputError(
             "no file of points or pulses that holds any",
@@ -226,19 +232,24 @@ def gap_of(features: str, classes: Iterable[Meaning]) -> float:
 def sources_of(paths: Sequence[Path], beside: Path, whole: bool) -> tuple[str, list[str]]:
     """`survey.directory` and `survey.sources` for files, seen from the directory `beside`.
 
-    One pattern where the files are all of their directory with that ending, else their names. `whole`: it was the
-    directory that was named, so that one file is all of it too.
+    One pattern for each ending where the files are all of their directory with these endings, else their names.
+    `whole`: it was the directory that was named, so that one file is all of it too.
     """
     own = [p.resolve() for p in paths]
     home = Path(os.path.commonpath([p.parent for p in own]))
     below = home.is_relative_to(beside.resolve())
     base = beside.resolve() if below else home
     directory = "." if below else str(home)
-    ending = own[0].suffix
-    alike = all(p.parent == home and p.suffix == ending for p in own)
-    if alike and (whole or len(own) > 1) and set(own) == {p.resolve() for p in home.iterdir() if p.suffix == ending}:
-        return directory, [(home.relative_to(base) / f"*{ending}").as_posix()]
-    return directory, sorted(p.relative_to(base).as_posix() for p in own)
+    endings = {p.suffix for p in own}
+    alike = all(p.parent == home for p in own) and (whole or len(own) > 1)
+    if alike and set(own) == {p.resolve() for p in home.iterdir() if p.suffix in endings}:
+        return directory, [f"{_literal(home, base)}*{ending}" for ending in sorted(endings)]
+    return directory, sorted(_literal(p, base).rstrip("/") for p in own)
+
+
+def _literal(path: Path, base: Path) -> str:
+    """`path` from `base` on as a pattern that matches it alone; with a slash behind unless it is `base`."""
+    return "".join(f"{glob.escape(part)}/" for part in path.relative_to(base).parts)
 
 
 def _name_of(paths: Sequence[Path], directory: Path | None) -> str:
