@@ -81,6 +81,7 @@ def sampling(
             *_of_blank_files(blank, config),
             *_of_polygons(polygons, ambiguous),
             *(_remarks_on_corrections(corrected, config.label.max_move) if whole_run else ()),
+            *(_of_no_test(corrected, config) if not any(whole["test"]) else ()),
             *(_remarks_on_echo_labels(by_echo, labelled, config.label.max_move) if whole_run else ()),
         ],
     }
@@ -130,6 +131,17 @@ def _remarks_on_corrections(corrected: dict[str, int] | None, reach: float) -> l
     return [
         f"{lost:,} of {corrected['standing']:,} corrections label nothing: their echo is gone, or another one that "
         f"lies further than {reach:g} m (label.max_move) from its place has its number."
+    ]
+
+
+def _of_no_test(corrected: dict[str, int] | None, config: Config) -> list[str]:
+    """That corrections are why no echo is tested."""
+    if corrected is None or not corrected["applied"] or config.areas.boxes("test"):
+        return []
+    return [
+        f"{corrected['applied']:,} echoes were corrected or confirmed (fwclass label): all of them train, and nothing "
+        f"nearer than {config.areas.gap:g} m (areas.gap) to one is tested. List boxes as areas.test, in and near which "
+        "corrections do not train; or confirm smaller places."
     ]
 
 

@@ -95,7 +95,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows += [f"objects     {text}" for text in object_lines(accuracy.get("objects"))]
     elif trained:
         none = (
-            "unknown: no labelled echo lies in a test area (areas.test, areas.gap; with areas.train: all none is left)"
+            "unknown: no labelled echo lies in a test area and areas.gap from all that trains (areas.train, "
+            "corrections; with areas.train: all none is left)"
         )
         failed = any(f["stage"] in OF_ACCURACY for f in report["failed"])
         lacking = "not assessed: parts of the assessment failed" if failed else none

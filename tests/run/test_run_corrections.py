@@ -161,6 +161,17 @@ def test_a_correction_whose_echo_moved_is_told_and_not_applied(first, tmp_path):
     np.testing.assert_array_equal(echoes(tmp_path)["reference"], before["reference"])
 
 
+def test_corrections_that_leave_no_test_are_told_with_what_to_do(first, tmp_path):
+    survey, _, _, before = first
+    for code in (2, 5):
+        correct(tmp_path, before["reference"] == code, code, before)
+    report = run(survey, tmp_path)
+    count = report["sampling"]["corrections"]["applied"]
+    assert report["accuracy"] is None and count == np.isin(before["reference"], (2, 5)).sum() > 0
+    told = [r for r in report["sampling"]["remarks"] if f"{count:,} echoes were corrected or confirmed" in r]
+    assert len(told) == 1 and "List boxes as areas.test" in told[0]
+
+
 def test_a_listed_test_area_stays_one(first, tmp_path):
     """What is corrected there is tested by its new label, and does not train."""
     survey, _, _, before = first
