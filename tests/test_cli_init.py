@@ -86,7 +86,8 @@ def test_a_directory_of_las_and_laz_with_brackets_in_its_name_is_a_pattern_each(
     town(folder, "b", n=6000, east=200.0)
     (folder / "b.las").rename(folder / "b.LAS")
     for words, sources in (((folder.name,), ["*.LAS", "*.las"]), ((f"{folder.name}/a.las",), ["a.las"])):
-        ended = fwclass("init", *words, "--to", "s.yaml", "--force", cwd=tmp_path)
+        (tmp_path / "s.yaml").unlink(missing_ok=True)
+        ended = fwclass("init", *words, "--to", "s.yaml", cwd=tmp_path)
         assert ended.returncode == 0, ended.stderr
         config = conf.load(tmp_path / "s.yaml")
         assert [name.split("/")[-1] for name in config.survey.sources] == sources
