@@ -28,7 +28,8 @@ from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import cross_validate
 from fwclass.survey.layout import Layout
 from fwclass.train.sample import Sample, thin
-from fwclass.walk.steps import plan_with_features, tasks_of, tasks_until_labels, until_tiles, with_model
+from fwclass.walk.models import with_model
+from fwclass.walk.steps import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 
 NOTHING_TESTED = (
     "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "
