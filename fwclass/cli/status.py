@@ -38,10 +38,10 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
     location = location_of_run(request, config)
     with record_run(location, request, only) as entry, open_runner(location, 0, None, config.run) as runner:
         entry.begin(runner)
-        looked = _look(config, request)
-        if looked.fault is not None:
-            raise looked.fault
-        task = task_alone(looked, only, request)
+        run_status = _look(config, request)
+        if run_status.fault is not None:
+            raise run_status.fault
+        task = task_alone(run_status, only, request)
         runner.do([task])
         outcome = runner.outcomes[task.name]
         if not outcome.ok:
@@ -163,14 +163,14 @@ def status(
 
     location = location_of_run(request, config)
     writer, scheduled = held_by(location), standing(location)
-    looked = _look(config, request)
+    run_status = _look(config, request)
     from fwclass.operate.status import verify as verifying
 
-    shown = looked.store.generations.current()
+    shown = run_status.store.generations.current()
     sizes = sizes_of(location, None if shown is None else shown.name)
-    verified = verifying.verify(looked.store) if verify else None
+    verified = verifying.verify(run_status.store) if verify else None
     if as_json:
-        data = {**as_data(looked, request, writer, every), "schedule": scheduled, "disk": sizes.as_data()}
+        data = {**as_data(run_status, request, writer, every), "schedule": scheduled, "disk": sizes.as_data()}
         if verified is not None:
             data |= verified.as_data()
         click.echo(json.dumps(data, indent=1))
@@ -180,9 +180,9 @@ def status(
             when += "" if isinstance(location, Path) else f", heard of {scheduled.get('heartbeat')}"
             sentence = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
             click.echo(visible(sentence))
-        click.echo(as_text(looked, request, writer, every))
+        click.echo(as_text(run_status, request, writer, every))
         click.echo(sizes.as_text())
         if verified is not None:
             click.echo(verifying.as_text(verified, request))
-    if not is_delivered(looked, request) or (verified is not None and not verified.sound):
+    if not is_delivered(run_status, request) or (verified is not None and not verified.sound):
         sys.exit(PARTIAL)

@@ -45,7 +45,7 @@ class CloudPiece:
     last: int
 
 
-def _pieces(plan: Plan) -> list[CloudPiece]:
+def _cloud_pieces(plan: Plan) -> list[CloudPiece]:
     listed = plan.survey.reference
     numbered = assign_numbers(path.name for path, _, _ in listed)
     return [
@@ -56,23 +56,23 @@ def _pieces(plan: Plan) -> list[CloudPiece]:
 
 
 @dataclass(frozen=True)
-class _Pieces:
+class _TileOfSpans:
     """A tile that is still to be put together, and the spans that hold rows of it, in their order."""
 
     key: str
     spans: tuple[str, ...]
 
 
-def _cut(stage: str) -> Callable[[Plan], list[_Pieces]]:
+def _tiles_cut_by(stage: str) -> Callable[[Plan], list[_TileOfSpans]]:
     """The tiles that the spans of `stage` are cut into."""
 
-    def parts(plan: Plan) -> list[_Pieces]:
+    def parts(plan: Plan) -> list[_TileOfSpans]:
         spans: dict[str, list[str]] = {}
         for name in sorted(plan.splits):
             if name[0] == stage:
                 for key in plan.splits[name].meta["tiles"]:
                     spans.setdefault(key, []).append(name[1])
-        return [_Pieces(key, tuple(some)) for key, some in sorted(spans.items())]
+        return [_TileOfSpans(key, tuple(some)) for key, some in sorted(spans.items())]
 
     return parts
 
@@ -176,7 +176,7 @@ def _has_cloud(plan: Plan) -> bool:
     return plan.config.survey.reference.kind == "cloud"
 
 
-def _sizes(plan: Plan) -> Mapping[str, Any]:
+def _tile_settings(plan: Plan) -> Mapping[str, Any]:
     return {"params": plan.config.tile}
 
 
@@ -191,7 +191,7 @@ SPLIT_ECHOES = Stage(
     "pulse",
     split_echoes,
     parts=lambda plan: [span for strip in plan.survey.strips for span in spans_of(plan, strip)],
-    arguments=_sizes,
+    arguments=_tile_settings,
     after=("decompose",),
     needs=lambda plan, part: ((DECOMPOSE.name, part.key),),
 )
@@ -202,8 +202,8 @@ SPLIT_REFERENCE = Stage(
     "reference",
     split_reference,
     when=_has_cloud,
-    parts=_pieces,
-    arguments=_sizes,
+    parts=_cloud_pieces,
+    arguments=_tile_settings,
     each=lambda plan, piece: {"rows": (piece.first, piece.last)},
     source=lambda plan, piece: (piece.path, piece.digests),
 )
@@ -213,9 +213,9 @@ TILE_ECHOES = Stage(
     "tile",
     "echo",
     tile_echoes,
-    parts=_cut("split"),
+    parts=_tiles_cut_by("split"),
     arguments=lambda plan: {"blocks": _blocks(plan), **kept_noise(plan)},
-    keyed=_sizes,
+    keyed=_tile_settings,
     after=("split",),
     needs=lambda plan, tile: [("split", part) for part in tile.spans],
     writes=lambda plan: (*DECOMPOSE.writes, *water_columns(plan)),
@@ -229,8 +229,8 @@ TILE_REFERENCE = Stage(
     "reference",
     tile_reference,
     when=_has_cloud,
-    parts=_cut("reference-split"),
-    keyed=_sizes,
+    parts=_tiles_cut_by("reference-split"),
+    keyed=_tile_settings,
     after=("reference-split",),
     needs=lambda plan, tile: [("reference-split", part) for part in tile.spans],
     writes=CLOUD_COLUMNS,

@@ -51,10 +51,13 @@ class Scheduler(Protocol):
 
 
 class InFlight:
-    """The parts that the scheduler knows; those that are to be tried alone, and what waits for these."""
+    """The parts that the scheduler knows; those that are to be tried alone, and what waits for these.
 
-    def __init__(self, scheduler: Scheduler, location: RunLocation, losses: Losses, ended: Any) -> None:
-        self._scheduler, self._location, self._losses, self._done = scheduler, location, losses, ended
+    `completed` gives futures as they end (Dask's `as_completed`); more are added to it.
+    """
+
+    def __init__(self, scheduler: Scheduler, location: RunLocation, losses: Losses, completed: Any) -> None:
+        self._scheduler, self._location, self._losses, self._completed = scheduler, location, losses, completed
         self._tasks: dict[Name, Task] = {}
         self._order: dict[Name, int] = {}
         self._numbers = itertools.count()
@@ -93,7 +96,7 @@ class InFlight:
         self._names[future.key] = tuple(task.name for task in ready)
         for task in ready:
             self._futures[task.name], self._tasks[task.name] = future, task
-        self._done.add(future)
+        self._completed.add(future)
 
     def drop(self) -> None:
         """Give up all parts that have not begun."""
@@ -104,7 +107,7 @@ class InFlight:
         if not self._futures:
             yield from self._alone()
             return
-        future = next(self._done)
+        future = next(self._completed)
         if future.key not in self._names:
             return  # it was handed over again meanwhile
         if future.status not in ("error", "cancelled"):
@@ -129,7 +132,7 @@ class InFlight:
         self.take([task], alone=True)
         self._suspects = suspects
         while name in self._futures:
-            if next(self._done).key != self._futures[name].key:
+            if next(self._completed).key != self._futures[name].key:
                 continue  # one that was handed over again before
             if self._futures[name].status not in ("error", "cancelled"):
                 yield from self._take_outcomes(self._futures[name], alone=True)

@@ -108,13 +108,13 @@ class Runner:
         Parts whose key holds are skipped here, without a worker. Failures are kept in `outcomes`. Of lazy `tasks` no
         more are held than the executor has in hand.
         """
-        plan = Tasks.held(tasks)
-        self.display.expect(plan.stages)
+        tasks = Tasks.held(tasks)
+        self.display.expect(tasks.stages)
         now = time.perf_counter()
-        for stage in plan.stages:
+        for stage in tasks.stages:
             self.tallies.setdefault(stage, Tally(began=now))
         names: list[Name] = []
-        with closing(self.executor.run(self.location, self._to_make(plan, names))) as ended:
+        with closing(self.executor.run(self.location, self._to_make(tasks, names))) as ended:
             for outcome in ended:
                 self.held()
                 name = (outcome.stage, outcome.part)

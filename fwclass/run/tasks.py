@@ -9,14 +9,14 @@ from typing import Any, TypeVar, overload
 
 from fwclass.run.part import Task
 
-Key = TypeVar("Key")
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """One task for each of `keys`; `stages` counts them."""
+    """One task for each of `parts`; `stages` counts them."""
 
-    keys: Sequence[Any]
+    parts: Sequence[Any]
     make: Callable[[Any], Task]
     stages: Counter[str]
 
@@ -26,12 +26,12 @@ class Tasks(Sequence[Task]):
 
     def __init__(self, batches: Iterable[_Batch] = ()) -> None:
         self._batches = tuple(batches)
-        self._length = sum(len(b.keys) for b in self._batches)
+        self._length = sum(len(b.parts) for b in self._batches)
 
     @classmethod
-    def of(cls, stage: str, keys: Sequence[Key], make: Callable[[Key], Task]) -> Tasks:
-        """A task of `stage` for each of `keys`."""
-        return cls([_Batch(keys, make, Counter({stage: len(keys)}))] if len(keys) else ())
+    def of(cls, stage: str, parts: Sequence[Part], make: Callable[[Part], Task]) -> Tasks:
+        """A task of `stage` for each of `parts`."""
+        return cls([_Batch(parts, make, Counter({stage: len(parts)}))] if len(parts) else ())
 
     @classmethod
     def held(cls, tasks: Iterable[Task]) -> Tasks:
@@ -42,13 +42,13 @@ class Tasks(Sequence[Task]):
         return cls([_Batch(some, _itself, Counter(t.stage for t in some))] if some else ())
 
     @classmethod
-    def joined(cls, plans: Iterable[Tasks]) -> Tasks:
-        """The tasks of all `plans`, in order; adding thousands one by one would copy the first ones each time."""
-        return cls(batch for plan in plans for batch in plan._batches)
+    def joined(cls, several: Iterable[Tasks]) -> Tasks:
+        """The tasks of `several`, in order; adding thousands one by one would copy the first ones each time."""
+        return cls(batch for tasks in several for batch in tasks._batches)
 
     @property
     def stages(self) -> Counter[str]:
-        """How many tasks every stage has, in the order of the plan."""
+        """How many tasks every stage has, in their order."""
         total: Counter[str] = Counter()
         for batch in self._batches:
             total.update(batch.stages)
@@ -62,7 +62,7 @@ class Tasks(Sequence[Task]):
 
     def __iter__(self) -> Iterator[Task]:
         for batch in self._batches:
-            yield from map(batch.make, batch.keys)
+            yield from map(batch.make, batch.parts)
 
     @overload
     def __getitem__(self, at: int) -> Task: ...
@@ -73,9 +73,9 @@ class Tasks(Sequence[Task]):
             return Tasks.held([self[k] for k in range(*at.indices(len(self)))])
         index = at + len(self) if at < 0 else at
         for batch in self._batches:
-            if 0 <= index < len(batch.keys):
-                return batch.make(batch.keys[index])
-            index -= len(batch.keys)
+            if 0 <= index < len(batch.parts):
+                return batch.make(batch.parts[index])
+            index -= len(batch.parts)
         raise IndexError(at)
 
 
