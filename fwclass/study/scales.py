@@ -28,9 +28,9 @@ from fwclass.select.score import Names, Trial, score
 from fwclass.select.search import forward
 from fwclass.select.work import scale_of
 from fwclass.store.atomic import digest_of
+from fwclass.study.keys import plain
 from fwclass.study.select.cost import costs
 from fwclass.study.select.result import plain_result, sets_to_time
-from fwclass.survey.layout import plain
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.search import Folding, search

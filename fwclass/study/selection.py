@@ -17,11 +17,12 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names, Score, Trial, score
 from fwclass.select.search import Search, backward, by_fscore, forward, in_given_order
+from fwclass.study.keys import plain
 from fwclass.study.select.cost import costs
 from fwclass.study.select.result import plain_result, sets_to_time
 from fwclass.study.select.sample import PLACED, TRAINING, require_own_labels, sample_tasks, training_of
 from fwclass.study.select.trials import Trials
-from fwclass.survey.layout import Layout, plain
+from fwclass.survey.layout import Layout
 from fwclass.walk.steps import tasks_until_labels, until_tiles
 
 

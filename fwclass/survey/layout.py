@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
@@ -173,18 +172,3 @@ def _of_features(name: str) -> str:
     if not is_feature(name):
         raise KeyError(f"no stage writes {name!r}")
     return FEATURE_COMPUTATION.name
-
-
-def plain(params: Any) -> Any:
-    """Params as plain data for a key."""
-    return params.model_dump(mode="json")
-
-
-def plain_classes(config: Config) -> list[dict[str, Any]]:
-    """The survey's classes as plain data for a key; `legacy_code` decides nothing of what is learned."""
-    return [{**c.model_dump(mode="json"), "legacy_code": None} for c in config.survey.classes]
-
-
-def needs_of(columns: Mapping[str, str], parts: Iterable[str]) -> tuple[Name, ...]:
-    """The parts that hold `columns` (stage by column) of the tiles `parts`, and the tiles themselves."""
-    return tuple((stage, part) for part in parts for stage in sorted({*columns.values(), "tile"}))

@@ -24,12 +24,13 @@ from fwclass.model import ClassDef, class_index
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.select.search import f_scores
+from fwclass.study.keys import needs_of
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.shi_claims import CLAIMS
 from fwclass.study.papers.variants import VERSION, learn_tasks, make_variant, time_tasks
 from fwclass.study.papers.work import Variant, spans
-from fwclass.survey.layout import Layout, needs_of
+from fwclass.survey.layout import Layout
 from fwclass.train.sample import Sample
 
 HEIGHT = "height_above_ground"

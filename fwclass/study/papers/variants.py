@@ -15,9 +15,10 @@ from fwclass.graph.stage import Plan, always
 from fwclass.graph.training_rows import DRAW_SAMPLE
 from fwclass.model import ClassDef
 from fwclass.run.part import Task
+from fwclass.study.keys import needs_of, plain
 from fwclass.study.papers import work
 from fwclass.study.papers.work import Variant
-from fwclass.survey.layout import Layout, needs_of, plain
+from fwclass.survey.layout import Layout
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
 from fwclass.train.params import TrainParams

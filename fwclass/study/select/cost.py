@@ -21,7 +21,8 @@ from fwclass.select.score import Names
 from fwclass.select.work import scale_of
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
-from fwclass.survey.layout import Layout, needs_of, plain
+from fwclass.study.keys import needs_of, plain
+from fwclass.survey.layout import Layout
 
 SINGLE = 30
 """Sets up to this size are timed without each of their features too; in a larger one a feature is lost in the noise."""

@@ -23,7 +23,8 @@ from fwclass.schema import Table, canonical_key
 from fwclass.select.folds import Folds, check_folds, spatial_folds
 from fwclass.select.params import SelectParams
 from fwclass.store.arrays import write_arrays
-from fwclass.survey.layout import Layout, needs_of, plain, plain_classes
+from fwclass.study.keys import needs_of, plain, plain_classes
+from fwclass.survey.layout import Layout
 from fwclass.thin.sample import THIN
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, check_counts

@@ -30,10 +30,11 @@ from fwclass.select.params import SelectParams
 from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
+from fwclass.study.keys import needs_of, plain, plain_classes
 from fwclass.study.select.cost import computed_names, microseconds
 from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import predict
-from fwclass.survey.layout import Layout, needs_of, plain, plain_classes
+from fwclass.survey.layout import Layout
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform

@@ -17,8 +17,9 @@ from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.select.score import Names, Trial, score
 from fwclass.store.atomic import digest_of
+from fwclass.study.keys import plain, plain_classes
 from fwclass.study.select.sample import TRAINING, sample_tasks, training_of
-from fwclass.survey.layout import Layout, plain, plain_classes
+from fwclass.survey.layout import Layout
 from fwclass.train.importance import importance
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
