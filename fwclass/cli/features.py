@@ -78,7 +78,7 @@ def features(
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
     with StepDisplay() as steps:
-        summary = features_file(FeaturesJob(source, output, named, settings=settings, **options), steps.tell)
+        summary = features_file(FeaturesJob(source, output, named=named, settings=settings, **options), steps.tell)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))

@@ -203,8 +203,6 @@ def classify(
     source: Path,
     output: Path,
     as_json: bool,
-    trajectory: Path | None,
-    undulation: float,
     accept_drift: bool,
     accept_implausible: bool,
     only: str | None,
@@ -223,7 +221,6 @@ def classify(
     from fwclass.report.drift import judge_drift
     from fwclass.report.judge import judge_echoes
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
-    from fwclass.single_file.features.echoes import Flight
     from fwclass.single_file.ground.steps import StepDisplay
 
     if options["own_ground"] and any(options[n] for n in ("method", "preset", "assignments", "auto")):
@@ -231,7 +228,7 @@ def classify(
     settings += (f"classify.only={only}",) if only else ()
     settings += (f"classify.keep={keep}",) if keep else ()
     settings += ("plausibility.accept=true",) if accept_implausible else ()
-    job = ClassifyJob(source, output, settings=settings, flight=Flight(trajectory, undulation), **options)
+    job = ClassifyJob(source, output, settings=settings, **options)
     with StepDisplay() as steps:
         summary = classify_file(job, steps.tell)
     click.echo(describe(summary), err=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,8 @@ from fwclass.report.drift import drift
 from fwclass.schema import Table
 from fwclass.single_file.features.echoes import (
     OF_ECHOES,
+    EchoJob,
     FileEchoes,
-    Flight,
-    GroundChoice,
     read_echoes,
     with_heights,
     with_lines,
@@ -68,32 +67,17 @@ NAMED = 4
 """Features without a value that are named."""
 
 
-@dataclass(frozen=True)
-class ClassifyJob:
-    """What `fwclass classify` was asked for.
+@dataclass(frozen=True, kw_only=True)
+class ClassifyJob(EchoJob):
+    """What `fwclass classify` was asked for, besides what every `EchoJob` is; its files are LAS or LAZ.
 
     Attributes
     ----------
-    source, output : the files, LAS or LAZ.
     model : directory of the model, or a name that `installed_models` gives.
-    method, preset, assignments : ground filter; without any that of the settings.
-    own_ground : heights count from class 2 of the file instead.
-    auto : the filter's parameters are adapted to the points.
     legacy : class code to write in place of another; point formats 0 to 5 take what the model's classes say besides.
     """
 
-    source: Path
-    output: Path
     model: Path
-    settings: tuple[str, ...] = ()
-    crs: str | None = None
-    overwrite: bool = False
-    method: str | None = None
-    preset: str | None = None
-    assignments: tuple[str, ...] = ()
-    own_ground: bool = False
-    auto: bool = False
-    flight: Flight = field(default_factory=Flight)
     legacy: Mapping[int, int] | None = None
 
 
@@ -290,14 +274,13 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
         method = job.method
         if method is None and job.preset is None and not job.own_ground:
             method = conf.section("ground", job.settings).method
-        by = GroundChoice(method, job.preset, job.assignments, job.own_ground, job.auto)
-        echoes = with_heights(echoes, job.source, by, job.settings, tell)
+        echoes = with_heights(echoes, replace(job, method=method), tell)
         if "height_above_ground" in model.features:
             notes = tuple(ground_notes(model.card, method, conf.section("terrain", job.settings).height))
     if asked.names or wide.names or "noise" in needed:
         echoes = with_lines(with_noise(echoes, job.settings, tell), job.source, job.settings)
     if any(n in RADIOMETRY.writes for n in needed):
-        echoes = with_radiometry(echoes, job.flight, job.settings)
+        echoes = with_radiometry(echoes, job)
     check_names(model, echoes.table, job.source)
     return replace(echoes, notes=(*echoes.notes, *notes))
 

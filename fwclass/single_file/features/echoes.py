@@ -32,7 +32,7 @@ from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight
-from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
+from fwclass.single_file.ground.params import FileJob, ground_params, used_params, with_assignments
 from fwclass.single_file.lines import lines_of
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, points_of, with_noise_flags
@@ -74,11 +74,22 @@ class FileEchoes:
 
 
 @dataclass(frozen=True)
-class Flight:
-    """What tells how far the sensor was, besides the settings."""
+class EchoJob(FileJob):
+    """What a command on the echoes of a file was asked for, besides what every `FileJob` is.
 
+    Attributes
+    ----------
+    own_ground : heights count from class 2 of the file, not from the ground that a filter finds.
+    auto : the filter's parameters are adapted to the echoes, as `fwclass ground --auto` does.
+    trajectory, undulation : where the sensor flew, and metres to take from its heights.
+    skip_missing : features that the file cannot give are left out and told; else they are an error.
+    """
+
+    own_ground: bool = False
+    auto: bool = False
     trajectory: Path | None = None
     undulation: float = 0.0
+    skip_missing: bool = False
 
 
 def read_echoes(path: Path, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
@@ -169,20 +180,6 @@ def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
         )
 
 
-@dataclass(frozen=True)
-class GroundChoice:
-    """A ground filter, that of the settings where nothing is named; or the file's `own` ground, class 2. `auto`: its
-    parameters are adapted to the echoes, as `fwclass ground --auto` does. `optional`: without ground there are no
-    heights."""
-
-    method: str | None = None
-    preset: str | None = None
-    assignments: tuple[str, ...] = ()
-    own: bool = False
-    auto: bool = False
-    optional: bool = False
-
-
 def with_noise(echoes: FileEchoes, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
     """`echoes` with `noise`, which is no neighbour, where it is not known yet."""
     return replace(echoes, table=with_noise_flags(echoes.table, FileConfig(settings), tell))
@@ -194,7 +191,7 @@ def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> Fil
     return replace(echoes, notes=(*echoes.notes, *said), judged={**echoes.judged, "strips": facts})
 
 
-def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
+def with_heights(echoes: FileEchoes, job: EchoJob, tell: Tell) -> FileEchoes:
     """`echoes` with `height_above_ground` and `noise`: ground by a filter, or by class 2 of the file.
 
     Raises
@@ -202,29 +199,29 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
     InputError
         The file has no ground of its own.
     """
-    table = echoes.table
+    table, settings = echoes.table, job.settings
     points = points_of(table, GROUND_FILTER.reads)
     sound = (points["fit_flags"] & IMPLAUSIBLE) == 0
     stages, words, given = [MAKE_HEIGHTS, GATHER_HEIGHT], {MAKE_HEIGHTS.name: "terrain: block"}, dict[str, Any]()
-    if not by.own:
-        params = ground_params(by.method, by.preset, () if by.auto else by.assignments, _of_ground(settings))
+    if not job.own_ground:
+        params = ground_params(job.method, job.preset, () if job.auto else job.assignments, _of_ground(settings))
         adapted = ""
-        if by.auto and sound.any():
+        if job.auto and sound.any():
             tell("measuring, then trying settings of the filter")
             before, rules = params, conf.section("ground_auto", settings)
-            params = _adapted(points.take(sound), params, rules, by.assignments)
+            params = _adapted(points.take(sound), params, rules, job.assignments)
             adapted = _changes(before, params)
         given, note = {"ground": params}, f"ground by {params.method}{adapted}"
         stages += [FILTER_GROUND, GATHER_GROUND]
         words[FILTER_GROUND.name] = f"filter {params.method}: block"
     else:
         codes = table["source_class"] if "source_class" in table else np.zeros(table.rows, np.uint8)
-        if not (codes == GROUND).any() and by.optional:
+        if not (codes == GROUND).any() and job.skip_missing:
             return echoes
         if not (codes == GROUND).any():
             raise InputError(
                 "height_above_ground is asked for, and the input has no ground",
-                where=path,
+                where=job.source,
                 expected="points of class 2",
                 got=f"classes {', '.join(map(str, np.unique(codes)))}" if "source_class" in table else "no classes",
                 do="leave --own-ground out, so that the ground is looked for; or leave height_above_ground out "
@@ -235,16 +232,18 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
         note = "ground by class 2 of the file"
     tiles = FileTiles(points, FileConfig(settings, **given), stages, tell, words)
     heights = tiles.columns(GATHER_HEIGHT, TERRAIN.writes)
-    flags = points if by.own else Table(tiles.columns(GATHER_GROUND, ("ground", "noise")))
+    flags = points if job.own_ground else Table(tiles.columns(GATHER_GROUND, ("ground", "noise")))
     without = int(np.isnan(heights["height_above_ground"]).sum())
     note = f"{note}: {int(flags['ground'].sum()):,} echoes" + (
         f"; {without:,} echoes have no terrain below" if without else ""
     )
     sunken = (
-        sunken_remarks(heights["height_above_ground"], codes, conf.section("plausibility", settings)) if by.own else []
+        sunken_remarks(heights["height_above_ground"], codes, conf.section("plausibility", settings))
+        if job.own_ground
+        else []
     )
     ground, wide, halls = int(flags["ground"].sum()), list[str](), hall_facts(tiles.facts_of_blocks(FILTER_GROUND))
-    if not by.own:
+    if not job.own_ground:
         wide = hall_remarks(halls, ground, params)
     return replace(
         echoes,
@@ -272,24 +271,24 @@ def _of_ground(settings: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(s for s in settings if s.strip().startswith("ground."))
 
 
-def ranges(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> bool:
+def ranges(echoes: FileEchoes, job: EchoJob) -> bool:
     """Something tells how far the sensor was, and the echoes have beams."""
-    known = flight.trajectory is not None or conf.section("radiometry", settings).platform_altitude is not None
+    known = job.trajectory is not None or conf.section("radiometry", job.settings).platform_altitude is not None
     return "beam_x" in echoes.table and "energy" in echoes.table and (known or "beam_range" in echoes.table)
 
 
-def with_radiometry(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> FileEchoes:
+def with_radiometry(echoes: FileEchoes, job: EchoJob) -> FileEchoes:
     """`echoes` with range, incidence and what follows, where something tells the range."""
     table = echoes.table
-    if not ranges(echoes, flight, settings):
+    if not ranges(echoes, job):
         return echoes
     missing = [n for n in FOR_RADIOMETRY if n not in table]
     whole = table.with_columns({n: np.full(table.rows, np.nan) for n in missing})
     flown = None
-    if flight.trajectory is not None:
-        flown = read_flight(table, flight.trajectory, echoes.crs, flight.undulation)
-    params = {name: conf.section(name, settings) for name in ("features", "radiometry")}
-    columns, notes, odd = add_radiometry(whole, flown, params, flight.trajectory)
+    if job.trajectory is not None:
+        flown = read_flight(table, job.trajectory, echoes.crs, job.undulation)
+    params = {name: conf.section(name, job.settings) for name in ("features", "radiometry")}
+    columns, notes, odd = add_radiometry(whole, flown, params, job.trajectory)
     own = [n for n in RADIOMETRY.writes if n in columns]
     return replace(
         echoes,

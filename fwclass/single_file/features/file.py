@@ -24,9 +24,8 @@ from fwclass.schema import Table, column
 from fwclass.single_file.features.echoes import (
     OF_ECHOES,
     PLACE,
+    EchoJob,
     FileEchoes,
-    Flight,
-    GroundChoice,
     ranges,
     read_echoes,
     with_heights,
@@ -52,38 +51,16 @@ HELD = 256 << 20
 
 
 @dataclass(frozen=True)
-class FeaturesJob:
-    """What `fwclass features` was asked for.
+class FeaturesJob(EchoJob):
+    """What `fwclass features` was asked for, besides what every `EchoJob` is.
 
     Attributes
     ----------
-    source, output : the files.
     named, listed : a feature set by name or file, or names with commas between; both None: the set `default`.
-    settings : ``section.key=value`` of `SECTIONS`.
-    method, preset, assignments : ground filter; without any that of the settings.
-    own_ground : heights count from class 2 of the file instead.
-    auto : the filter's parameters are adapted to the points.
-    trajectory, undulation : where the sensor flew, and metres to take from its heights.
-    crs : coordinate system instead of the file's own, as text.
-    skip_missing : features that the file cannot give are left out and told; else they are an error.
-    overwrite : the output may replace a file.
     """
 
-    source: Path
-    output: Path
     named: str | None = None
     listed: str | None = None
-    settings: tuple[str, ...] = ()
-    method: str | None = None
-    preset: str | None = None
-    assignments: tuple[str, ...] = ()
-    own_ground: bool = False
-    auto: bool = False
-    trajectory: Path | None = None
-    undulation: float = 0.0
-    crs: str | None = None
-    skip_missing: bool = False
-    overwrite: bool = False
 
 
 @of_unchanged
@@ -167,17 +144,15 @@ def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
     """The echoes with everything that the features and the output read."""
     columns = dict.fromkeys((*wanted.around.reads, *wanted.names))
     echoes = read_echoes(job.source, columns, job.settings, given_crs(job.crs, "--crs"), tell)
-    flight = Flight(job.trajectory, job.undulation)
-    later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(echoes, flight, job.settings) else ()))
+    later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(echoes, job) else ()))
     available(wanted, echoes.table, job.source, job.skip_missing, frozenset(later))
     if "height_above_ground" in wanted.names:
-        by = GroundChoice(job.method, job.preset, job.assignments, job.own_ground, job.auto, job.skip_missing)
-        echoes = with_heights(echoes, job.source, by, job.settings, tell)
+        echoes = with_heights(echoes, job, tell)
     if wanted.around.names:
         echoes = with_lines(with_noise(echoes, job.settings, tell), job.source, job.settings)
         columns["noise"] = None
     if set(wanted.names) & set(RADIOMETRY.writes):
-        echoes = with_radiometry(echoes, flight, job.settings)
+        echoes = with_radiometry(echoes, job)
     keep = [n for n in echoes.table if n in columns or n in PLACE]
     return replace(echoes, table=echoes.table.select(keep))
 

@@ -28,7 +28,7 @@ from fwclass.report.repeated import repeated_in_file
 from fwclass.report.returns import places_facts
 from fwclass.schema import Table
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
-from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
+from fwclass.single_file.ground.params import FileJob, ground_params, used_params, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.stray import describe_stray, stray_points
 from fwclass.single_file.lines import lines_of
@@ -47,33 +47,21 @@ Adapt = Callable[[PointCloud, NDArray[np.bool_], GroundParams], tuple[GroundPara
 
 
 @dataclass(frozen=True)
-class GroundJob:
-    """What `fwclass ground` was asked for.
+class GroundJob(FileJob):
+    """What `fwclass ground` was asked for, besides what every `FileJob` is.
 
     Attributes
     ----------
-    source, output : the files.
-    method, preset, assignments, settings : see `ground_params`.
-    crs : coordinate system instead of the file's own, as text.
     keep_classes : points that are no ground keep the class they came with.
     use_flagged : withheld and synthetic points are shown to the filter too.
     rasters : GeoTIFFs to write, by name: ``dtm``, ``dsm``, ``ndsm``, ``hillshade``, ``slope``,
         ``roughness``.
-    overwrite : outputs may replace files.
     adapt : changes the parameters once the points are there.
     """
 
-    source: Path
-    output: Path
-    method: str | None = None
-    preset: str | None = None
-    assignments: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
-    crs: str | None = None
     keep_classes: bool = False
     use_flagged: bool = False
     rasters: dict[str, Path] = field(default_factory=dict)
-    overwrite: bool = False
     adapt: Adapt | None = None
 
 

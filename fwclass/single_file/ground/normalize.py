@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ from fwclass.single_file.ground.file import (
     shown_points,
 )
 from fwclass.single_file.ground.output import check_copy, check_output, write_points
-from fwclass.single_file.ground.params import ground_params
+from fwclass.single_file.ground.params import FileJob, ground_params
 from fwclass.single_file.ground.rasters import check_extent, ground_table
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, quiet
 from fwclass.store.unchanged import of_unchanged
@@ -39,27 +38,20 @@ from fwclass.survey.systems import given_crs
 
 
 @dataclass(frozen=True)
-class NormalizeJob:
-    """What `fwclass normalize` was asked for; see `file.GroundJob`.
+class NormalizeJob(FileJob):
+    """What `fwclass normalize` was asked for, besides what every `FileJob` is; without a ground filter it takes the
+    ground of the file's classes.
 
     Attributes
     ----------
-    method, preset, assignments : a ground filter; all empty takes the ground of the file's classes.
     height : above what: ``tin``, ``nearest`` or ``raster``; None takes ``terrain.height``.
     keep_z : z stays, the height goes into the extra byte `HeightAboveGround`.
+    use_flagged : see `GroundJob`.
     """
 
-    source: Path
-    output: Path
-    method: str | None = None
-    preset: str | None = None
-    assignments: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
     height: str | None = None
     keep_z: bool = False
-    crs: str | None = None
     use_flagged: bool = False
-    overwrite: bool = False
 
     @property
     def filters(self) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -34,6 +36,28 @@ ALIASES: Mapping[str, Mapping[str, str]] = {
 
 SECTIONS = ("ground", "ground_auto", "ground_search", "terrain", "publish", "label")
 """Sections of the configuration that the ground commands obey."""
+
+
+@dataclass(frozen=True)
+class FileJob:
+    """What a command on one file, which may look for its ground, was asked for.
+
+    Attributes
+    ----------
+    source, output : the files.
+    method, preset, assignments, settings : see `ground_params`.
+    crs : coordinate system instead of the file's own, as text.
+    overwrite : outputs may replace files.
+    """
+
+    source: Path
+    output: Path
+    method: str | None = None
+    preset: str | None = None
+    assignments: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    crs: str | None = None
+    overwrite: bool = False
 
 
 def ground_params(
