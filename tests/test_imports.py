@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 from fwclass.isolation import CHILDREN
@@ -23,6 +24,7 @@ FORBIDDEN = [  # file, what it shall not import
     ("fwclass/features/sums.py", "click"),
     ("fwclass/run/progress.py", "zarr"),
     ("fwclass/read/las.py", "obstore"),
+    ("fwclass/assess/confusion.py", "subprocess"),
     ("fwclass/run/part.py", "fwclass.operate.schedule.loop"),
     ("fwclass/read/las.py", "fwclass.decompose.stage"),
     ("fwclass/run/tasks.py", "fwclass.run.runner"),
@@ -73,6 +75,32 @@ def test_no_room_is_above_a_tenth_of_the_program() -> None:
         lines[room] = lines.get(room, 0) + len(path.read_text().splitlines())
     large = {room: count for room, count in lines.items() if count > sum(lines.values()) / 10}
     assert not large, f"split them by subject: {large} of {sum(lines.values())} lines"
+
+
+BROUGHT = {
+    "laszip": "laspy",
+    "lazrs": "laspy",
+    "llvmlite": "numba",
+    "lz4": "rosbags",
+    "numcodecs": "zarr",
+    "sklearn": "scikit-learn",
+    "threadpoolctl": "scikit-learn",
+    "tornado": "distributed",
+    "yaml": "pyyaml",
+}
+"""Modules that have another name than the library that brings them."""
+
+
+def test_every_library_that_the_program_imports_is_one_that_it_asks_for() -> None:
+    """What the developers' environment has besides, as pandas, a user's has not."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    optional = [words for extra, words in project["optional-dependencies"].items() if extra != "dev"]
+    asked = {re.split(r"[^\w-]", words)[0] for some in (project["dependencies"], *optional) for words in some}
+    paths = [path for package in ("fwclass", "workflows") for path in (ROOT / package).rglob("*.py")]
+    known = {*sys.stdlib_module_names, "fwclass", "classification"}  # a workflow, by its neighbours
+    foreign = {name.split(".")[0] for path in paths for name in imports(ast.parse(path.read_text()))} - known
+    assert {"numpy", "lz4"} <= foreign
+    assert not {name for name in foreign if BROUGHT.get(name, name) not in asked}
 
 
 def test_parts_of_scipy_are_loaded_when_they_are_used() -> None:
