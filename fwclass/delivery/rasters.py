@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError, nearest
@@ -32,17 +31,6 @@ class Raster:
     crs: str
     nodata: float
     names: dict[int, str]
-
-    def to_xarray(self) -> Any:
-        """An `xarray.DataArray` over y and x, the middles of the cells; needs xarray."""
-        from fwclass.delivery.echoes import _needed
-
-        xarray = _needed("xarray")
-        rows, columns = self.values.shape
-        x = self.transform.c + (np.arange(columns) + 0.5) * self.transform.a
-        y = self.transform.f + (np.arange(rows) + 0.5) * self.transform.e
-        attributes = {"crs": self.crs, "nodata": self.nodata}
-        return xarray.DataArray(self.values, {"y": y, "x": x}, ("y", "x"), self.name, attributes)
 
 
 def read_raster(directory: Path, name: str) -> Raster:

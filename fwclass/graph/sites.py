@@ -60,18 +60,37 @@ def sites(layout: Layout) -> tuple[Site, ...]:
     if not in_sites(layout.box, cell, owned, config.publish.cog_block):
         return (whole,)
     parts = groups(blocks)
-    if len(parts) == 1:
+    part_of = {b.key: k for k, part in enumerate(parts) for b in part}
+    touched = [[part_of[b.key] for b in TileGrid(edge).touching(tile.box) if b.key in part_of] for tile in layout.tiles]
+    count, site_of = _joined(len(parts), touched)
+    if count == 1:
         return (whole,)
-    site_of = {b.key: k for k, part in enumerate(parts) for b in part}
-    tiles: list[list[Tile]] = [[] for _ in parts]
-    for tile in layout.tiles:
-        near = [b.key for b in TileGrid(edge).touching(tile.box) if b.key in layout.occupied[edge]]
+    tiles: list[list[Tile]] = [[] for _ in range(count)]
+    for tile, near in zip(layout.tiles, touched, strict=True):
         tiles[site_of[near[0]]].append(tile)
+    together: list[list[Tile]] = [[] for _ in range(count)]
+    for k, part in enumerate(parts):
+        together[site_of[k]] += part
     groups_of_tiles = []
-    for mine, part in zip(tiles, parts, strict=True):
+    for mine, joined in zip(tiles, together, strict=True):
         box = joint_box(t.box for t in mine).common(layout.box) or layout.box
-        groups_of_tiles.append(Site(mine[0].key, box, tuple(b for b in part if b.box.touches(box)), tuple(mine)))
+        touching = tuple(b for b in sorted(joined) if b.box.touches(box))
+        groups_of_tiles.append(Site(mine[0].key, box, touching, tuple(mine)))
     return tuple(groups_of_tiles)
+
+
+def _joined(count: int, touched: Sequence[Sequence[int]]) -> tuple[int, list[int]]:
+    """How many sites `count` parts are, and the site of each: a tile larger than a block may touch several parts, which
+    it joins."""
+    ends = [(near[0], k) for near in touched for k in near]
+    if all(a == b for a, b in ends):
+        return count, list(range(count))
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b = np.array(ends).T
+    sites_of_parts, site_of = connected_components(coo_array((np.ones(len(a)), (a, b)), (count, count)), directed=False)
+    return int(sites_of_parts), site_of.tolist()
 
 
 def describe_sites(several: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:

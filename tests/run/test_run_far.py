@@ -12,7 +12,7 @@ from commandline import fwclass
 
 from fwclass import conf
 from fwclass.errors import InputError
-from fwclass.graph.sites import in_sites
+from fwclass.graph.sites import in_sites, sites
 from fwclass.grid import Box, Tile, TileGrid, Window, groups
 from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import survey_facts
@@ -108,6 +108,23 @@ def test_a_stray_point_leaves_the_delivery_whole_and_is_named(far, tmp_path, cap
         assert np.isfinite(raster.read(1)).sum() > 1000
     assert report["ground"]["seams"]["echoes"] == 1201
     assert report["ground"]["seams"]["left_out"] == 0
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [(100, ["5000_54000", "5005_54000", "10000_59000"]), (1000, ["500_5400", "1000_5900"])]
+)
+def test_places_that_share_a_tile_are_one(tmp_path, size, expected):
+    """Blocks of 64 m keep the two nearer ones apart; a tile of 1000 m holds both."""
+    clouds = cluster(500_000.0, 5_400_000.0, 60), cluster(500_500.0, 5_400_000.0, 60), STRAY
+    write(tmp_path / "a.las", *clouds)
+    (tmp_path / "S.yaml").write_text(SURVEY)
+    config = conf.load(tmp_path / "S.yaml", (*SETTINGS, f"tile.size={size}"))
+    with Display() as display, locked(tmp_path / "run", display.say) as (own, held):
+        runner = Runner(own, Loop(), display, held=held)
+        layout = of_walk.until_tiles(of_walk.plan_with_features(config), runner).layout
+    several = sites(layout)
+    assert [site.name for site in several] == expected
+    assert sorted(t.key for site in several for t in site.tiles) == sorted(t.key for t in layout.tiles)
 
 
 def test_a_plan_counts_the_places_that_a_run_makes(far, tmp_path):
