@@ -44,6 +44,7 @@ class Channel:
     recovery : time constant with which it comes back to its level behind saturated samples [ns]; 0: at once.
     recovery_depth : how far below its level it is right behind them, median [DN].
     recovery_doubt : how far the first samples behind them depart from that, as a share of the depth.
+    parity : gain of samples of even number in their record over the mean of all, less 1: two digitisers in turn.
     receivers : which it has of several that share spacing and saturation, and are not alike; empty: all the others.
     """
 
@@ -63,6 +64,7 @@ class Channel:
     recovery_depth: float = 0.0
     recovery_doubt: float = 0.0
     receivers: tuple[int, ...] = ()
+    parity: float = 0.0
 
     @property
     def special(self) -> bool:
@@ -247,6 +249,7 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             recovery_depth=_number(one, "recovery_depth", where, 0.0, 2.0**32),
             recovery_doubt=_number(one, "recovery_doubt", where, 0.0, 1.0),
             receivers=_receivers(one["receivers"], where),
+            parity=_number(one, "parity", where, -0.5, 0.5),
         )
         for one in stored
     )

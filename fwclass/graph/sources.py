@@ -13,11 +13,12 @@ from fwclass.decompose.params import BathymetryParams, DecomposeParams, PulsePar
 from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
 from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
-from fwclass.decompose.pulse_estimate import describe, estimate_pulse
+from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.pulse_sample import join_samples, outgoing_of, sample_pulses
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.recovery import recovered, with_recovery
+from fwclass.decompose.sample_parity import estimate_even_pulse, evened
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, LINK_COLUMNS, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
@@ -181,14 +182,14 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
     if samples:
         sample = join_samples(samples)
         recorded = recorded_pulse(join_samples(outgoing), params)
-        pulse = with_recovery(estimate_pulse(sample, params, recorded), sample, fit)
+        pulse = with_recovery(estimate_even_pulse(sample, params, recorded), sample, fit)
         level, _ = recovered(sample, fit, pulse)
         pulse = with_correlated_noise(pulse, level, fit)
         pulse = with_misfit(with_signal_noise(pulse, level, fit), level, fit)
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
         noise = quiet_noise(level, pulse, fit)
-        bright = bright_widths(sample, params, pulse.channels)
+        bright = bright_widths(evened(sample, pulse), params, pulse.channels)
         returns = (inputs.table("read", part, "xyz", RETURNS) for part in parts)
         envelope = Envelope.of(returns, fit.envelope_cell)
         ends = {n: v if np.isfinite(v) else None for n, v in (("bottom", envelope.bottom), ("top", envelope.top))}

@@ -26,6 +26,18 @@ def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def _parity_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("parity", 0.0)]
+    if not some:
+        return []
+    _, worst = max(some, key=lambda one: abs(one[1]["parity"]))
+    return [
+        f"samples of even number have {(1.0 + worst['parity']) / (1.0 - worst['parity']):.3f} times the gain of those "
+        f"of odd number{channel_words(worst)}, as of two digitisers in turn: that is taken off "
+        f"({names_of(strips_once(s for s, _ in some))})"
+    ]
+
+
 def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     """Where the echoes' pulse is not the recorded one, not the echoes', or not one at all heights, along the strip or
     of all receivers: of ``name``, ``channels``, ``widths`` and ``drift``."""
@@ -50,6 +62,7 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     lines += _drift_remarks(strips)
     lines += _receiver_remarks(strips)
     lines += _recovery_remarks(strips)
+    lines += _parity_remarks(strips)
     some = [(s, c) for s, c in known if c["outgoing"]]
     if some:
         one = some[0][1]

@@ -1,0 +1,111 @@
+"""Two digitisers in turn whose gains differ: samples of even and of odd number in their record, made alike.
+
+A pulse wider than some samples has nothing at the highest frequency that they can hold, so that the sum of its samples
+of even number less those of odd number is 0; with unlike gains it is a share of the pulse's whole sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.decompose.channel_rows import channel_rows
+from fwclass.decompose.params import PulseParams
+from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.decompose.pulse_sample import of_channel
+from fwclass.decompose.system_pulse import Channel, SystemPulse
+from fwclass.units import SIGMA_PER_MAD
+from fwclass.waveforms import Waveforms
+
+Floats = NDArray[np.float64]
+
+FEWEST = 200
+"""Bright waveforms whose highest sample has an even number, and an odd one, that tell gains."""
+
+BRIGHT = 10.0
+"""Standard deviations of its noise by which the sum of a bright waveform's samples stands out."""
+
+LEAST, MOST, SURE = 0.0025, 0.2, 5.0
+"""Half the difference of both gains that is made good, at least, at most, and in its standard errors: 0.0003 at most on
+three receivers."""
+
+ALIKE = 0.5
+"""Share of it by which what both kinds of waveforms tell may differ. A short pulse at one phase of the samples has
+another sign where its highest sample has another number."""
+
+TRIMMED, ROUNDS = 4.0, 3
+
+
+def estimate_even_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse | None) -> SystemPulse:
+    """`estimate_pulse` of `waves`, from samples of one gain, which its channels tell (`parity`).
+
+    Depends on the set of waveforms only.
+    """
+    pulse = estimate_pulse(waves, params, recorded)
+    parities = {c.key: _parity(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels}
+    if not any(parities.values()):
+        return pulse
+    known = replace(pulse, channels=tuple(replace(c, parity=parities[c.key]) for c in pulse.channels))
+    even = estimate_pulse(evened(waves, known), params, recorded)
+    return replace(even, channels=tuple(replace(c, parity=parities.get(c.key, 0.0)) for c in even.channels))
+
+
+def evened(waves: Waveforms, pulse: SystemPulse) -> Waveforms:
+    """`waves` whose samples have one gain, rounded to whole steps; `waves` itself where no channel has two. Samples at
+    the limit and at 0 stay. Every waveform is corrected alone."""
+    channel = channel_rows(pulse.channels, waves.pulses)
+    values = [(c.parity, c.baseline, c.step, c.clip) for c in pulse.channels]
+    by_row = np.array([*values, (0.0, 0.0, 1.0, 0.0)])[channel]
+    if not by_row[:, 0].any():
+        return waves
+    length = np.diff(waves.offsets)
+    parity, level, step, top = np.repeat(by_row, length, axis=0).T
+    value = waves.samples.astype(np.float64)
+    raised = step * np.rint((level + (value - level) / (1.0 + parity * _signs(waves))) / step)
+    whole = (value == 0.0) | (value >= top) | (parity == 0.0)
+    samples: Any = np.where(whole, value, np.clip(raised, 0.0, top - step)).astype(waves.samples.dtype)
+    return replace(waves, samples=samples)
+
+
+def _signs(waves: Waveforms) -> Floats:
+    """1 of every sample of even number in its waveform, -1 of every other."""
+    length = np.diff(waves.offsets)
+    number = np.arange(len(waves.samples)) - np.repeat(waves.offsets[:-1] - waves.offsets[0], length)
+    return 1.0 - 2.0 * (number & 1)
+
+
+def _parity(waves: Waveforms, channel: Channel) -> float:
+    """Gain of a channel's samples of even number over the mean of both, less 1; 0 where that is not sure."""
+    length = np.diff(waves.offsets)
+    rows = np.flatnonzero(length > 1)
+    if len(rows) < 2 * FEWEST:
+        return 0.0
+    sign, samples, first = _signs(waves), waves.samples.astype(np.float64), waves.offsets[rows]
+    last = np.zeros(len(samples), np.bool_)
+    last[waves.offsets[1:][length > 0] - 1] = (length & 1)[length > 0] == 1  # as many of even number as of odd
+    sums = np.add.reduceat(np.where(last, 0.0, samples - channel.baseline), first)
+    turns = np.add.reduceat(np.where(last, 0.0, samples * sign), first)
+    highest, used = np.maximum.reduceat(samples, first), (length[rows] // 2 * 2).astype(np.float64)
+    number = np.add.reduceat(np.where(samples == np.repeat(highest, length[rows]), 1, 0), first)
+    peak = np.maximum.reduceat(np.where(samples == np.repeat(highest, length[rows]), sign, -1.0), first)
+    some = (number == 1) & (highest < channel.clip) & (sums > BRIGHT * channel.noise * np.sqrt(used))
+    sums, turns, used, even = sums[some], turns[some], used[some], peak[some] > 0.0
+    if min(even.sum(), (~even).sum()) < FEWEST:
+        return 0.0
+    known = np.stack([used, np.where(even, sums, 0.0), np.where(even, 0.0, sums)], axis=1)
+    kept = np.ones(len(sums), np.bool_)
+    for _ in range(ROUNDS):
+        answer = np.linalg.lstsq(known[kept], turns[kept], rcond=None)[0]
+        left = turns - known @ answer
+        sigma = SIGMA_PER_MAD * float(np.median(np.abs(left)))
+        kept = np.abs(left) <= TRIMMED * sigma
+    _, one, other = answer
+    parity = 0.5 * (one + other)
+    spread = np.linalg.pinv(known[kept].T @ known[kept])[1:, 1:] * sigma**2
+    sure = abs(parity) > SURE * 0.5 * np.sqrt(max(float(spread.sum()), 0.0))
+    if not (sure and LEAST <= abs(parity) <= MOST and abs(one - other) < ALIKE * abs(one + other)):
+        return 0.0
+    return float(parity)

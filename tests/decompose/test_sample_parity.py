@@ -1,0 +1,47 @@
+"""Two digitisers in turn whose gains differ: measured, told and taken off."""
+
+from __future__ import annotations
+
+import laspy
+import numpy as np
+import pytest
+from rawmaker import scene, write_parquet
+
+from fwclass.single_file.decompose import decompose_file
+
+PULSES, LEVEL = 1500, 12.0
+
+
+def decomposed(tmp_path, change):
+    """Distances of the echoes from the truth, how many are too many, parity and words."""
+    truth = scene(pulses=PULSES, noise=0.7, seed=5)
+    truth.samples = np.rint(change(truth.samples.astype(float))).clip(0, 255).astype(np.uint16)
+    path = write_parquet(tmp_path / "a.parquet", truth.columns(), {"crs": "EPSG:25832", "spacing_ns": "1"})
+    words, judged = decompose_file(path, tmp_path / "a.laz", (), True)
+    las = laspy.read(tmp_path / "a.laz")
+    at = np.rint((np.asarray(las.gps_time) - 1000.0) / 1e-5).astype(int)
+    off = np.linalg.norm(np.c_[las.x, las.y, las.z] - truth.place[at], axis=1)
+    return off, len(at) - PULSES, judged["plausibility"]["channels"][0]["parity"], words
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.05, 0.9])
+def test_gains_of_two_digitisers_in_turn_are_taken_off(tmp_path, gain):
+    def change(samples):
+        samples[:, 1::2] = LEVEL + gain * (samples[:, 1::2] - LEVEL)
+        return samples
+
+    off, more, parity, words = decomposed(tmp_path, change)
+    assert more <= 0.005 * PULSES and np.median(off) < 0.01
+    assert ("digitisers in turn" in words) == (gain != 1.0), words
+    assert parity == pytest.approx((1.0 - gain) / (1.0 + gain), abs=0.004)
+
+
+def test_gains_that_change_sides_from_pulse_to_pulse_are_not(tmp_path):
+    """Nothing tells then which sample is whose: they stay as they are."""
+
+    def change(samples):
+        side = np.random.default_rng(2).integers(0, 2, len(samples))
+        odd = (np.arange(samples.shape[1]) + side[:, None]) % 2 == 1
+        return np.where(odd, LEVEL + 1.05 * (samples - LEVEL), samples)
+
+    assert decomposed(tmp_path, change)[2] == 0.0
