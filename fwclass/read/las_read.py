@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.formats.las_header import packet_endings
+from fwclass.read.feet import in_metres
 from fwclass.read.las import LasSource
 from fwclass.read.packet_references import References, pulses_of
 from fwclass.read.packets import DAMAGED, FAULTS, VECTOR_RANGE, Packets, gather_packets, looked_into
@@ -53,7 +54,8 @@ def check_las(source: LasSource, params: ReadParams) -> None:
 def _advice(source: LasSource, wdp: str, length: float) -> str:
     """Where usable waveforms could come from; `length` of the beam vectors, of what light travels both ways."""
     if not VECTOR_RANGE[0] <= length <= VECTOR_RANGE[1]:
-        return f"export it again with beam vectors in m/ps: they are {length:.4g} times as long as light's way"
+        long = f"they are {length:.4g} times as long as light's way"
+        return in_metres(length, "export it again with beam vectors in m/ps") + f" ({long})"
     if source.waves.kind == "none":
         return f"put {wdp} beside it"
     if source.waves.kind == "internal":

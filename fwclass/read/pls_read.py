@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.read.feet import in_metres
 from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.packet_kernels import gather
 from fwclass.read.pls_stated import misfit_of
@@ -34,6 +35,7 @@ from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseSource
 from fwclass.read.spans import Span, spans_by_points
 from fwclass.read.wave_kernels import clear_of_last, gather_parted
 from fwclass.schema import Table
+from fwclass.units import METRES_PER_NS
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 SECOND_CHANNEL = "segments of a second channel left out"
@@ -71,6 +73,8 @@ def check_pls(source: PulseSource) -> None:
             return
     if source.n_records == 0:
         return
+    with np.errstate(invalid="ignore"):
+        length = float(np.median(np.linalg.norm(pulses.step, axis=1))) / METRES_PER_NS
     reasons = ", ".join(f"{n} pulses: {FAULTS[i]}" for i, n in enumerate(counts) if n)
     wvs = (source.waves.path or source.path.with_suffix(".wvz" if source.compressed else ".wvs")).name
     raise InputError(
@@ -80,7 +84,9 @@ def check_pls(source: PulseSource) -> None:
         got=f"{source.waves.why_not}; {reasons}" if source.waves.why_not else reasons,
         do=f"put {wvs} beside it"
         if source.waves.kind == "none"
-        else f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged",
+        else in_metres(
+            length, f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged"
+        ),
     )
 
 

@@ -30,6 +30,7 @@ from pyproj.exceptions import CRSError
 from fwclass.errors import InputError
 from fwclass.formats.grid_files import names_file, without_paths
 from fwclass.read.beam_source import SPACINGS, SPEEDS, BeamRows, Ragged
+from fwclass.read.feet import in_metres
 from fwclass.units import METRES_PER_NS, number_of
 
 PLACE, DIRECTION = ("x", "y", "z"), ("dx", "dy", "dz")
@@ -163,7 +164,10 @@ def kind_of_direction(direction: NDArray[np.float64], spacing: NDArray[np.float6
         expected=f"{METRES_PER_NS:.4f} (metres per nanosecond), 1 (a unit vector), or "
         f"{METRES_PER_NS * step:.4g} (metres per sample of {step:g} ns)",
         got=f"{middle:.6g} in the middle",
-        do="give directions in one of these; light travels 0.15 m there and back in a nanosecond",
+        do=in_metres(
+            middle / METRES_PER_NS,
+            "give directions in one of these; light travels 0.15 m there and back in a nanosecond",
+        ),
     )
 
 

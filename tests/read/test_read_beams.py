@@ -107,6 +107,11 @@ def test_a_wrong_unit_is_told(tmp_path, params):
         check_source(open_source(las(tmp_path / "a.las", unit=1000.0)), params)
 
 
+def test_feet_are_told(tmp_path, params):
+    with pytest.raises(InputError, match="look like feet"):
+        check_source(open_source(las(tmp_path / "a.las", unit=1.0 / 0.3048)), params)
+
+
 def test_mirrored_beams_of_pulses(tmp_path, params):
     """Where anchors are near the ground. At the sensor, beams meet there whatever their signs."""
     with pytest.raises(InputError, match="by the file it was 1 m away"):  # the optical centre of old converters

@@ -352,6 +352,14 @@ def test_a_bad_pulse_is_counted(tmp_path, params, at, form, value, fault):
     assert f"1 of 5 pulses: {fault}" in info(path)["faults"]
 
 
+def test_heights_in_feet_are_told(tmp_path, params):
+    path = survey(tmp_path / "a.pls", pulses=5, two_segments=0.0).path
+    for at in (272, 296):  # scale and offset of z
+        patch(path, at, "d", struct.unpack_from("<d", path.read_bytes(), at)[0] / 0.3048)
+    with pytest.raises(InputError, match="look like feet"):
+        check_source(open_source(path), params)
+
+
 @pytest.mark.parametrize(
     ("at", "form", "value", "fault"),
     [

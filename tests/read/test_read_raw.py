@@ -172,6 +172,7 @@ def test_bad_rows_are_left_out_and_counted(tmp_path):
         (lambda t: t | {"spacing_ns": np.full(90, 1000.0)}, "means nothing|no waveform of the file"),
         (lambda t: t | {"spacing_ns": np.full(90, np.nan)}, "no waveform of the file"),
         (lambda t: t | {"dx": t["dx"] * 1e3, "dy": t["dy"] * 1e3, "dz": t["dz"] * 1e3}, "means nothing"),
+        (lambda t: t | {"z": t["z"] / 0.3048, "dz": t["dz"] / 0.3048}, "feet"),
         (lambda t: t | {"dx": -t["dx"], "dy": -t["dy"], "dz": -t["dz"]}, "point down"),
         (lambda t: t | {"pulse": np.arange(90) % 30}, "do not follow"),
         (lambda t: t | {"pulse": np.arange(90) * 0.5}, "pulse has no whole number"),
