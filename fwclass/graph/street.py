@@ -207,7 +207,7 @@ def _placed_frames(
     track, recording = Track(params), open_on_trajectory(path, params, trajectory)
     for frame in recording.frames():
         placed = track.take(frame)
-        if placed is not None and track.geometry is not None:
+        if placed is not None and not placed.repeats and track.geometry is not None:
             yield placed, track.geometry
     if tell is not None:
         tell(path, implausible(recording, track.counts(), params))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -104,6 +104,7 @@ class Placed:
     ----------
     place : along the road [units]. road : height of the road above the scanner [m]; measured where features count from
         it, else the mounting's.
+    repeats : the vehicle stood for `street.stood` frames before: it is not to be a part of any sphere, nor answered.
     x : int32 (beams,), or (0,) where the scan plane is at right angles to the road. y, z : int32 (beams,).
     r : float32 (beams,) [m], NaN without a return.
     light : int32 (beams,), intensities [levels]; (0,) where `street.intensity` asks for none.
@@ -119,6 +120,7 @@ class Placed:
     r: NDArray[np.float32]
     light: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
     labels: NDArray[np.uint8] | None = None
+    repeats: bool = False
 
 
 def levels_of(intensities: NDArray[np.float32], full: float) -> NDArray[np.int32]:
@@ -189,6 +191,9 @@ NEARLY = 0.2
 STILL = 0.0005
 """m between frames, up to which a vehicle stands."""
 
+CREEP = 0.01
+"""m in `street.stood` frames, below which a vehicle stands: wheels and trajectories creep."""
+
 FAULTS = (
     "out of order",
     "doubled",
@@ -199,6 +204,7 @@ FAULTS = (
     "dropped before",
     "reversing",
     "standing",
+    "stood longer",
     "no speed",
     "impossible speed or place",
 )
@@ -245,9 +251,11 @@ class Track:
     _steps: list[float] = field(default_factory=list)
     _road: float = math.nan
     _moved: bool = False
+    _kept: deque[float] = field(init=False)
 
     def __post_init__(self) -> None:
         self.sound = Soundness(self.params)
+        self._kept = deque(maxlen=self.params.stood)
 
     def take(self, frame: Frame) -> Placed | None:
         """The frame with its coordinates, or None if it is left out."""
@@ -384,7 +392,16 @@ class Track:
         self.blind += here == 0
         if count >= FEWEST_ROAD and self.params.features == "road":
             self._road = float(np.median(under[:count]))
-        return Placed(frame.number, frame.time, place, self._road, x, y, z, r, light, frame.labels)
+        return Placed(frame.number, frame.time, place, self._road, x, y, z, r, light, frame.labels, self._repeats())
+
+    def _repeats(self) -> bool:
+        """Whether the vehicle has stood for as many frames as are of use, which is counted."""
+        stood = len(self._kept) == self.params.stood and abs(self._along - self._kept[0]) < CREEP
+        if stood:
+            self.faults["stood longer"] += 1
+        else:
+            self._kept.append(self._along)
+        return stood
 
     def counts(self) -> dict[str, Any]:
         """Counts by cause, plain data."""

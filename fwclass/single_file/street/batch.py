@@ -31,7 +31,7 @@ from fwclass.street.frames import Geometry, Placed, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import seen_again, segments
 
-FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 5
+FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 6
 PART = "frames.bin"
 _COLUMNS = {"number": "<i8", "time": "<f8", "place": "<i8", "road": "<f8"}
 _GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "light": "<i4", "labels": "u1"}
@@ -71,7 +71,7 @@ def _read(work: Work, directory: Path) -> Mapping[str, Any]:
         recording = open_on_trajectory(work.recording, work.params, work.trajectory)
         for frame in recording.frames():
             placed = track.take(frame)
-            if placed is None:
+            if placed is None or placed.repeats:
                 continue
             if not files and track.geometry is not None:
                 leaning = ("x",) if track.geometry.tilted else ()
@@ -91,7 +91,7 @@ def _read(work: Work, directory: Path) -> Mapping[str, Any]:
         (directory / f"{name}.bin").write_bytes(np.array(columns[name], kind).tobytes())
     used = track.geometry.scan if track.geometry else scan
     return {
-        "frames": track.used,
+        "frames": len(columns["number"]),
         "kept": list(kept),
         "scan": [used.beams, used.first, used.step, used.range_min, used.range_max],
         "counts": track.counts(),

@@ -55,7 +55,7 @@ class Loop:
     def take(self, frame: Frame) -> Iterator[Answer]:
         """The answers that this frame completes, in order; it may be left out and complete none."""
         placed = self.track.take(frame)
-        if placed is None:
+        if placed is None or placed.repeats:
             return
         if self.answering is None and self.track.geometry is not None:
             self.answering = Answering(self.model, self.params, self.track.geometry)
