@@ -57,6 +57,8 @@ FOLD_SHARE = "fold_share"
 SQUARES, ANSWERS, NEAR = "squares", "answers", "context"
 LEAST_SQUARE = 2.0
 """m, squares of the folds are halved down to this where training areas are small."""
+_AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+"""A cell and the eight around it."""
 
 
 def squares_of(sample: Sample, block: float, gap: float, folds: int, alone: bool = False) -> tuple[Folds, float]:
@@ -121,12 +123,14 @@ def share_folds(
     alone: bool = False,
 ) -> Result:
     """Shares of a tile's echoes by the first layer that has not learned from their square, or the whole one where
-    nothing of it was learned, or a class stands in one fold alone."""
+    nothing of it was learned, or a class stands in one fold alone; 0 of echoes that no row of the sample reaches."""
     sample = survey_sample(here.inputs, names)
     division, edge = squares_of(sample, block, gap, folds, alone)
     mm = whole_millimetres(edge, "select.block")
-    squares, at = np.unique(sample.place // mm, axis=0, return_index=True)
+    squares, at = _squares_with_rows(sample.place, mm)
     fold_of = division.fold[at]
+    halo = whole_millimetres(layer.halo, "classify.context.cells")
+    reached = _squares_around(sample.place, halo)
     models = {
         k: model_at(here.inputs.path(FOLDS, str(k), MODEL), here.inputs.digest(FOLDS, str(k)), False, folds)
         for k in range(folds)
@@ -136,13 +140,30 @@ def share_folds(
     tables = []
     for rows in here.cuts():
         X = sample_matrix(rows, names, here.part)
-        fold = _folds_at(millimetres(rows["x"]) // mm, millimetres(rows["y"]) // mm, squares, fold_of)
-        shares = np.empty((rows.rows, len(layer.codes)), np.uint8)
-        for k in np.unique(fold):
-            mine = fold == k
+        x, y = millimetres(rows["x"]), millimetres(rows["y"])
+        fold = _folds_at(x // mm, y // mm, squares, fold_of)
+        near = _folds_at(x // halo, y // halo, reached, np.zeros(len(reached), np.int64)) == 0
+        shares = np.zeros((rows.rows, len(layer.codes)), np.uint8)
+        for k in np.unique(fold[near]):
+            mine = near & (fold == k)
             shares[mine] = whole_shares(X[mine], models.get(int(k), whole))
         tables.append(Table(dict(zip(layer.columns(FOLD_SHARE), shares.T, strict=True))))
     return tables[0] if len(tables) == 1 else Table.concat(tables)
+
+
+def _squares_with_rows(place: NDArray[np.int64], edge: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """int64 (squares, 2), in order: the squares of `edge` [mm] that hold places (rows, 2); int64 (squares,): the first
+    row of each."""
+    square = place // edge
+    low, high = square.min(axis=0), square.max(axis=0)
+    _, at = np.unique((square[:, 0] - low[0]) * (high[1] - low[1] + 1) + square[:, 1] - low[1], return_index=True)
+    return square[at], at
+
+
+def _squares_around(place: NDArray[np.int64], edge: int) -> NDArray[np.int64]:
+    """int64 (squares, 2), in order: those, and those beside them: all that lies within `edge` [mm] of a place."""
+    squares, _ = _squares_with_rows(place, edge)
+    return np.unique((squares[:, None] + _AROUND).reshape(-1, 2), axis=0)
 
 
 def _folds_at(x: NDArray, y: NDArray, squares: NDArray, fold_of: NDArray) -> NDArray[np.int64]:
@@ -340,7 +361,7 @@ TRAIN_FOLDS = Stage(
 )
 SHARE_FOLDS = Stage(
     FOLD_SHARES,
-    CLASSIFY.version,
+    1_000_000 + CLASSIFY.version,  # 0 where no row reaches
     "tile",
     "echo",
     share_folds,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.grid import millimetres, whole_millimetres
-
-_SHIFTS = tuple((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,9 @@ def spatial_folds(
         )
     dealt = _dealt(inverse, classes, len(known), folds)
     near = np.zeros((folds, len(mx)), bool)
-    for a, b in _SHIFTS:
-        there = block(a * wide, b * wide)
+    steps = (-wide, wide) if 2 * wide <= mm else (-wide, 0, wide)  # no block lies between the ends of a short step
+    for dx, dy in product(steps, steps):
+        there = block(dx, dy)
         place = np.minimum(np.searchsorted(known, there), len(known) - 1)
         rows = np.flatnonzero(known[place] == there)
         near[dealt[place[rows]], rows] = True

@@ -45,23 +45,26 @@ def _best_cut(histogram, steps, class_weight, total, whole, table, left):  # typ
     """(gain, k) of the best threshold cut[k], the lowest among equals; k = 0 if none divides the node."""
     n_classes = len(total)
     best, at = -(1 << 62), 0
-    left[:] = 0
-    n_left = 0
+    below, above, n_left = 0, 0, 0
+    for c in range(n_classes):
+        left[c] = 0
+        above += term(table, total[c])
     for k in range(1, steps + 1):
         added = 0
         for c in range(n_classes):
-            h = histogram[k - 1, c] * class_weight[c]
-            left[c] += h
-            added += h
+            h = histogram[k - 1, c]
+            if h > 0:  # a step seldom holds more than a class or two
+                h *= class_weight[c]
+                l, r = left[c], total[c] - left[c]
+                below += term(table, l + h) - term(table, l)
+                above += term(table, r - h) - term(table, r)
+                left[c] = l + h
+                added += h
         if added == 0:
             continue
         n_left += added
         if n_left == whole:
             break
-        below, above = 0, 0
-        for c in range(n_classes):
-            below += term(table, left[c])
-            above += term(table, total[c] - left[c])
         gain = score(table, below, above, n_left, whole - n_left)
         if gain > best:
             best, at = gain, k

@@ -17,7 +17,7 @@ from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph import context_training
 from fwclass.graph.context_layer import context_layer, tries
-from fwclass.graph.context_training import _folds_at, squares_of
+from fwclass.graph.context_training import _folds_at, _squares_around, squares_of
 from fwclass.graph.context_trial import Weighing, verdict
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent
@@ -225,6 +225,18 @@ def test_the_fold_of_an_echo_is_that_of_its_square():
     of = {tuple(s): f for s, f in zip(squares.tolist(), fold.tolist(), strict=True)}
     expected = [of.get((a, b), -1) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     np.testing.assert_array_equal(_folds_at(x, y, squares, fold), expected)
+
+
+def test_shares_are_asked_of_all_that_a_row_of_the_sample_reaches_and_of_no_more_than_two_squares_around():
+    """What lies within the context's reach of a row is asked, or the row would see noughts; what lies two squares away
+    is not, which is most of a large tile with a small training area."""
+    r = np.random.default_rng(4)
+    place, halo = r.integers(-9_000, 9_000, (40, 2)), 1_500
+    around = _squares_around(place, halo)
+    asked = r.integers(-14_000, 14_000, (4_000, 2))
+    away = np.abs(asked[:, None] - place).max(axis=2).min(axis=1)
+    near = _folds_at(asked[:, 0] // halo, asked[:, 1] // halo, around, np.zeros(len(around), np.int64)) == 0
+    assert near[away <= halo].all() and not near[away >= 2 * halo].any() and 0.1 < near.mean() < 0.9
 
 
 AUTO = ("classify.context.cells=auto", "classify.context.auto_cells=[0.5, 1, 2.5]", *LAYER[1:])

@@ -25,9 +25,10 @@ def test_a_block_belongs_to_one_fold_and_every_row_is_judged_once():
     assert sum(folds.judged(f).sum() for f in range(5)) == len(x)
 
 
-def test_the_gap_is_free_of_training_rows_and_no_wider():
+@pytest.mark.parametrize("gap", [0.0, 2.0, 5.0, 5.002, 9.0])
+def test_the_gap_is_free_of_training_rows_and_no_wider(gap):
+    """Also where it is wider than half a block, so that three blocks may be nearer."""
     x, y, c = _rows()
-    gap = 2.0
     folds = spatial_folds(x, y, c, 10.0, gap, 5)
     for f in range(5):
         blocks = np.unique(np.stack([np.floor(x / 10.0), np.floor(y / 10.0)], axis=1)[folds.judged(f)], axis=0) * 10.0
