@@ -13,7 +13,7 @@ from fwclass.graph.rasters import Mosaic, stripes
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import NONE, Polygons, owners
 from fwclass.publish.cog import STRIPE
-from fwclass.quality.voids import LISTED, EmptyCells, Void
+from fwclass.quality.voids import LISTED, CellGroups, Void
 from fwclass.survey.shape_files import read_shapes
 
 COLUMNS = 4096
@@ -38,7 +38,7 @@ def area_coverage(counted: Mosaic, area: Polygons, least: float) -> tuple[dict[s
     box = Box(west, south, east, north).grown(counted.cell)  # so that no gap reaches the window's edge
     window, cells = Window.covering(box, counted.cell), 0
     check_cells(window, box)
-    empty = EmptyCells(window)
+    empty = CellGroups(window)
     for stripe in stripes(window, STRIPE):
         inside = _inside(area, stripe)
         cells += int(inside.sum())

@@ -38,7 +38,7 @@ from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.roughness import roughness_remarks
 from fwclass.quality.steps import step_remarks
 from fwclass.quality.strips import largest_differences, strip_remarks
-from fwclass.quality.voids import LISTED, EmptyCells, Void, void_facts
+from fwclass.quality.voids import LISTED, CellGroups, Void, piece_remarks, void_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import write_json
@@ -119,11 +119,13 @@ def deliver_quality(
         here.inputs, MEASURE_QUALITY.name, blocks, params.cell, {"echoes": np.uint32(0), "pulses": np.uint32(0)}
     )
     differences = _Differences(here.inputs, blocks, params, number)
-    density, system, empty = Density(params.cell), crs_of_wkt(crs), list[EmptyCells]()
+    density, system, empty, pieces = Density(params.cell), crs_of_wkt(crs), list[CellGroups](), list[Void]()
     for place, bounds in places.items():
         target = here.directory / ("rasters" if place == WHOLE else f"rasters/{place}")
         target.mkdir(parents=True)
-        empty.append(_density_raster(counted, Box(*bounds), density, target, system, publish))
+        without, covered_cells = _density_raster(counted, Box(*bounds), density, target, system, publish)
+        empty.append(without)
+        pieces = covered_cells.pieces() if len(places) == 1 else []
         _difference_raster(differences, Box(*bounds), target, system, publish)
     density_facts = density.facts(params.void_spacings)
     least = (params.void_spacings * (density_facts["spacing"] or 0.0)) ** 2
@@ -157,7 +159,7 @@ def deliver_quality(
         "remarks": [
             *([LEFT_ASIDE] if left_aside else []),
             *(["all echoes are noise"] if not echoes else []),
-            *density_remarks(density_facts),
+            *(density_remarks(density_facts) or piece_remarks(pieces)),
             *strip_remarks(strips),
             *step_remarks(strips),
             *roughness_remarks(strips["roughness"]),
@@ -172,22 +174,24 @@ def deliver_quality(
 
 def _density_raster(
     counted: Mosaic, box: Box, density: Density, target: Path, crs: CRS | None, publish: PublishParams
-) -> EmptyCells:
-    """Write the raster, count into `density`, and return the cells without a pulse."""
+) -> tuple[CellGroups, CellGroups]:
+    """Write the raster, count into `density`, and return the cells without a pulse, and those with echoes."""
     window = Window.of_points(box, density.cell)
     check_cells(window, box)
-    spread, empty, tags = Spread(), EmptyCells(window), {"what": "pulses per square metre, noise left out"}
+    spread, tags = Spread(), {"what": "pulses per square metre, noise left out"}
+    empty, full = CellGroups(window), CellGroups(window, corners=True)
     with cog(np.dtype(np.float32), window, target / "pulse_density.tif", crs, publish, np.nan, tags=tags) as put:
         for stripe in stripes(window, STRIPE):
             laid = counted.laid(stripe)
             empty.add(stripe, laid["pulses"] == 0)
+            full.add(stripe, laid["echoes"] > 0)
             if counted.touches(stripe):
                 density.add(stripe, laid["echoes"], laid["pulses"])
                 values = np.where(laid["echoes"] > 0, laid["pulses"] / density.cell**2, np.nan).astype(np.float32)
                 put(stripe, values)
                 spread.add(values)
     _style(target / "pulse_density.qml", spread, "pulses/m²")
-    return empty
+    return empty, full
 
 
 def _difference_raster(
@@ -239,7 +243,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    12,
+    13,
     "survey",
     "cell",
     deliver_quality,

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from fwclass.grid import Window
-from fwclass.quality.voids import EmptyCells, Void, void_facts
+from fwclass.grid import Box, Window
+from fwclass.quality.voids import BESIDE, CellGroups, Void, piece_remarks, void_facts
 
 WINDOW = Window(2.0, 1000, 2000, 40, 30)
 
 
 def voids(empty: np.ndarray, rows: int, least: float = 0.0) -> list[Void]:
-    made = EmptyCells(WINDOW)
+    made = CellGroups(WINDOW)
     top = WINDOW.nrows
     while top > 0:
         low = max(0, top - rows)
@@ -47,4 +47,33 @@ def test_they_are_those_of_scipy_over_the_whole(seed: int) -> None:
 
 def test_full_and_empty_have_none() -> None:
     assert not voids(np.zeros(WINDOW.shape, bool), 7) and not voids(np.ones(WINDOW.shape, bool), 7)
-    assert EmptyCells(WINDOW).voids(0.0) == [] and void_facts([], 16.0, 0.0)["share"] is None
+    assert CellGroups(WINDOW).voids(0.0) == [] and void_facts([], 16.0, 0.0)["share"] is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pieces_hang_together_by_corners_whatever_the_stripes(seed: int) -> None:
+    full = np.random.default_rng(seed).random(WINDOW.shape) < 0.3
+    labels, n = label(full, np.ones((3, 3)))
+    expected = sorted((4.0 * (labels == k).sum() for k in range(1, n + 1)), reverse=True)
+    made = [pieces(full, rows) for rows in (1, 3, 30)]
+    assert [p.area for p in made[0]] == expected and made[0] == made[1] == made[2]
+
+
+def pieces(full: np.ndarray, rows: int) -> list[Void]:
+    made = CellGroups(WINDOW, corners=True)
+    for top in range(WINDOW.nrows, 0, -rows):
+        low = max(0, top - rows)
+        made.add(Window(2.0, WINDOW.col, WINDOW.row + low, WINDOW.ncols, top - low), full[low:top])
+    return made.pieces()
+
+
+def test_a_strip_that_is_missing_is_told_though_it_is_no_void() -> None:
+    full = np.ones(WINDOW.shape, bool)
+    assert piece_remarks(pieces(full, 7)) == [] == piece_remarks([])
+    full[10:12] = False
+    (told,) = piece_remarks(pieces(full, 7))
+    assert "2 pieces beside each other (64 % and 36 % of the area)" in told and not voids(~full, 7)
+    full[1:12] = full[0, 20:] = False
+    assert piece_remarks(pieces(full, 7)) == [], "a few echoes at the rim"
+    far = [Void(100.0, Box(0, 0, 10, 10)), Void(100.0, Box(10 + BESIDE, 0, 30 + BESIDE, 10))]
+    assert piece_remarks(far) == []
