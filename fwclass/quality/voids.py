@@ -117,8 +117,9 @@ def piece_remarks(pieces: Sequence[Void]) -> list[str]:
         return []
     shares = " and ".join(f"{100 * p.area / total:.0f} %" for p in large)
     return [
-        f"the echoes lie in {len(large)} pieces beside each other ({shares} of the area): is a strip or a file missing "
-        "between them? What is open to the outside is no void; polygons of the survey (quality.area) tell such gaps"
+        f"the echoes lie in {len(large)} pieces beside each other ({shares} of the area): water, or is a strip or a "
+        "file missing between them? What is open to the outside is no void; polygons of the survey (quality.area) tell "
+        "such gaps"
     ]
 
 
