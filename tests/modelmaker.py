@@ -6,6 +6,7 @@ import numpy as np
 
 from fwclass.model import FORMAT, LEAF, Boosted, Contextual, Forest, KernelMachine, LinearMachine, TwoLayer
 from fwclass.model.contextual import context_names
+from fwclass.train.stage import Grower
 
 NAMES = ("zc", "width")
 
@@ -55,3 +56,8 @@ def contextual(cells=(0.5, 1.0), split=0.4):
     threshold = np.where(feature == len(names) - 1, split, threshold).astype(np.float32)
     fine = Forest(feature, threshold, child, offsets, {**card(), "features": list(names)})
     return Contextual(coarse, fine, {**card(), "kind": "contextual", "context": {"cells": list(cells)}})
+
+
+def grow_tree(X, y, n_classes, tree, params):
+    """Tree number `tree` of a sample X (rows, features), y (rows,), whose classes are called 0, 1 …"""
+    return Grower(X, y, [str(c) for c in range(n_classes)], params).tree(tree)

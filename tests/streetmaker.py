@@ -7,6 +7,7 @@ from pathlib import Path
 from fwclass import conf
 from fwclass.conf.street import scanner
 from fwclass.street.frames import Frame
+from fwclass.street.ring import Ring
 from fwclass.street.simulate import simulate_frames
 
 SHORT = ("street_scene.length=5", "street_scene.speed=1.5", "street.speed=1.5")
@@ -36,3 +37,11 @@ def directory() -> Path:
     made = config("street.split=random")
     train(made, place / "model", False, False, said.append, place)
     return place
+
+
+def with_features(frames, geometry, params):
+    """Every placed frame of a recording with its features, in order."""
+    ring = Ring(geometry, params)
+    for frame in frames:
+        yield from ring.take(frame)
+    yield from ring.rest()

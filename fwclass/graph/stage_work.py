@@ -80,7 +80,7 @@ class StageInputs:
 
     def cuts(self) -> Iterator[Table]:
         """As `rows`, in pieces where memory is short."""
-        return self.inputs.runs_of_rows(self.part, {**self.columns, **self.own})
+        return self.inputs.cuts(self.part, {**self.columns, **self.own})
 
     def chunk(self) -> Chunk:
         """The overlapping chunk: the own tile's rows and those of its neighbours within `halo`."""

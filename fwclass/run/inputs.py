@@ -220,7 +220,7 @@ class PartInputs:
                     parts.append(table)
             yield rows, Chunk.of(Table.concat(parts), core, tile)
 
-    def runs_of_rows(self, part: str, columns: Mapping[str, str]) -> Iterator[Table]:
+    def cuts(self, part: str, columns: Mapping[str, str]) -> Iterator[Table]:
         """A tile's columns as `rows` gives them; in pieces, row group by row group and each in `split` cuts."""
         if self.split == 1:
             yield self.rows(part, columns)

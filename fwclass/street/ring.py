@@ -6,7 +6,7 @@ A frame's neighbourhood is the run of frames around it that lie within the large
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -161,11 +161,3 @@ class Ring:
         if len(self._out) == 1:
             return self._out[0]
         return np.ascontiguousarray(np.concatenate(list(self._out), axis=1))
-
-
-def with_features(frames: Iterable[Placed], geometry: Geometry, params: StreetParams) -> Iterator[Seen]:
-    """Every frame of a recording with its features, in order."""
-    ring = Ring(geometry, params)
-    for frame in frames:
-        yield from ring.take(frame)
-    yield from ring.rest()

@@ -98,11 +98,6 @@ class Grower:
         return grow(self.columns, self.ranks, self.y, drawn, state, per_split, params.min_samples_split, table, node)
 
 
-def grow_tree(X: NDArray[np.float32], y: NDArray[np.uint8], n_classes: int, tree: int, params: TrainParams) -> Tree:
-    """Tree number `tree` of a sample X (rows, features), y (rows,), whose classes are called 0, 1 …; see `Grower`."""
-    return Grower(X, y, [str(c) for c in range(n_classes)], params).tree(tree)
-
-
 def grow_trees(sample: Sample, classes: Sequence[ClassDef], first: int, count: int, params: TrainParams) -> list[Tree]:
     """Trees number `first` to ``first + count - 1``; parts of a forest that is grown by several workers."""
     grower = Grower(sample.X, sample.y, [c.name for c in classes], params)

@@ -11,7 +11,6 @@ from fwclass import conf
 from fwclass.classify.stage import classify
 from fwclass.errors import FwclassError
 from fwclass.model import LEAF, Forest
-from fwclass.train.stage import grow_tree
 
 
 def foreign(rng: np.random.Generator) -> Forest:
@@ -43,7 +42,7 @@ def drive(inputs: int, seed: int) -> int:
             classify(X, foreign(rng))
         if len(X):
             with contextlib.suppress(FwclassError):
-                grow_tree(
+                modelmaker.grow_tree(
                     np.where(np.isfinite(X), X, 0.0).astype(np.float32),
                     rng.integers(0, 3, len(X)).astype(np.uint8),
                     3,

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from defaults import BASE as DEFAULTS
+from modelmaker import grow_tree
 
 from fwclass.classify.stage import votes
 from fwclass.model import FORMAT, assemble
 from fwclass.train.params import TrainParams
-from fwclass.train.stage import grow_tree
 
 ensemble = pytest.importorskip("sklearn.ensemble")
 BASE = TrainParams(**DEFAULTS["train"])

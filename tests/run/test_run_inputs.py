@@ -87,7 +87,7 @@ BOTH = (("tile", OWN.key), ("tile", NEXT.key))
         lambda i: i.rows("0_1", {"z": "tile"}),
         lambda i: i.rows_at(OWN.key, {"z": "other"}, np.arange(3)),
         lambda i: i.chunk(OWN, 0.0, {"z": "other"}, (OWN.key,)),
-        lambda i: next(i.runs_of_rows(OWN.key, {"z": "other"})),
+        lambda i: next(i.cuts(OWN.key, {"z": "other"})),
         lambda i: next(i.chunks(OWN, 2.0, {"z": "other"}, (OWN.key, NEXT.key))),
     ],
 )

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from streetmaker import with_features
 
 from fwclass import conf
 from fwclass.street.frames import Frame, Geometry, Scan, Track, levels_of
-from fwclass.street.ring import with_features
 from fwclass.street.sphere_kernels import UNIT
 
 

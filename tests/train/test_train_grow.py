@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from defaults import BASE as DEFAULTS
+from modelmaker import grow_tree
 
 from fwclass.hashing import GOLDEN, hash_keys, mix, seed_for
 from fwclass.model import LEAF
 from fwclass.train.gain import entropy_table
 from fwclass.train.params import TrainParams
-from fwclass.train.stage import grow_tree
 
 BASE = TrainParams(**DEFAULTS["train"])
 MASK = (1 << 64) - 1

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from defaults import BASE as DEFAULTS
+from modelmaker import grow_tree
 from pydantic import ValidationError
 
 from fwclass.errors import ConfigError
@@ -12,7 +13,7 @@ from fwclass.train.bag import bag
 from fwclass.train.gain import GINI, entropy_table
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import grow_tree, grow_trees
+from fwclass.train.stage import grow_trees
 from fwclass.train.weights import whole_weights
 
 BASE = DEFAULTS["train"]

@@ -22,6 +22,7 @@ import watermaker
 import wavemaker
 import woodmaker
 from numpy.typing import NDArray
+from streetmaker import with_features
 
 from fwclass import conf
 from fwclass.assess.distribution import distribution
@@ -72,13 +73,12 @@ from fwclass.simulate.stage import simulate_strip
 from fwclass.stage import Chunk
 from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams, StreetSceneParams
-from fwclass.street.ring import with_features
 from fwclass.street.simulate import simulate_frames
 from fwclass.train.baselines.trees import pair_children
 from fwclass.train.importance import drops
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import grow_tree, grow_trees, out_of_bag, train
+from fwclass.train.stage import grow_trees, out_of_bag, train
 from fwclass.units import METRES_PER_NS
 from fwclass.vectors.cells import count_cells, count_passage
 from fwclass.vectors.outline import fill_holes, rings, simplify, sound
@@ -257,7 +257,7 @@ def work_bags_and_trees(_: Path) -> Any:
             share = {"replacement": False, "bagging": 0.7} if criterion == "gini" else {}
             weights = {"class_weights": "balanced" if split == "exact" else "none"}
             params = TrainParams(**section("train", split=split, criterion=criterion, steps=20, **share, **weights))
-            made.append(grow_tree(sample.X, sample.y, 3, 1, params))
+            made.append(modelmaker.grow_tree(sample.X, sample.y, 3, 1, params))
             trees = grow_trees(sample, CLASSES, 0, 2, params)
             made.append((trees, out_of_bag(sample, trees, 3, params), drops(sample, trees, 0, params.drawing, 3)))
     return made
@@ -280,7 +280,7 @@ def work_tree_of_many_values(_: Path) -> Any:
     """Nodes of many rows with few of the sample's values, which are sorted digit by digit."""
     sample = rows(1300)
     params = TrainParams(**section("train", split="exact", features_per_split="all", min_samples_split=90))
-    return grow_tree(sample.X[:, :2].copy(), sample.y, 3, 0, params)
+    return modelmaker.grow_tree(sample.X[:, :2].copy(), sample.y, 3, 0, params)
 
 
 def work_paired_nodes(_: Path) -> Any:
