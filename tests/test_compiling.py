@@ -18,8 +18,8 @@ from click.testing import CliRunner
 
 from fwclass import compiling
 from fwclass.cli import cli
-from fwclass.operate import ahead
-from fwclass.operate.ahead import _text, _type, listed_kernels
+from fwclass.operate import compile_all
+from fwclass.operate.compile_all import _text, _type, listed_kernels
 
 LOWER = """
 from fwclass.kernel import kernel, vectorised
@@ -291,7 +291,7 @@ import hashlib, sys
 from fwclass import compiling, frontend
 if sys.argv[1] == "long":
     frontend.shorten = lambda: None
-from fwclass.operate.ahead import _type, listed_kernels
+from fwclass.operate.compile_all import _type, listed_kernels
 wanted = [(kernel, types) for kernel, types in listed_kernels() if kernel.__name__ in ("_relax", "nearest_of_pulse")]
 compiled = [kernel.compiled() for kernel, _ in wanted]
 from numba.core.codegen import CPUCodeLibrary
@@ -396,8 +396,8 @@ def test_what_records_the_list_says_how_it_is_called(
 
 def test_an_entry_that_does_not_fit_its_kernel_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     kernel, types = next(row for row in listed_kernels() if row[0].__name__ == "levels")
-    monkeypatch.setattr(ahead, "listed_kernels", lambda: [(kernel, types[1:]), (kernel, types)])
-    made = ahead.compile_all()
+    monkeypatch.setattr(compile_all, "listed_kernels", lambda: [(kernel, types[1:]), (kernel, types)])
+    made = compile_all.compile_all()
     assert made["listed"] == 2 and len(made["left_out"]) == 1 and made["left_out"][0].startswith("levels: ")
 
 
@@ -405,8 +405,8 @@ def test_an_entry_whose_named_tuple_has_other_fields_is_left_out(monkeypatch: py
     rows = listed_kernels()
     kernel, types = next((kernel, types) for kernel, types in rows if any(type(t) is list and t[0] for t in types))
     short = [t[:-1] if type(t) is list else t for t in types]
-    monkeypatch.setattr(ahead, "listed_kernels", lambda: [(kernel, short)])
-    left = ahead.compile_all()["left_out"]
+    monkeypatch.setattr(compile_all, "listed_kernels", lambda: [(kernel, short)])
+    left = compile_all.compile_all()["left_out"]
     assert len(left) == 1 and "fields, the list" in left[0]
 
 
@@ -441,7 +441,7 @@ def test_after_compile_a_run_compiles_nothing(tmp_path: Path) -> None:
 
 READ_ALL = """
 from fwclass import compiling
-from fwclass.operate.ahead import _type, listed_kernels
+from fwclass.operate.compile_all import _type, listed_kernels
 from numba.core.runtime import rtsys
 from numba.core.registry import cpu_target
 for kernel, types in listed_kernels():

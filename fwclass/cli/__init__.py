@@ -13,9 +13,9 @@ from types import FrameType
 import click
 
 from fwclass.cli import (
-    ahead,
     backscatter,
     clean,
+    compile_kernels,
     difference,
     draft,
     features,
@@ -39,10 +39,10 @@ from fwclass.isolation import isolate
 from fwclass.redact import redacted
 
 __all__ = [
-    "ahead",
     "backscatter",
     "clean",
     "cli",
+    "compile_kernels",
     "difference",
     "draft",
     "features",

@@ -66,7 +66,7 @@ def _run(
     scheduler: str | None,
     workers: int | None,
 ) -> None:
-    from fwclass.operate.one_file import survey_of, system_settings
+    from fwclass.operate.file_as_survey import survey_of, system_settings
 
     settings += ("samples.write=true",) if samples else ()
     settings += system_settings(source, crs) if crs is not None else ()

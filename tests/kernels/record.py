@@ -60,7 +60,7 @@ def child(to: Path, words: list[str]) -> None:
     """Run one command in this process; what it called goes to the file `to`."""
     from fwclass import compiling
     from fwclass.cli import cli
-    from fwclass.operate.ahead import lines
+    from fwclass.operate.compile_all import lines
 
     if words[0] == "view":
         threading.Timer(LONG_ENOUGH, _thread.interrupt_main).start()

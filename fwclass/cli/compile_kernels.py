@@ -1,4 +1,4 @@
-"""Compiling ahead: compile."""
+"""`fwclass compile`: all kernels, ahead of the first run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def compile_kernels(as_json: bool) -> None:
     directory that NUMBA_CACHE_DIR names, and is good for this version, these libraries and this kind of processor.
     """
     from fwclass import compiling
-    from fwclass.operate.ahead import compile_all
+    from fwclass.operate.compile_all import compile_all
 
     compiling.listeners.clear()
     result = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
