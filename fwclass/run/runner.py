@@ -216,7 +216,14 @@ class Runner:
                         do="run again; the missing parts are made",
                     )
                 base = self.store.base(receipt)
-                files |= {name: (base / name, str(facts["digest"])) for name, facts in receipt.outputs.items()}
+                for name, facts in receipt.outputs.items():
+                    file = base / name, str(facts["digest"])
+                    if files.setdefault(name, file)[1] != file[1]:
+                        raise StoreError(
+                            "two parts deliver files of one name, and one would be lost",
+                            where=f"{name}: of {stage}/{part}",
+                            do="let one of the stages give its files another directory, and run again",
+                        )
         return self.store.generations.publish(files, self.whole, keep, self.verify, self.display.say)
 
     def retire(self) -> None:

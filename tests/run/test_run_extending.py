@@ -14,12 +14,13 @@ from unittest import mock
 import laspy
 import numpy as np
 import pytest
+import smallgraph
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
 from fwclass.classes import ClassDef
 from fwclass.columns import COLUMNS
-from fwclass.errors import ConfigError, FwclassError, InputError
+from fwclass.errors import ConfigError, FwclassError, InputError, StoreError
 from fwclass.graph.own_stage import OfChunk, OfDelivery, OfRows
 from fwclass.operate.request import Request
 from fwclass.operate.seams.walk import SeamRequest, seams
@@ -27,6 +28,7 @@ from fwclass.operate.status.verify import verify
 from fwclass.operate.status.walk import Silent
 from fwclass.report.summary import summary
 from fwclass.run.cluster import Cluster
+from fwclass.run.part import Task
 from fwclass.schema import Table
 from fwclass.store.run_location import open_store
 from fwclass.store.tables import read_table
@@ -392,6 +394,21 @@ def test_a_delivery_takes_regular_files_alone(tmp_path, kind):
     here = SimpleNamespace(directory=tmp_path / "out", part="1_2", rows=lambda: Table({"x": np.zeros(3)}))
     with pytest.raises(InputError, match="files of its own"):
         OfDelivery("d", write)(here)
+
+
+def test_files_of_one_name_by_two_stages_are_refused(tmp_path, monkeypatch):
+    """The later one's took the place of the other's, and nothing told."""
+
+    def raster(inputs, directory):
+        (directory / "rasters").mkdir()
+        (directory / "rasters" / "all.tif").write_text("mine")
+        return {}
+
+    tasks = [*smallgraph.tasks("a", "text"), Task("mine", "all", 1, {}, raster, place="deliver")]
+    monkeypatch.setattr(smallgraph, "tasks", lambda *words: tasks)
+    (tmp_path / "source").write_text("x")
+    with pytest.raises(StoreError, match="files of one name"):
+        smallgraph.run(tmp_path / "run", tmp_path / "source", "a", "text")
 
 
 def test_a_classifier_of_ones_own_refuses_neighbours_that_agree(survey, tmp_path):
