@@ -45,6 +45,12 @@ def test_a_plan_is_told_and_written_and_nothing_runs(conf: Path, tmp_path: Path)
     assert sorted(p.name for p in (tmp_path / "r" / "plan").iterdir()) == ["plan.json", "plan.png", "tiles.gpkg"]
 
 
+def test_what_a_paper_compares_is_said_not_to_be_reckoned_with(conf: Path, tmp_path: Path) -> None:
+    """A run of a paper was planned as the classification alone, and nothing said so."""
+    ended = fwclass("plan", conf, "--out", tmp_path / "r", "--workflow", "xiong2018")
+    assert "note: what xiong2018 compares and draws behind these stages is not reckoned with" in ended.stderr
+
+
 def test_json_goes_to_standard_output_alone(conf: Path, tmp_path: Path) -> None:
     ended = fwclass("plan", conf, "--out", tmp_path / "r", "--json")
     told = json.loads(ended.stdout)

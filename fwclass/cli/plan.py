@@ -116,10 +116,12 @@ def _dry_run(forecast: Any, count: int, root: Path, stages: Any) -> Any:
 
 
 def _tell_unknown(config: Any, chosen: Any) -> None:
-    """What is said of stages whose cost is not known."""
+    """What is said of work whose cost is not known: stages of a user, and all that a workflow's own walk makes."""
     own = [s.name for s in chosen.stages if s.name not in config.plan.stages]
     if own:
         click.echo(f"note: what {', '.join(own)} of {chosen.name} take is not known and not reckoned with", err=True)
+    if chosen.walk is not None:
+        click.echo(f"note: what {chosen.name} compares and draws behind these stages is not reckoned with", err=True)
 
 
 def _tell_graph(config: Any, chosen: Any, as_json: bool) -> None:
