@@ -97,7 +97,7 @@ def _at_worker(
     for task in tasks:
         with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
             outcomes.append(execute(location, task, [before[n] for n in task.needs if n in before], split))
-        give_back(worker.memory_manager.memory_limit)
+    give_back(worker.memory_manager.memory_limit)
     worker.log_event(topic, {"key": worker.get_current_task(), "outcomes": [asdict(o) for o in outcomes]})
     return outcomes
 

@@ -144,16 +144,17 @@ class PartInputs:
         for stage in {base, *columns.values()}:
             self._check(stage, part, [n for n, s in columns.items() if s == stage])
         self._check_rows(part, base, box)
-        groups = groups_touching(self._store.path(base, part, TABLE), box)
         by_stage: dict[str, list[str]] = {}
         for name, stage in columns.items():
             by_stage.setdefault(stage, []).append(name)
         if box is not None:
             mine = by_stage.setdefault(base, [])
             mine += [n for n in ("x", "y") if n not in mine]
+        paths = {stage: self._store.path(stage, part, TABLE) for stage in (base, *(s for s in by_stage if s != base))}
+        groups = groups_touching(paths[base], box)
         arrays: dict[str, NDArray] = {}
         for stage, names in by_stage.items():
-            arrays |= dict(read_kept(self._store.path(stage, part, TABLE), names, groups))
+            arrays |= dict(read_kept(paths[stage], names, groups))
             _check_lengths(arrays, f"{stage}/{part}")
         if box is None:
             return Table({n: v.copy() for n, v in arrays.items()})  # stages may write to it, the next reader sees it

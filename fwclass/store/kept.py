@@ -18,7 +18,7 @@ from fwclass.cost import counted
 from fwclass.grid import Box
 from fwclass.schema import Table
 from fwclass.store.digests import Looks, looks
-from fwclass.store.tables import ROW_GROUP, Group, group_of, groups_of, read_table, write_table
+from fwclass.store.tables import ROW_GROUP, Group, bytes_of, group_of, groups_of, read_table, write_table
 
 MOST = 64 << 20
 """Bytes of columns that a process keeps: six columns of three rows of tiles in a survey 2 km wide, at 4 echoes/m²."""
@@ -40,7 +40,7 @@ def write_and_hold(path: Path, table: Table) -> None:
     """As `tables.write_table`, of a table that nobody writes to any more; who reads it under the name that it gets
     (`moved`) has it from memory."""
     write_table(path, table)
-    _own.last = (str(path), table) if 0 < table.rows <= ROW_GROUP and 4 * _size(table) <= MOST else None
+    _own.last = (str(path), table) if 0 < table.rows <= ROW_GROUP and 4 * bytes_of(table) <= MOST else None
 
 
 def moved(source: Path | str, target: Path | str) -> None:
@@ -53,10 +53,6 @@ def moved(source: Path | str, target: Path | str) -> None:
     group = group_of(table)
     if group is not None:
         _note_groups(file, (group,))
-
-
-def _size(table: Table) -> int:
-    return sum(values.nbytes for values in table.values())
 
 
 def groups_touching(path: Path, box: Box | None) -> list[int]:

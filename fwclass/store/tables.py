@@ -92,12 +92,17 @@ def _encoding(arrow: pa.Table, rows: int, repeating: Iterable[str] = ()) -> Mapp
     }
 
 
+def bytes_of(table: Table) -> int:
+    """Of its values; Arrow takes as long to count them as to write a row."""
+    return sum(values.nbytes for values in table.values())
+
+
 @counted("writing")
 def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
     """Write `table` to `path` (which the caller stages)."""
     arrow = to_arrow(table)
     repeating = [name for name, values in table.items() if values.dtype.kind == "f" and repeats(values)]
-    with file_to_write(path, arrow.nbytes) as file:
+    with file_to_write(path, bytes_of(table)) as file:
         pq.write_table(arrow, file, row_group_size=row_group, **_encoding(arrow, arrow.num_rows, repeating))
 
 
@@ -214,6 +219,6 @@ def write_groups(path: Path, table: Table, offsets: Iterable[int]) -> None:
     arrow = to_arrow(table)
     bounds = [int(o) for o in offsets]
     how = _encoding(arrow, arrow.num_rows // max(len(bounds) - 1, 1))
-    with file_to_write(path, arrow.nbytes) as file, pq.ParquetWriter(file, arrow.schema, **how) as writer:
+    with file_to_write(path, bytes_of(table)) as file, pq.ParquetWriter(file, arrow.schema, **how) as writer:
         for low, high in zip(bounds[:-1], bounds[1:], strict=True):
             writer.write_table(arrow.slice(low, high - low), row_group_size=max(high - low, 1))

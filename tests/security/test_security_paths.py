@@ -76,6 +76,32 @@ def test_a_link_below_the_directory_leads_nowhere_else(tmp_path: Path) -> None:
     assert below(tmp_path / "entry", "own/a.laz").is_relative_to(tmp_path / "entry")
 
 
+@pytest.mark.parametrize("links", [True, False])
+def test_where_no_link_is_on_the_way_nothing_need_be_resolved(
+    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The short way says what the long one says."""
+    root = tmp_path / "in"
+    for name in ("own/deep", "../out"):
+        (root / name).mkdir(parents=True)
+    (root / "file").touch()
+    for name, target in {"away": "../out", "alias": "own", "ring": "ring", "own/back": "..", "gone": "none"}.items():
+        (root / name).symlink_to(target)
+    (tmp_path / "entry").symlink_to(root)
+
+    def said(at: Path, name: str) -> object:
+        try:
+            return below(at, name, links)
+        except InputError as fault:
+            return str(fault)
+
+    names = ["a", "own/a", "own/deep/a", "none/a/b", "file/a", "away/a", "alias/a", "alias/deep/a", "ring/a", "gone/a"]
+    places = [(at, name) for at in (root, tmp_path / "entry", tmp_path / "none") for name in (*names, "own/back/a")]
+    short = [said(*place) for place in places]
+    monkeypatch.setattr(paths, "_links_below", lambda directory, name: True)
+    assert short == [said(*place) for place in places]
+
+
 @pytest.mark.parametrize("hidden", [False, True])
 def test_patterns_of_many_stars_take_steps_in_proportion(hidden: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six to twelve ``**`` took 0.2 to 47 s; steps are counted."""
