@@ -23,8 +23,9 @@ from fwclass.store.tables import ROW_GROUP, Group, bytes_of, group_of, groups_of
 MOST = 64 << 20
 """Bytes of columns that a process keeps: six columns of three rows of tiles in a survey 2 km wide, at 4 echoes/m²."""
 
-FILES = 4096
-"""Files whose row groups are remembered."""
+FILES = 1 << 15
+"""Files whose row groups are remembered, 25 MB: those of the stages of some 5,000 tiles. A stage goes through all tiles
+before the next one does, so that of more files than fit each is read anew."""
 
 File = tuple[str, Looks]
 

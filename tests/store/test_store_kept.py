@@ -106,3 +106,14 @@ def test_coordinates_that_are_no_millimetres_are_known_by_their_file(tmp_path):
     assert kept.groups_touching(tmp_path / "t", Box(9.0, 0.0, 10.0, 1.0)) == row_groups(
         tmp_path / "t", Box(9.0, 0.0, 10.0, 1.0)
     )
+
+
+def test_groups_of_all_files_that_a_worker_goes_through_are_remembered(tmp_path, monkeypatch):
+    """5,184 tiles, half of them a worker's, of each of which stages read six tables: 4,096 were remembered, and every
+    stage read each anew."""
+    read = []
+    monkeypatch.setattr(kept, "groups_of", lambda path: read.append(path) or (kept.Group(1, None),))
+    for _ in range(2):
+        for k in range(6 * 5184 // 2):
+            kept._groups_in((f"{k}", (k, 0, 0)))
+    assert len(read) == 6 * 5184 // 2
