@@ -70,7 +70,7 @@ def _host() -> str:
     return re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname())[:20]
 
 
-def _sweep(path: Path) -> None:
+def sweep(path: Path) -> None:
     """Remove what processes of this host that are gone have left beside `path` of an output of its name."""
     begins = f".{path.name}.{_host()}-"
     with os.scandir(path.parent) as entries:
@@ -93,7 +93,7 @@ def _sweep(path: Path) -> None:
 def whole(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to; it becomes `path` when the block ends well, else it is removed."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    _sweep(path)
+    sweep(path)
     beside = path.with_name(f".{path.name}.{_host()}-{os.getpid()}.part{path.suffix}")
     try:
         yield beside
@@ -129,7 +129,7 @@ def whole_directory(path: Path) -> Iterator[Path]:
             do="name another",
         )
     path.parent.mkdir(parents=True, exist_ok=True)
-    _sweep(path)
+    sweep(path)
     beside = path.with_name(f".{path.name}.{_host()}-{os.getpid()}.part")
     try:
         beside.mkdir()

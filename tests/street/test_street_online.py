@@ -1,6 +1,7 @@
 """On-line and whole: the same bytes; what is emitted stays; streams that misbehave."""
 
 import contextlib
+import errno
 import json
 import signal
 import socket
@@ -10,6 +11,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from io import FileIO
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from hypothesis import strategies as st
 from streetmaker import config, directory, drive
 
 from fwclass.cli.runner import open_runner
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.output import working_in
 from fwclass.street.answers import ANSWERS, read_answers
@@ -267,6 +269,30 @@ def test_an_output_is_not_overwritten(tmp_path, once):
     (tmp_path / "mine").write_text("x")
     with pytest.raises(ConfigError, match="something else"):
         working_in(tmp_path, True).__enter__()
+
+
+def test_what_does_not_fit_on_the_disk_is_not_there_in_part(tmp_path):
+    class Full(FileIO):
+        def write(self, data):
+            if (room := min(len(data), 10, 30 - self.tell())) <= 0:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data[:room])
+
+    with Full(tmp_path / "a", "wb") as file:
+        online.append(file, b"a" * 25)
+        with pytest.raises(FwclassError, match="No space left on device"):
+            online.append(file, b"b" * 20)
+    assert (tmp_path / "a").read_bytes() == b"a" * 25
+
+
+def test_what_a_killed_command_has_left_is_swept(tmp_path):
+    """A file that was not whole yet was something else, beside which nothing may be written."""
+    dies = "import os, pathlib, sys; from fwclass.publish.files import whole\n"
+    dies += "with whole(pathlib.Path(sys.argv[1])) as beside: beside.touch(); os._exit(9)"
+    subprocess.run([sys.executable, "-c", dies, tmp_path / "o" / "summary.json"], check=False)
+    assert len(list((tmp_path / "o").iterdir())) == 1
+    with working_in(tmp_path / "o", True):
+        assert not any((tmp_path / "o").iterdir())
 
 
 def test_two_commands_do_not_write_to_one_directory(tmp_path):

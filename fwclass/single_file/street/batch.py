@@ -19,6 +19,7 @@ from fwclass.graph.street import crown_accuracy, model_remarks, params_of
 from fwclass.graph.street_answers import Answering, halo
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
 from fwclass.model import Model
+from fwclass.publish.files import whole
 from fwclass.report.drift import drift
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -162,7 +163,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
     ]
     receipts = require_all(runner, tasks)
     geometry = Geometry.of(_scan(meta), work.params.mounting)
-    with (target / ANSWERS).open("wb") as file:
+    with whole(target / ANSWERS) as beside, beside.open("wb") as file:
         file.write(Writer(geometry.scan.beams, geometry.tilted).head)
         for task in tasks:
             with runner.store.path(CHUNK, task.part, PART).open("rb") as part:

@@ -12,13 +12,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fwclass.conf.street import scanner
-from fwclass.errors import InputError
+from fwclass.errors import FwclassError, InputError
 from fwclass.graph.street import model_remarks, params_of
 from fwclass.graph.street_answers import Answering
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
@@ -68,6 +69,22 @@ class Loop:
             yield from (one for _, one in self.answering.rest())
 
 
+def append(file: FileIO, data: bytes | memoryview) -> None:
+    """Write all of `data` behind what is there, or none of it: a disk that fills up takes the first bytes."""
+    at, left = file.tell(), memoryview(data)
+    try:
+        while left:
+            left = left[file.write(left) :]
+    except OSError as fault:
+        file.truncate(at)
+        raise FwclassError(
+            "the answers cannot be written any further",
+            where=str(file.name),
+            got=fault.strerror or type(fault).__name__,
+            do="what was answered stays; make room, and name another directory",
+        ) from fault
+
+
 @dataclass
 class Files:
     """The answers and segments of a run, appended."""
@@ -81,7 +98,7 @@ class Files:
         self._prescriber = Prescriber(self.params, self.crown)
         self._answers = (self.target / ANSWERS).open("wb", buffering=0)
         self._csv = (self.target / CSV).open("wb", buffering=0)
-        self._csv.write(HEAD.encode())
+        append(self._csv, HEAD.encode())
 
     @property
     def again(self) -> int:
@@ -93,19 +110,19 @@ class Files:
         if self._writer is None:
             self._writer = Writer(len(one.classification), len(one.x) > 0)
             self._prescriber = Prescriber(self.params, self.crown, geometry)
-            self._answers.write(self._writer.head)
-        self._answers.write(self._writer.frame(one))
+            append(self._answers, self._writer.head)
+        append(self._answers, self._writer.frame(one))
         self._append(self._prescriber.take(one))
 
     def _append(self, segments: Iterator[Segment]) -> None:
         for segment in segments:
-            self._csv.write((segment.line() + "\n").encode())
+            append(self._csv, (segment.line() + "\n").encode())
 
     def end(self) -> None:
         """Append what is open, end the stream, and force both files to the disk."""
         self._append(self._prescriber.rest())
         if self._writer is not None:
-            self._answers.write(END)
+            append(self._answers, END)
         for file in (self._answers, self._csv):
             os.fsync(file.fileno())
             file.close()

@@ -8,10 +8,11 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from fwclass.errors import ConfigError
-from fwclass.publish.files import whole
+from fwclass.publish.files import sweep, whole
 from fwclass.publish.street_pictures import draw_prescription
 from fwclass.street.answers import ANSWERS
 from fwclass.street.prescription import Segment
@@ -46,12 +47,16 @@ def working_in(target: Path, overwrite: bool) -> Iterator[None]:
         except OSError:  # there are file systems without locks
             pass
         _prepare(target, overwrite)
+        with TemporaryFile(dir=target):  # before all work: it may be no place to write to
+            pass
         yield
     finally:
         os.close(handle)
 
 
 def _prepare(target: Path, overwrite: bool) -> None:
+    for name in OURS:
+        sweep(target / name)
     there = list(target.iterdir())
     if any(p.name not in OURS or not p.is_file() for p in there):
         raise _something_else(target)
