@@ -26,7 +26,7 @@ class Segment:
     ----------
     side : left or right. begin, end : along the road [m].
     low, high : of the crown above the road [m], without the outermost 2 % (`STRAY`). near, far : from the track [m],
-        likewise. returns : of crowns. volume : of the voxels that hold one [m3].
+        likewise. returns : of crowns. volume : of the voxels that hold one, what lies in the segment [m3].
     density : returns / volume [1/m3]. speed : of the vehicle beside it [m/s], NaN where it stood or was not yet.
     nozzle : by which the nozzle trails the scanner [m].
     seconds : until the nozzle is at `begin`, counted from when the last frame of the segment is answered; below 0, the
@@ -209,11 +209,12 @@ class Prescriber:
     def _segment(self, key: int, x: NDArray, y: NDArray, z: NDArray, counts: NDArray) -> Segment:
         (number, right), edge, returns = divmod(key, 2), self.params.voxel, int(counts.sum())
         cells = np.concatenate([x[:, None], np.floor(np.stack([y, z], axis=1) / edge).astype(np.int64)], axis=1)
-        volume = len(np.unique(cells, axis=0)) * edge**3
+        begin, end = number * self.params.segment, (number + 1) * self.params.segment
+        along = np.unique(cells, axis=0)[:, 0] * edge
+        volume = float(np.maximum(np.minimum(along + edge, end) - np.maximum(along, begin), UNIT).sum()) * edge**2
         first, last = self._passed.get(number, (NOWHERE, NOWHERE))
         seconds = last[0] - first[0]
         speed = (last[1] - first[1]) / seconds if seconds > 0 else math.nan
-        begin, end = number * self.params.segment, (number + 1) * self.params.segment
         way = begin + self.params.nozzle - (end + self._offsets[right][0] + self._reach)
         left = way / speed if speed > 0 else math.nan
         low, high, near, far = (v for of in (z, y) for v in percentiles(of, counts, STRAY))
