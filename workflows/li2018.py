@@ -18,10 +18,18 @@ NAME = "li2018"
 def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Drive along three streets, train and judge at all radii and by each feature alone; return the report.
 
-    There are no tiles to choose.
+    There are no tiles to choose, and no shares to average.
     """
     if tiles is not None:
         raise ConfigError("a street has no tiles", where="--tiles", do="leave --tiles out")
+    if config.street.smooth is not None:
+        raise ConfigError(
+            "the paper's returns decide alone",
+            where="street.smooth",
+            expected="null",
+            got=config.street.smooth,
+            do="leave it out; `fwclass street train` and `classify` heed it",
+        )
     printed = paper(NAME)
     receipts = dict(require_all(runner, drive_tasks(config)))
     receipts |= require_all(runner, table_tasks(config, printed))

@@ -5,11 +5,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import cast
 
 import pytest
 from browser import seen
 from commandline import fwclass
 
+from fwclass import conf
+from fwclass.errors import ConfigError
+from fwclass.run.runner import Runner
 from fwclass.study.papers.claims import FAILS, HOLDS, OPEN
 
 SMALL = (
@@ -21,6 +25,14 @@ SMALL = (
     "compare.rbf_svm.c=[10.0]",
     "compare.rbf_svm.gamma=[0.1]",
 )
+
+
+def test_what_the_page_would_not_heed_is_refused() -> None:
+    """Averaged shares were set, and every figure was without."""
+    from workflows.li2018 import walk
+
+    with pytest.raises(ConfigError, match="decide alone"):
+        walk(conf.load("street-sim", ("street.smooth=0.3",)), cast(Runner, None))
 
 
 @pytest.mark.slow
