@@ -56,6 +56,28 @@ def test_a_run_by_a_given_model_says_it_too(place):
     assert one == other
 
 
+def test_a_card_has_the_density_and_sparser_data_is_told(place):
+    """Also where no feature is one of density; the exit code stays."""
+    card = json.loads((place / "r" / "model" / "card.json").read_text())
+    drift = json.loads((place / "r" / "report.json").read_text())["drift"]
+    assert drift["density"]["learned"] == card["density"] and 0.5 < drift["density"]["here"] / card["density"] < 2
+    las = laspy.read(place / "a.las")
+    las.points = las.points[np.arange(0, len(las.points), 4)]
+    las.write(place / "sparse.las")
+    ended = fwclass("classify", "sparse.las", "o4.las", "--model", "r/model", "--accept-drift", "--json", cwd=place)
+    told = json.loads(ended.stdout)["drift"]
+    assert told["density"]["learned"] == card["density"] > 2 * told["density"]["here"] > 0
+    assert f"the model learned from {card['density']:.2g} echoes per m²" in ended.stderr, ended.stderr
+    words = ("run", "s.yaml", "--workers", 0, "--set", "survey.sources=[sparse.las]", "--set", "survey.model=r/model")
+    ended = fwclass(*words, "--out", "sparse", "--accept-drift", "--accept-implausible", cwd=place)
+    assert f"the model learned from {card['density']:.2g} echoes per m²" in ended.stderr, ended.stderr
+    cut = fwclass(
+        "train", "s.yaml", "--model", "cut", "--out", "c", "--set", "tile.size=17", "--set", FEATURES, cwd=place
+    )
+    assert cut.returncode == 0, cut.stderr
+    assert json.loads((place / "cut" / "card.json").read_text())["density"] == card["density"], "tiles cut squares"
+
+
 def test_a_model_of_before_says_nothing(place):
     """Its card does not hold what it has seen."""
     import shutil

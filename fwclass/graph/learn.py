@@ -25,6 +25,7 @@ from fwclass.graph.training_rows import (
     trains,
 )
 from fwclass.model import ClassDef, Model, Tree, assemble
+from fwclass.model.density import DENSITY
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import save_model
@@ -83,7 +84,7 @@ def deliver_forest(
     if params.importance_repeats:
         parts = [here.inputs.arrays("importance", b, DROPS)[0] for b in here.parts("importance")]
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
-    forest = with_feature_parameters(train(learned_sample(here, names), trees, params, classes, lost), computed)
+    forest = _with_data(here, train(learned_sample(here, names), trees, params, classes, lost), computed)
     if here.parts(BASE_ROWS):
         base = here.inputs.meta(BASE_ROWS, "all")
         notes = [f"{base['rows']:,} of the training rows are the base model's", *base["remarks"]]
@@ -106,8 +107,8 @@ def train_baseline(
     sample, places = survey_sample(here.inputs, names), folds_of_squares(block, gap)
     parts = here.parts(MACHINE_SEARCH)
     search = gather_trials(here.inputs, parts, sample, compare.rbf_svm, places) if parts else None
-    model: Model = with_feature_parameters(
-        train_other(sample, params, compare, classes, params.method, places, search), computed
+    model: Model = _with_data(
+        here, train_other(sample, params, compare, classes, params.method, places, search), computed
     )
     save_model(here.directory / MODEL, model)
     return {"card": dict(model.card), "trees": None}
@@ -151,6 +152,12 @@ def fit_layer(
 def with_feature_parameters(model: Any, computed: Mapping[str, Any]) -> Any:
     """`model` with what its features were computed with in its card."""
     return replace(model, card={**model.card, "computed": dict(computed)})
+
+
+def _with_data(here: StageInputs, model: Any, computed: Mapping[str, Any]) -> Any:
+    """Likewise, and with how dense the echoes of the training areas are."""
+    model, density = with_feature_parameters(model, computed), here.inputs.meta("training", "all").get(DENSITY)
+    return model if density is None else replace(model, card={**model.card, DENSITY: density})
 
 
 def forest_learns(plan: Plan) -> bool:

@@ -19,6 +19,7 @@ from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
 from fwclass.label.offset import measure_offset
 from fwclass.model import ClassDef, sample_matrix
+from fwclass.model.density import DENSITY, count_in_squares, density_of
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -47,6 +48,7 @@ def draw_tile(
     """Which rows of a tile may train: those in training areas, and those that are corrected, wherever they lie."""
     table = here.rows()
     inside, corrected = within(table, areas), taught_rows(here, table, judging, reach)
+    write_arrays(here.directory / DENSITY, {DENSITY: count_in_squares(*places(table)[inside].T)})
     inside |= corrected
     if "sampled" in table:  # a thinned run
         inside &= table["sampled"]
@@ -93,6 +95,7 @@ def merge_samples(
         review(sample, classes)
     write_arrays(here.directory / SAMPLE, sample.arrays())
     facts: dict[str, Any] = {"rows": sample.rows, "counts": sample.counts.tolist()}
+    facts[DENSITY] = density_of(here.inputs.arrays(TRAIN_SAMPLE.name, tile, DENSITY)[0][DENSITY] for tile in tiles)
     if by_place:
         offset = measure_offset(sample.X, sample.y, sample.place, len(classes))
         facts["offset"] = None if offset is None else asdict(offset)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from fwclass.assess.intervals import caution
@@ -80,8 +81,9 @@ def training_facts(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | N
     }
 
 
-def drift_of_run(runner: Runner) -> dict[str, Any] | None:
-    """How much lies outside of what the model has seen; None where nothing was classified, or it does not say."""
+def drift_of_run(runner: Runner, given: Mapping[str, Any] | None, density: float | None) -> dict[str, Any] | None:
+    """How much lies outside of what the model has seen; None where nothing was classified, or it does not say. `given`:
+    the card of a model that the run did not learn itself; `density`: echoes per m² of the survey."""
     counts = [
         r.meta[OUTSIDE]
         for stage in ("coarse", "first-shares", "model-shares", "classify")
@@ -91,7 +93,7 @@ def drift_of_run(runner: Runner) -> dict[str, Any] | None:
     if not counts:
         return None
     cards = [r.meta["card"] for stage in ("train-coarse", "train") for r in receipts_of_run(runner, stage)]
-    return drift(cards[0] if cards else {RANGES: {}}, counts)
+    return drift(cards[0] if cards else {RANGES: {}} | dict(given or {}), counts, density)
 
 
 def ground_facts(runner: Runner, config: Config, withheld: int) -> dict[str, Any]:

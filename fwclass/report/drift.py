@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.classify.params import ClassifyParams
 from fwclass.errors import QualityError, visible
+from fwclass.model.density import DENSITY
 from fwclass.model.ranges import RANGES, shares
 
 SAID_FROM = 0.1
@@ -15,12 +17,21 @@ SAID_FROM = 0.1
 WORST = 3
 """Features that are named."""
 
+DENSER = 2.0
+"""Times the density of what was learned, up or down, from which it is said: at half the density, one strip in place of
+two, nearly all values of the worst feature lie outside."""
 
-def drift(card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]]) -> dict[str, Any] | None:
-    """``outside``: the share of every feature's values outside of what the model has seen, the largest first, and
-    ``remarks``; None where its card does not say. `counts`: of all parts, as `RangeCounter.counts` gives them."""
+
+def drift(
+    card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]], density: float | None = None
+) -> dict[str, Any] | None:
+    """``outside``: the share of every feature's values outside of what the model has seen, the largest first;
+    ``density``, where both are known: ``learned`` and ``here``, echoes per m²; and ``remarks``. None where its card
+    does not say. `counts`: of all parts, as `RangeCounter.counts` gives them; `density`: of the echoes."""
     if RANGES not in card:
         return None
+    known = card.get(DENSITY)
+    learned = float(known) if isinstance(known, int | float) and 0 < known < math.inf else None
     outside = shares(counts)
     worst = [(name, share) for name, share in outside.items() if share >= SAID_FROM]
     remarks = []
@@ -28,7 +39,13 @@ def drift(card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]]
         listed = ", ".join(f"{_percent(s)} of {visible(n)}{_learned_range(card, n)}" for n, s in worst[:WORST])
         more = f", and {len(worst) - WORST} more features from {_percent(SAID_FROM)} on" if len(worst) > WORST else ""
         remarks = [f"the model has not seen such data: outside of what it learned from lie {listed}{more}"]
-    return {"outside": outside, "remarks": remarks}
+    if learned and density and not learned / DENSER < density < learned * DENSER:
+        remarks.append(
+            f"the model learned from {learned:.2g} echoes per m², here are {density:.2g}: shapes and heights of few "
+            "neighbours differ from those of many, even in features that keep their range"
+        )
+    densities = {DENSITY: {"learned": learned, "here": density}} if learned and density else {}
+    return {"outside": outside, **densities, "remarks": remarks}
 
 
 def _learned_range(card: Mapping[str, Any], name: str) -> str:

@@ -96,10 +96,13 @@ def write_report(
 
     source = source_codes({(SPLIT.name, r.part): r for r in receipts_of_run(runner, SPLIT.name)})
     tiles = receipts_of_run(runner, "publish-tile")
+    described = _of_the_survey(config, runner, survey, layout, names, tiles)
     report = {
         **_of_the_run(config, runner, graph, names),
-        **_of_the_survey(config, runner, survey, layout, names, tiles),
-        **_of_the_classes(config, runner, survey, names, tiles, source, card),
+        **described,
+        **_of_the_classes(
+            config, runner, survey, names, tiles, source, card, (described["place"] or {}).get("density")
+        ),
     }
     if (accuracy := report["accuracy"]) is not None:
         echoes, cells = report["counts"]["echoes_in_tiles"], (report["training"] or {}).get("in_context") or ()
@@ -204,8 +207,9 @@ def _of_the_classes(
     tiles: Sequence[Receipt],
     source: Mapping[int, int],
     card: Mapping[str, Any] | None,
+    density: float | None,
 ) -> dict[str, Any]:
-    """The labels, what was learned of them, and how good and how sure the classes are."""
+    """The labels, what was learned of them, and how good and how sure the classes are. `density`: echoes per m²."""
     classified = "classify" in runner.tallies
     classes = _classes(config, source) if classified else []
     counted = sampling(
@@ -232,7 +236,7 @@ def _of_the_classes(
         "reliability": next(iter(metas_of_run(runner, "assess", "reliability")), None),
         "distribution": feature_distribution(runner),
         "sureness": sureness(tiles, classes),
-        "drift": drift_of_run(runner),
+        "drift": drift_of_run(runner, card, density),
         "unsure": unsure_of_run(tiles, config, card) if classified else None,
     }
 

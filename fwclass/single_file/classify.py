@@ -31,7 +31,9 @@ from fwclass.graph.quantities import check_learned
 from fwclass.graph.refine import ANSWER_COARSE, CLASSIFY_REFINED, WIDEN_BOUNDARY
 from fwclass.graph.regularize import CLASSIFY_REGULARIZED, SHARE_ECHOES, SHARE_IN_CONTEXT
 from fwclass.graph.stage import Stage
+from fwclass.grid import millimetres
 from fwclass.model import Contextual, Layered, Model, TwoLayer, sample_matrix
+from fwclass.model.density import count_in_squares, density_of
 from fwclass.publish.strips import LEGACY_MAX, check_records, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
@@ -109,7 +111,8 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     results = tiles.columns(walk[-1], walk[-1].columns(tiles.plan))  # tiles are walked here; their facts are there then
     first = model.coarse if isinstance(model, Layered) else model
     facts = {stage: tiles.facts(stage) for stage in walk}
-    drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one])
+    dense = density_of([count_in_squares(*(millimetres(echoes.table[n]) for n in ("x", "y")))])
+    drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one], dense)
     crowd = None
     if any(is_feature(n) for n in first.features):
         crowd = Crowd.of_parts(one.get("dense") for one in tiles.facts(COMPUTE_FEATURES))
