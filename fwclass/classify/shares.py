@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.classify.boosted import probabilities, raw_scores
 from fwclass.classify.machines import linear_scores, pair_decisions, votes_and_shares
-from fwclass.classify.vote import count, walkable
+from fwclass.classify.vote import count, lay_out
 from fwclass.errors import InputError
 from fwclass.model import Boosted, Contextual, Forest, KernelMachine, LinearMachine, Model, TwoLayer
 
@@ -32,7 +32,12 @@ def answer(X: NDArray[np.float32], model: Model) -> Answer:
 
     `InputError` if the matrix does not fit the model or the model is damaged.
     """
-    model.check()
+    model.check()  # once, and of both layers, for it looks at every node
+    return _answer(X, model)
+
+
+def _answer(X: NDArray[np.float32], model: Model) -> Answer:
+    """`answer` of a model that was checked."""
     return _ANSWERS[type(model)](fitting(X, model), model)
 
 
@@ -50,7 +55,7 @@ def fitting(X: NDArray[np.float32], model: Model) -> NDArray[np.float32]:
 
 
 def _by_forest(X: NDArray[np.float32], model: Forest) -> Answer:
-    votes = count(X, walkable(model))
+    votes = count(X, lay_out(model))
     return votes.argmax(axis=1), votes / float(model.trees)
 
 
@@ -73,8 +78,8 @@ def _by_pairs(X: NDArray[np.float32], model: KernelMachine) -> Answer:
 
 
 def _in_context(X: NDArray[np.float32], model: Contextual) -> Answer:
-    first = answer(np.ascontiguousarray(X[:, : len(model.features)]), model.coarse)[1]
-    shares = (first + answer(X, model.fine)[1]) / 2
+    first = _answer(np.ascontiguousarray(X[:, : len(model.features)]), model.coarse)[1]
+    shares = (first + _answer(X, model.fine)[1]) / 2
     if model.weights:
         shares *= model.weights
         shares /= shares.sum(axis=1, keepdims=True)
@@ -82,7 +87,7 @@ def _in_context(X: NDArray[np.float32], model: Contextual) -> Answer:
 
 
 def _by_first(X: NDArray[np.float32], model: TwoLayer) -> Answer:
-    return answer(X, model.coarse)
+    return _answer(X, model.coarse)
 
 
 _ANSWERS: dict[type[Model], Callable[[NDArray[np.float32], Any], Answer]] = {

@@ -47,6 +47,11 @@ class Walkable:
 def walkable(forest: Forest) -> Walkable:
     """Lay out a forest for `votes`; `InputError` if it is damaged or a tree is too large for its links."""
     forest.check()
+    return lay_out(forest)
+
+
+def lay_out(forest: Forest) -> Walkable:
+    """The same of a forest that was checked: a damaged one is followed anywhere."""
     shift = max(1, (len(forest.features) - 1).bit_length())
     size = np.diff(forest.offsets)
     if int(size.max()) > 1 << (32 - shift):

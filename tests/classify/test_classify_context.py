@@ -10,7 +10,7 @@ from fwclass.classify.context import REACH, coarse_share_columns, context_of, ha
 from fwclass.classify.shares import answer
 from fwclass.classify.stage import classify
 from fwclass.grid import millimetres
-from fwclass.model import Contextual
+from fwclass.model import Contextual, Forest
 from fwclass.model.contextual import context_names
 from fwclass.schema import Table
 
@@ -93,6 +93,15 @@ def test_the_answer_is_the_mean_of_both_layers():
     np.testing.assert_allclose(shares, (answer(X, model.coarse)[1] + second) / 2, atol=1e-7)
     np.testing.assert_array_equal(table["classification"], model.codes[shares.argmax(axis=1)])
     np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-6)
+
+
+def test_every_layer_is_looked_at_once_for_an_answer(monkeypatch):
+    """All nodes of a large forest are; three times of each took most of the time of an echo's explanation."""
+    model, looked = contextual(), []
+    X = np.zeros((3, len(model.fine.features)), np.float32)
+    monkeypatch.setattr(Forest, "_fault", lambda forest, own=Forest._fault: looked.append(id(forest)) or own(forest))
+    answer(X, model)
+    assert sorted(looked) == sorted(map(id, (model.coarse, model.fine)))
 
 
 def test_classes_weigh_in_the_answer_as_the_card_says():
