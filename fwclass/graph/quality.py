@@ -243,7 +243,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    14,
+    15,
     "survey",
     "cell",
     deliver_quality,

@@ -111,7 +111,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    env.filters.update(number=number, parted=parted, percent=percent, quantity=quantity, seconds=seconds)
+    env.filters.update(number=number, parted=parted, percent=percent, quantity=quantity, seconds=seconds, wide=wide)
     return env
 
 
@@ -338,3 +338,8 @@ def parted(text: str) -> tuple[str, str]:
         advice.insert(0, said[ends[-1] :])
         said = said[: ends[-1] - 2]
     return said if said.endswith(".") or not advice else f"{said}.", "; ".join(advice)
+
+
+def wide(uri: str) -> int:
+    """Width of the PNG at `data_uri` [pixels]: a telephone shows nearly half as many, the letters of axes at nine."""
+    return int.from_bytes(base64.b64decode(uri.partition(",")[2][:32])[16:20])

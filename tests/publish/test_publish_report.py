@@ -15,6 +15,7 @@ from pagedriver import driven
 from fwclass import conf
 from fwclass.errors import several
 from fwclass.grid import Window
+from fwclass.publish.drawing import COORDINATE, DPI
 from fwclass.publish.figures import SURE, class_map, share_map
 from fwclass.publish.params import PublishParams
 from fwclass.publish.report import render_report
@@ -205,6 +206,15 @@ def test_a_remark_is_told_once(tmp_path: Path) -> None:
     report["remarks"] = ["few echoes were tested", "an empty file", "an empty file"]
     said = rendered(report, tmp_path)[1].text
     assert [said.count(t) for t in ("few echoes were tested", "an empty file", "of the matrix alone")] == [1, 1, 1]
+
+
+def test_letters_of_maps_can_be_read_on_a_telephone(tmp_path: Path) -> None:
+    """A picture tells how wide it is, and is shown at so much of it that letters of axes have nine pixels."""
+    png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (1312).to_bytes(4) + (900).to_bytes(4)
+    text, _ = rendered(full(), tmp_path, {"map": png, "relief": png})
+    assert text.count('style="--wide: 1312px"') == 2
+    share = re.search(r"figure > img \{ width: max\(100%, var\(--wide\) \* (\.\d+)\)", text)
+    assert share is not None and float(share[1]) * COORDINATE / 72 * DPI >= 9
 
 
 def test_frames_are_spoken_of_where_they_are_drawn(tmp_path: Path) -> None:
