@@ -318,8 +318,11 @@ def _is_own(path: Path) -> bool:
     return stat.S_ISDIR(facts.st_mode) or (stat.S_ISREG(facts.st_mode) and facts.st_nlink == 1)
 
 
-_PROGRAM = ("laz/", "parquet/", "rasters/", "model/", "report")
-"""Where the program's own deliveries lie."""
+_PROGRAM = (
+    *("laz/", "parquet/", "rasters/", "model/", "report", "vectors/", "samples/", "stacked/"),
+    *("store/", "generations/", "current/", "logs/", "survey/", "plan/"),
+)
+"""Where the program's own deliveries lie, and in a run directory what is no delivery."""
 
 
 def _check_name(name: str) -> str:

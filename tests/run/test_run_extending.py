@@ -396,6 +396,19 @@ def test_a_delivery_takes_regular_files_alone(tmp_path, kind):
         OfDelivery("d", write)(here)
 
 
+@pytest.mark.parametrize("name", ["logs/1_2.txt", "store/1_2.csv", "vectors/1_2.parquet", "all.csv"])
+def test_files_of_a_tile_lie_where_nothing_of_the_program_does(tmp_path, name):
+    """The run ended by `IsADirectoryError` once all of it was made: the link to the delivery met the run's own logs."""
+
+    def write(table, directory, tile):
+        (directory / name).parent.mkdir(parents=True, exist_ok=True)
+        (directory / name).write_text("x")
+
+    here = SimpleNamespace(directory=tmp_path, part="1_2", rows=lambda: Table({"x": np.zeros(3)}))
+    with pytest.raises(InputError, match="a name that another may have"):
+        OfDelivery("d", write)(here)
+
+
 def test_files_of_one_name_by_two_stages_are_refused(tmp_path, monkeypatch):
     """The later one's took the place of the other's, and nothing told."""
 
