@@ -13,7 +13,7 @@ from fwclass.graph.context_layer import ContextLayer, context_layer
 from fwclass.graph.learn import forest_learns
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
-from fwclass.graph.training_rows import BASE_ROWS, SAMPLE, learning_arguments, survey_sample
+from fwclass.graph.training_rows import BASE_ROWS, OF_TREES, SAMPLE, learning_arguments, survey_sample
 from fwclass.model import ClassDef, Contextual
 from fwclass.store.arrays import write_arrays
 from fwclass.store.external_file import ExternalFile
@@ -64,7 +64,7 @@ CHOOSE_BASE_ROWS = Stage(
     choose_base_rows,
     when=lambda plan: plan.base is not None and forest_learns(plan),
     arguments=_arguments,
-    silent=frozenset(TrainParams.model_fields) - {"seed", "samples_per_class", "base_rows"},
+    silent=OF_TREES | {"class_weights", "corrected_share"},
     after=("training",),
     needs=lambda plan, part: (("training", "all"),),
     source=lambda plan, part: (plan.base[0], (ExternalFile("model", plan.base[1]),)) if plan.base else None,

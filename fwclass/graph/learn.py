@@ -18,6 +18,7 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.training_rows import (
     BASE_ROWS,
+    OF_TREES,
     base_rows_part,
     learned_sample,
     learning_arguments,
@@ -274,7 +275,7 @@ TRY_MACHINES = Stage(
         **_squares(plan),
     },
     each=lambda plan, trial: {"trial": (trial.c, trial.gamma, trial.fold)},
-    silent=frozenset(TrainParams.model_fields) - {"class_weights", "seed", "samples_per_class"} | {"c", "gamma"},
+    silent=OF_TREES | {"base_rows", "corrected_share", "c", "gamma"},
     after=("training",),
     needs=lambda plan, trial: (("training", "all"),),
 )

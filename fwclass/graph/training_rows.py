@@ -179,7 +179,12 @@ def learning_arguments(plan: Plan) -> Mapping[str, Any]:
     return {"names": config.features_asked, "params": config.train, "classes": config.classes}
 
 
-NOT_OF_THE_SAMPLE = frozenset(TrainParams.model_fields) - {"seed", "samples_per_class", "corrected_share"}
+OF_TREES = frozenset(
+    {"bagging", "bins", "criterion", "features_per_split", "importance_repeats", "method"}
+    | {"min_samples_split", "replacement", "split", "steps", "trees"}
+)
+"""Settings of `train` that grow trees and choose no rows: by name, so that a new one enters every key at first."""
+NOT_OF_THE_SAMPLE = OF_TREES | {"base_rows", "class_weights"}
 DRAW_SAMPLE = Stage(
     TRAIN_SAMPLE.name,
     TRAIN_SAMPLE.version,

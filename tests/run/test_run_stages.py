@@ -4,6 +4,7 @@ import ast
 import inspect
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -11,15 +12,19 @@ from fwclass import conf
 from fwclass.errors import FwclassError
 from fwclass.graph import stages
 from fwclass.graph.assess import ASSESS
+from fwclass.graph.base_rows import CHOOSE_BASE_ROWS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
 from fwclass.graph.key_values import plain_values
+from fwclass.graph.learn import TRY_MACHINES
 from fwclass.graph.stage import Plan
 from fwclass.graph.stage_work import StageInputs, Work
 from fwclass.graph.stages import OF_NOISE, OF_STRIPS, STAGES, TO_TILES, graph_of, providers
 from fwclass.graph.tiling import TILE_ECHOES
+from fwclass.graph.training_rows import DRAW_SAMPLE, MERGE_SAMPLE
 from fwclass.publish.stage_graph import drop_implied, stage_graph
 from fwclass.schema import Table
+from fwclass.train.params import TrainParams
 from fwclass.walk import steps as walk
 from fwclass.workflows import WORKFLOWS
 
@@ -46,6 +51,15 @@ def test_records_of_one_name_agree_on_what_plan_and_store_ask():
         by_name.setdefault(stage.name, []).append(stage)
     for name, some in by_name.items():
         assert len({(s.over, s.place) for s in some}) == 1, name
+
+
+def test_a_new_setting_enters_the_keys_of_what_learns():
+    """Settings that change no byte stand by name: whatever was none of three was left out of the sample's key, so that
+    a new one that chooses rows would have kept the old rows."""
+    for path in sorted(Path(inspect.getfile(stages)).parent.glob("*.py")):
+        assert "model_fields" not in path.read_text(), path
+    for stage in (DRAW_SAMPLE, MERGE_SAMPLE, CHOOSE_BASE_ROWS, TRY_MACHINES):
+        assert not stage.silent - {*TrainParams.model_fields, "c", "gamma"}, stage.name
 
 
 def test_what_a_column_comes_from_follows_from_the_records():
