@@ -77,7 +77,8 @@ def frame_of(
     path: Path | str,
     intensities: NDArray[np.float32] | None = None,
 ) -> Frame:
-    """A frame from row `at`: `ranges` (beams,) [m], `scan` what holds where the row is silent."""
+    """A frame from row `at`: `ranges` (beams,) [m], `scan` what holds where the row is silent. Beams stand by growing
+    angle: those that turn downwards are turned round."""
     if not 0 < len(ranges) <= MOST_BEAMS:
         raise InputError(
             "a frame has no beams, or more than any scanner",
@@ -105,6 +106,11 @@ def frame_of(
             do="write the numbers again, or leave the column out",
         )
     own = scan_of(numbers, scan, len(ranges))
+    if own.step < 0:  # a driver's way to say that the scanner hangs the other way up
+        own = replace(own, first=own.first + own.step * (own.beams - 1), step=-own.step)
+        ranges = ranges[::-1]
+        labels = None if labels is None else labels[::-1].copy()
+        intensities = None if intensities is None else intensities[::-1].copy()
     check_scan(own, f"{path}: row {at + 1}")
     return Frame(
         int(number) if math.isfinite(number) else at,
@@ -134,14 +140,6 @@ def class_codes(values: NDArray[Any], where: str) -> NDArray[np.uint8]:
 
 def check_scan(scan: Scan, where: str) -> None:
     """`InputError` for beams that no scanner has."""
-    if scan.step < 0:
-        raise InputError(
-            "the beams turn downwards",
-            where=where,
-            expected="an angle_increment above 0: angles grow upwards",
-            got=scan.step,
-            do="reverse the ranges of every frame; angle_min is then the angle of what was the last beam",
-        )
     if not 0 < scan.step <= math.pi:
         raise InputError(
             "beams have no step",

@@ -15,7 +15,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street.info import info
 from fwclass.street.frames import Frame, Scan, Track
-from fwclass.street.recording_parquet import write_recording
+from fwclass.street.recording_parquet import ParquetRecording, write_recording
 from fwclass.street.soundness import recording_faults
 from fwclass.street.sphere_kernels import UNIT
 
@@ -125,6 +125,23 @@ def test_parquet_gives_back_what_was_written(tmp_path):
         assert (a.number, a.time, a.scan) == (b.number, b.time, b.scan)
         assert np.array_equal(a.ranges, b.ranges, equal_nan=True)
         assert np.array_equal(a.labels, b.labels)
+
+
+def test_beams_that_turn_downwards_are_turned_round(tmp_path):
+    """As drivers say that a scanner hangs the other way up; a bag's user could not reverse its ranges."""
+    frames = [replace(f, intensities=np.arange(1081, dtype=np.float32)) for f in drive()[:3]]
+    write_recording(tmp_path / "up.parquet", frames)
+    table = pq.read_table(tmp_path / "up.parquet")
+    for name in ("ranges", "labels", "intensities"):
+        turned = pa.array([row[::-1] for row in table[name].to_pylist()], table.schema.field(name).type)
+        table = table.set_column(table.schema.get_field_index(name), name, turned)
+    scan = frames[0].scan
+    for name, value in (("angle_min", scan.first + 1080 * scan.step), ("angle_increment", -scan.step)):
+        table = table.append_column(name, pa.array([value] * len(table)))
+    pq.write_table(table, tmp_path / "down.parquet")
+    for one, other in zip(frames, ParquetRecording(tmp_path / "down.parquet", scan).frames(), strict=True):
+        assert one.scan.like(other.scan) and np.array_equal(one.ranges, other.ranges, equal_nan=True)
+        assert np.array_equal(one.labels, other.labels) and np.array_equal(one.intensities, other.intensities)
 
 
 def test_csv(tmp_path):

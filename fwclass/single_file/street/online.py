@@ -207,7 +207,8 @@ def _answer(
         raise InputError(
             f"no frame came for {params.stream.stall:g} s",
             where=job.source,
-            got=f"{summary['frames']} frames before" + "".join(f", {n} {name}" for name, n in stream.faults.items()),
+            got=f"{summary['frames']} frames before"
+            + "".join(f", {n} {name}" for name, n in stream.faults.items() if n),
             do="what was answered stays; look at the sender, or give --set street.stream.stall=SECONDS",
         )
     if interrupted:
