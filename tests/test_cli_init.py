@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import unicodedata
 
 import lasmaker
 import numpy as np
@@ -93,6 +94,17 @@ def test_a_directory_of_las_and_laz_with_brackets_in_its_name_is_a_pattern_each(
         assert [name.split("/")[-1] for name in config.survey.sources] == sources
         found = find_files(config.survey.sources, tmp_path, "", tmp_path, config.store)
         assert len(found) == len(sources) and all(path.parent == folder for path in found)
+
+
+@pytest.mark.parametrize(("here", "there"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_names_with_umlauts_are_found_however_they_are_written(here, there, tmp_path):
+    folder = tmp_path / unicodedata.normalize(there, "Los Süd")
+    folder.mkdir()
+    town(folder, unicodedata.normalize(there, "Fläche"), n=600)
+    pattern = unicodedata.normalize(here, "Los Süd/Fläche.*")
+    assert len(find_files([pattern], tmp_path, "", tmp_path, conf.load("demo").store)) == 1
+    drafted = yaml.safe_load(fwclass("init", folder, cwd=tmp_path).stdout)
+    assert drafted["survey"]["name"] == "Los Süd", "no letter is lost"
 
 
 def test_all_files_that_cannot_be_read_are_told_at_once(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import itertools
 import os
+import unicodedata
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -29,7 +30,7 @@ def find_files(
         matches = (
             sorted(find_remote(pattern, directory, params), key=str)
             if isinstance(directory, Url)
-            else matching_files(pattern, directory)
+            else _in_any_form(pattern, directory)
         )
         if not matches:
             raise InputError(
@@ -41,6 +42,13 @@ def find_files(
             )
         matching |= dict.fromkeys(matches)
     return sorted(matching, key=lambda p: (p.name, str(p)))
+
+
+def _in_any_form(pattern: str, directory: Path) -> list[Path]:
+    """As `matching_files`; where none does, an ö may be one character in the pattern and two in the names, as a Mac
+    writes them, or the other way round."""
+    forms = (pattern, *(unicodedata.normalize(form, pattern) for form in ("NFC", "NFD")))
+    return next((found for form in forms if (found := matching_files(form, directory))), [])
 
 
 def matching_files(pattern: str, directory: Path) -> list[Path]:

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -259,7 +260,7 @@ def _name_of(paths: Sequence[Path], directory: Path | None) -> str:
         home = directory.resolve().name
     else:
         home = own[0].stem if len(own) == 1 else Path(os.path.commonpath([p.parent for p in own])).name
-    return re.sub(r"[^\w .-]", "-", home).lstrip("- .")[:100] or "survey"
+    return re.sub(r"[^\w .-]", "-", unicodedata.normalize("NFC", home)).lstrip("- .")[:100] or "survey"
 
 
 def _head(holdings: Holdings) -> list[str]:
