@@ -78,11 +78,15 @@ def test_two_generations(runs):
     found["accuracy"]["tested"][1] -= 40
     assert "tested echoes, not the same ones" in describe(found)
     assert found["labels"] == {}
+    assert found["quality"] == {}, "of the same echoes"
+    found["quality"] = {"density.area": [14_700.0, 15_000.0], "check_points.all.rmse": [0.0512, None]}
     found["labels"] = {"corrections": [0, 1200], "labelled": [None, 6000]}
     found["accuracy"]["kappa"][1] = None
     words = describe(found)
     assert "corrections: 0 -> 1,200 echoes" in words and "labelled: none -> 6,000 echoes" in words
     assert f"{found['accuracy']['kappa'][0]:.4f} -> unknown" in words, "it was left out without a word"
+    assert "quality     m² with echoes: 14,700 -> 15,000\n" in words
+    assert "quality     m RMSEz at check points: 0.0512 -> unknown\n" in words
     with sqlite3.connect(runs / "d.gpkg") as layers:
         inside = layers.execute("select sum(changed) from places").fetchone()[0]
     assert 0.5 * echoes["changed"] < inside <= echoes["changed"]
@@ -149,6 +153,21 @@ def test_deliveries_without_a_common_echo_are_told() -> None:
     """As where the later one is of the survey's quality alone, and has no tiles."""
     nothing = {"common": 0, "only_first": 6000, "only_second": 0, "apart": 0, "changed": 0, "classes": [], "matrix": []}
     assert list(_echo_lines(nothing))[1].split() == ["6,000", "in", "the", "first", "alone"]
+
+
+def test_a_diff_of_quality_runs_tells_the_quality(tmp_path):
+    small_survey(tmp_path)
+    for pulses in (6000, 3000):
+        points = laspy.read(tmp_path / "a.las")
+        points.points = points.points[:pulses]
+        points.write(tmp_path / "a.las")
+        ended = fwclass("run", "s.yaml", "--out", "r", "--workflow", "quality", "--workers", 0, cwd=tmp_path)
+        assert ended.returncode == 0, ended.stderr
+    quality = [json.loads((tmp_path / f"r/generations/{n}/quality.json").read_text()) for n in ("0001", "0002")]
+    told = fwclass("diff", "r", cwd=tmp_path).stdout
+    before, after = (one["density"]["pulses"] for one in quality)
+    assert before > after and f"quality     pulses per m²: {before:.4g} -> {after:.4g}\n" in told
+    assert "echoes  " not in told, "none are delivered"
 
 
 def test_a_tile_that_is_damaged_is_not_compared(runs, tmp_path):

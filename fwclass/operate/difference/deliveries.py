@@ -29,6 +29,18 @@ SHOWN = 10
 
 FIGURES = ("overall_accuracy", "kappa", "mean_iou")
 
+QUALITY = {
+    "density.area": "m² with echoes",
+    "density.pulses": "pulses per m²",
+    "voids.count": "voids",
+    "voids.area": "m² of voids",
+    "strips.rms": "m that strips lie apart in height",
+    "noise_share": "share of noise",
+    "coverage.share": "share of the area covered",
+    "check_points.all.rmse": "m RMSEz at check points",
+}
+"""Figures of a survey's quality that are compared, by their place in ``quality.json``."""
+
 
 @dataclass(frozen=True)
 class ComparedDelivery:
@@ -130,7 +142,8 @@ def difference(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[
     ``added``, ``removed``, ``changed``. ``accuracy``: figures before and after, of how many ``tested`` echoes;
     ``paired`` with intervals where both are runs with the same test echoes, else null and ``why`` not. ``echoes``:
     counts (``apart``: pairs of one name that lie apart and are not compared), ``classes`` and ``matrix`` (rows before,
-    columns after). ``heights``: `raster_changes` of terrain and surface. ``places``: boxes with most changed echoes.
+    columns after). ``quality``: those of `QUALITY` that changed, before and after.
+    ``heights``: `raster_changes` of terrain and surface. ``places``: boxes with most changed echoes.
     """
     changes = class_changes(_tiles(first), _tiles(second), _sizes(first, second))
     codes = [k for k in range(256) if changes.matrix[k].any() or changes.matrix[:, k].any()]
@@ -159,6 +172,7 @@ def difference(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[
             "codes": codes,
             "matrix": changes.matrix[np.ix_(codes, codes)].tolist(),
         },
+        "quality": _changed(_quality(first), _quality(second)),
         "heights": raster_changes(*(d.generation.path / "rasters" for d in (first, second))),
         "places": [{"box": list(box.bounds), "changed": n} for box, n in changes.places()[:SHOWN]],
     }, changes
@@ -204,6 +218,17 @@ def _labels(delivery: ComparedDelivery) -> dict[str, int]:
     sampled = delivery.report.get("sampling") or {}
     corrections = sampled.get("corrections") or {}
     return {"labelled": sampled["labelled"], "corrections": corrections.get("applied", 0)} if sampled else {}
+
+
+def _quality(delivery: ComparedDelivery) -> dict[str, float | None]:
+    """Figures of `QUALITY`, None for what is not known."""
+    found = {}
+    for place in QUALITY:
+        value: Any = delivery.report.get("quality")
+        for key in place.split("."):
+            value = value.get(key) if isinstance(value, Mapping) else None
+        found[place] = float(value) if isinstance(value, int | float) else None
+    return found
 
 
 def _figure(delivery: ComparedDelivery, key: str) -> float | None:
@@ -263,6 +288,9 @@ def _lines(difference: Mapping[str, Any]) -> Iterator[str]:
     yield from _pairs_lines("library", difference["libraries"])
     yield from _accuracy_lines(difference["accuracy"])
     yield from _echo_lines(difference["echoes"])
+    for place, values in difference["quality"].items():
+        before, after = ("unknown" if v is None else f"{v:,.0f}" if v >= 1000 else f"{v:.4g}" for v in values)
+        yield f"{'quality':<12}{QUALITY[place]}: {before} -> {after}"
     yield from _height_lines(difference["heights"])
     for place in difference["places"]:
         x, y, x1, y1 = place["box"]
@@ -324,6 +352,8 @@ def _height_lines(rasters: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 def _echo_lines(echoes: Mapping[str, Any]) -> Iterator[str]:
     common, changed = echoes["common"], echoes["changed"]
+    if not common + echoes["only_first"] + echoes["only_second"]:
+        return  # neither delivers any, as of the workflow quality
     share = f" ({100 * changed / common:.2f} %)" if common else ""
     yield f"{'echoes':<12}{common:,} in both, {changed:,} of another class{share}"
     for key, word in (("only_first", "first"), ("only_second", "second")):
