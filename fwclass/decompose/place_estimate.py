@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.alternate_heights import alternate_heights
 from fwclass.decompose.beam_lengths import uneven_echoes
 from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, SATURATED
@@ -117,7 +118,8 @@ def measure_placement(
     else:
         placement = _outgoing(sample, fits, params, pulse, from_outgoing)
     recurring = recurring_echoes(fits, pulse.fwhm, params.vendor_tolerance)
-    return replace(placement, recurring=recurring, uneven=uneven_echoes(sample, fits))
+    uneven, alternate = uneven_echoes(sample, fits), alternate_heights(sample, fits)
+    return replace(placement, recurring=recurring, uneven=uneven, alternate=alternate)
 
 
 def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> tuple[OffsetCurve, ...]:

@@ -68,6 +68,7 @@ class Placement:
     places, ranges : roughness along the line as stored, and less the outgoing pulse's time [m]; None unknown.
     outgoing : pulses of the sample with a recorded outgoing pulse.
     recurring : echoes of the sample that no scene makes.
+    alternate : how many times as high the echoes of odd pulses are as those of even ones; 1 where that is not sure.
     uneven : echoes of the sample that the length of their beam vector moves (`uneven_echoes`), and all of them.
     """
 
@@ -80,6 +81,7 @@ class Placement:
     outgoing: int = 0
     recurring: tuple[Recurring, ...] = ()
     uneven: tuple[int, int] = (0, 0)
+    alternate: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
         """Plain data that `from_json` reads."""
@@ -124,7 +126,7 @@ def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], N
 
 def describe_placement(placement: Placement) -> dict[str, Any]:
     """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None,
-    ``recurring`` and ``uneven`` echoes."""
+    ``recurring`` and ``uneven`` echoes, and `alternate`."""
     lists = ("heights", "offsets", "receivers")
     channels = [{**asdict(c), **{name: list(getattr(c, name)) for name in lists}} for c in placement.curves]
     recorded = {
@@ -140,4 +142,5 @@ def describe_placement(placement: Placement) -> dict[str, Any]:
         "outgoing_time": recorded if placement.outgoing else None,
         "recurring": [asdict(one) for one in placement.recurring],
         "uneven": list(placement.uneven),
+        "alternate": placement.alternate,
     }

@@ -300,6 +300,12 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"{channel_words(worst)}: locations or samples of some pulses are not where they say, by a sample "
             f"perhaps, and their echoes are off by as much ({names_of(strips_once(s for s, _ in some))})"
         )
+    if in_turn := [s for s in strips if (s["places"] or {}).get("alternate", 1.0) != 1.0]:
+        worst = max((s["places"]["alternate"] for s in in_turn), key=lambda ratio: abs(ratio - 1.0))
+        lines.append(
+            f"echoes of every other pulse are {max(worst, 1.0 / worst):.3f} times as high as those between: two "
+            f"lasers, facets or receivers in turn; their heights and energies do not compare ({names_of(in_turn)})"
+        )
     some = [(s, c) for s, c in offsets if c["phase"]]
     if some:
         lines.append(

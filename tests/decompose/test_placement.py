@@ -356,3 +356,16 @@ def test_beam_vectors_longer_than_lights_way_are_told(tmp_path, part):
     facts = judged["plausibility"]
     assert ("beam vectors" in words) == (part != slice(0)), words
     assert facts["uneven_share"] == 0.0 if part == slice(0) else facts["uneven_share"] > 0.15
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.1])
+def test_pulses_in_turn_whose_heights_differ_are_told(tmp_path, gain):
+    truth = scene(pulses=1500)
+    level = 12.0
+    truth.samples = np.rint(truth.samples.astype(float))
+    truth.samples[1::2] = np.rint(level + gain * (truth.samples[1::2] - level))
+    truth.samples = truth.samples.clip(0, 255).astype(np.uint16)
+    path = write_parquet(tmp_path / "a.parquet", truth.columns(), {"crs": "EPSG:25832", "spacing_ns": "1"})
+    words, judged = decompose_file(path, tmp_path / "a.laz", (), True)
+    assert ("every other pulse" in words) == (gain != 1.0), words
+    assert judged["plausibility"]["places"]["alternate"] == pytest.approx(gain, abs=0.03)
