@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from fwclass.errors import InputError
 from fwclass.read.base import WaveStore
 from fwclass.read.beam_source import TOP, BeamSource, Census, bounds_of, census_of
 from fwclass.read.footprints import is_footprints, open_footprints
-from fwclass.read.helios import LEVELS, is_helios, open_helios
+from fwclass.read.helios import LEVEL, LEVELS, is_helios, open_helios
 from fwclass.read.raw_csv import is_raw_csv, open_raw_csv
 from fwclass.read.raw_parquet import is_raw_parquet, open_raw_parquet
 from fwclass.read.riegl_sdf import is_sdf, open_sdf
@@ -31,6 +31,7 @@ class OpenedTable:
 
     `levels` : counts that the range of samples which are no whole numbers is laid out in, at most.
     `step` : of such samples, one for all files, or None; a range that has no room in it is refused where `firm`.
+    `level` : counts that are put below the lowest sample.
     `census` : where opening it went over all rows already.
     """
 
@@ -44,6 +45,7 @@ class OpenedTable:
     levels: float = TOP - 1.0
     step: float | None = None
     firm: bool = False
+    level: float = 0.0
     census: Census | None = None
 
 
@@ -62,7 +64,8 @@ def _open(path: Path) -> OpenedTable:
     if is_helios(path):
         layout = open_helios(path)
         bins = f"{layout.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * layout.bin_ns:g} there and back"
-        return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, (("bins", bins),), (NO_CRS,), LEVELS)
+        told = (("bins", bins),)
+        return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, told, (NO_CRS,), LEVELS, level=LEVEL)
     if is_footprints(path):
         shots, kind, system, about = open_footprints(path)
         return OpenedTable(kind, shots, system, None, False, tuple(about), (), step=FOOTPRINT_STEP)
@@ -94,6 +97,7 @@ def open_beam_file(path: Path) -> BeamSource:
             "the file changed, or counts wrongly", where=path, expected=f"{opened.layout.n_rows} rows", got=census.rows
         )
     scaling = census.scaling(opened.saturation, opened.levels, opened.step)
+    scaling = replace(scaling, low=scaling.low - opened.level * scaling.step)
     if opened.firm and opened.step is not None and scaling.step not in (opened.step, 1.0):
         raise InputError(
             "the samples have no room in 16 bits of these steps",

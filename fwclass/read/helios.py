@@ -44,6 +44,9 @@ where the signal is 0, and a fit needs to see the level and the flanks' ends."""
 LEVELS = 255.0
 """Counts of the highest sample, as of a digitiser of 8 bits: the waveforms have no noise but this rounding."""
 
+LEVEL = 16.0
+"""Counts that silence has, as of a receiver whose noise is not cut off at 0: a level of 0 is told as a fault."""
+
 LOOKED_AT = 100_000
 """Lines that pin it down."""
 

@@ -102,4 +102,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 13)
+READ = Computation("read", 14)
