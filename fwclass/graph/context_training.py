@@ -60,6 +60,8 @@ LEAST_SQUARE = 2.0
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 """A cell and the eight around it."""
 
+_kept: dict[tuple[Any, ...], tuple[Folds, float]] = {}
+
 
 def squares_of(sample: Sample, block: float, gap: float, folds: int, alone: bool = False) -> tuple[Folds, float]:
     """Folds of a sample's rows by squares of `block` [m], or of a half, a quarter … down to `LEAST_SQUARE` where there
@@ -83,6 +85,17 @@ def squares_of(sample: Sample, block: float, gap: float, folds: int, alone: bool
     )
 
 
+def _survey_squares(
+    here: StageInputs, sample: Sample, block: float, gap: float, folds: int, alone: bool
+) -> tuple[Folds, float]:
+    """`squares_of` the survey's sample, which a process keeps: the parts of all tiles ask for them in turn."""
+    key = (here.inputs.digest("training", "all"), block, gap, folds, alone)
+    if key not in _kept:
+        _kept.clear()
+        _kept[key] = squares_of(sample, block, gap, folds, alone)
+    return _kept[key]
+
+
 def train_fold(
     here: StageInputs,
     names: tuple[str, ...],
@@ -96,7 +109,7 @@ def train_fold(
 ) -> Result:
     """A first layer that has not learned from the squares of a fold."""
     sample = survey_sample(here.inputs, names)
-    division, _ = squares_of(sample, block, gap, folds, alone)
+    division, _ = _survey_squares(here, sample, block, gap, folds, alone)
     rest = _rest(here, sample, division)
     if rest is not None:
         save_model(here.directory / MODEL, fit_layer(rest, params, compare, classes, block, gap, on_trial=True))
@@ -125,7 +138,7 @@ def share_folds(
     """Shares of a tile's echoes by the first layer that has not learned from their square, or the whole one where
     nothing of it was learned, or a class stands in one fold alone; 0 of echoes that no row of the sample reaches."""
     sample = survey_sample(here.inputs, names)
-    division, edge = squares_of(sample, block, gap, folds, alone)
+    division, edge = _survey_squares(here, sample, block, gap, folds, alone)
     mm = whole_millimetres(edge, "select.block")
     squares, at = _squares_with_rows(sample.place, mm)
     fold_of = division.fold[at]
@@ -163,7 +176,7 @@ def _squares_with_rows(place: NDArray[np.int64], edge: int) -> tuple[NDArray[np.
 def _squares_around(place: NDArray[np.int64], edge: int) -> NDArray[np.int64]:
     """int64 (squares, 2), in order: those, and those beside them: all that lies within `edge` [mm] of a place."""
     squares, _ = _squares_with_rows(place, edge)
-    return np.unique((squares[:, None] + _AROUND).reshape(-1, 2), axis=0)
+    return _squares_with_rows((squares[:, None] + _AROUND).reshape(-1, 2) * edge, edge)[0]
 
 
 def _folds_at(x: NDArray, y: NDArray, squares: NDArray, fold_of: NDArray) -> NDArray[np.int64]:
