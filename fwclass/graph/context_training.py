@@ -21,7 +21,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.errors import InputError
 from fwclass.graph.areas import training_tiles
 from fwclass.graph.context_layer import ContextLayer, context_layer, layer_of, tries
-from fwclass.graph.context_trial import LayerTrial, Verdict, Weighing, verdict, weighing
+from fwclass.graph.context_trial import Answers, LayerTrial, Verdict, Weighing, verdict, weighing
 from fwclass.graph.learn import TRAIN_COARSE, fit_layer, parameters_of, with_feature_parameters
 from fwclass.graph.loaded_models import MODEL, model_at, used_model
 from fwclass.graph.stage import Plan, Stage
@@ -246,7 +246,7 @@ def try_context(
     square = asked.place // whole_millimetres(edge, "select.block")
     trial = LayerTrial.of(square, asked.y, first.argmax(axis=1), both.argmax(axis=1), len(classes))
     write_arrays(here.directory / SQUARES, vars(trial))
-    write_arrays(here.directory / ANSWERS, {"shares": both, "truth": asked.y})
+    write_arrays(here.directory / ANSWERS, Answers(both, asked.y, square)._asdict())
     return {"rows": asked.rows}
 
 
@@ -302,8 +302,8 @@ def _weighed(
     here: StageInputs, sample: Sample, classes: tuple[ClassDef, ...], folds: int, most: float
 ) -> Weighing | None:
     """What the classes weigh, by what both layers said of the folds' rows."""
-    answers = [here.inputs.arrays(TRIED, part, ANSWERS)[0] for part in _tried(here, folds)]
-    return weighing([(a["shares"], a["truth"]) for a in answers], sample.eligible, tuple(c.name for c in classes), most)
+    answers = [Answers(**here.inputs.arrays(TRIED, part, ANSWERS)[0]) for part in _tried(here, folds)]
+    return weighing(answers, sample.eligible, tuple(c.name for c in classes), most)
 
 
 def _tried(here: StageInputs, folds: int) -> list[str]:
@@ -355,7 +355,7 @@ def _fitting_folds(plan: Plan) -> Mapping[str, Any]:
 
 
 _OF_LAYERS = 1000 * BASELINE_VERSION + TRAIN.version
-_OF_JUDGING = 2_000_000 + _OF_LAYERS
+_OF_JUDGING = 3_000_000 + _OF_LAYERS
 _OF_NOTES = 1_000_000 + _OF_JUDGING
 _OF_ROWS = 1_000_000 + 1000 * CONTEXT.version + TRAIN_SAMPLE.version  # their context alone
 

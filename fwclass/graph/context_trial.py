@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +75,12 @@ class LayerTrial:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Why a second layer does not pay, nothing where it does; what was measured, in words and as plain data."""
+    """Why a second layer does not pay, nothing where it does; what was measured, in words and as plain data.
+    `changed`: by how many points both figures, with their intervals."""
 
     why: tuple[str, ...]
     sentence: str
+    changed: str
     facts: Mapping[str, Any]
 
     @property
@@ -103,7 +105,7 @@ def verdict(trial: LayerTrial, eligible: NDArray[np.int64], names: tuple[str, ..
     gain = difference(first, both)
     if gain is None:
         few = f"a second layer could be tried on {len(trial.square)} squares of the training areas"
-        return Verdict((f"it takes {LEAST} squares to tell",), few, facts)
+        return Verdict((f"it takes {LEAST} squares to tell",), few, "", facts)
     of_class = class_gains(first, both)
     figures = [(words, gain[name]["difference"], gain[name]["interval"]) for name, words in _FIGURES.items()]
     sure = any(ends is not None and ends[0] > 0 for _, _, ends in figures)
@@ -118,16 +120,26 @@ def verdict(trial: LayerTrial, eligible: NDArray[np.int64], names: tuple[str, ..
     ]
     reached = dict(zip(FIGURES, scores(both.sum(axis=0)[None])[0].tolist(), strict=True))
     changed = " and ".join(f"{words} by {_span(change, ends)}" for words, change, ends in figures)
+    changed += " points (95 % intervals)"
     sentence = (
         f"tried on {len(trial.square)} squares of the training areas that neither layer had learned from, the second "
-        f"one changes {changed} points (95 % intervals)"
+        f"one changes {changed}"
     )
     known = {name: None if np.isnan(value) else value for name, value in reached.items()}  # no kappa of one class
-    return Verdict(tuple(why), sentence, {**facts, "gain": gain, "classes": of_class, "reached": known})
+    return Verdict(tuple(why), sentence, changed, {**facts, "gain": gain, "classes": of_class, "reached": known})
 
 
 def _span(value: float, ends: Sequence[float] | None) -> str:
     return f"{100 * value:+.2f}" + (f" ({100 * ends[0]:+.2f} to {100 * ends[1]:+.2f})" if ends else "")
+
+
+class Answers(NamedTuple):
+    """What both layers say of rows that neither has learned from: their shares (rows, classes), added up, the rows'
+    classes (rows,), and the squares that they lie in (rows, 2), as `LayerTrial` has them."""
+
+    shares: NDArray[np.float64]
+    truth: NDArray[np.uint8]
+    square: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -140,20 +152,17 @@ class Weighing:
 
 
 def weighing(
-    answers: Sequence[tuple[NDArray[np.float64], NDArray[np.uint8]]],
-    eligible: NDArray[np.int64],
-    names: tuple[str, ...],
-    most: float,
+    answers: Sequence[Answers], eligible: NDArray[np.int64], names: tuple[str, ...], most: float
 ) -> Weighing | None:
     """The weights by which overall accuracy and mean IoU, added up, are greatest; None where weights that are chosen
-    on all folds but one do not raise both on that one, over all folds.
+    on all folds but one do not pay on that one, over all folds, by the rule of `verdict`.
 
     A sample has as many rows of a rare class as of others, so that its shares are too large where it is rare; how much
     of that is to be taken back differs from class to class, and the rows that neither layer has learned from tell.
 
     Parameters
     ----------
-    answers : by fold, shares of both layers (rows, classes) and the class of every row (rows,).
+    answers : by fold.
     eligible : int64 (classes,), labelled echoes that the rows of a class stand for.
     most : no class weighs so many times another, or more than this.
     """
@@ -161,28 +170,24 @@ def weighing(
     if len(answers) < 2 or span < 1:
         return None
     every = [_rows_of(answers)] + [_rows_of([*answers[:k], *answers[k + 1 :]]) for k in range(len(answers))]
-    rows = np.bincount(every[0][1], minlength=len(eligible))
+    rows = np.bincount(every[0].truth, minlength=len(eligible))
     stand_for = np.rint(_UNITS * eligible / np.maximum(rows, 1)).astype(np.int64)[:, None]
-    chosen, *without = (_best_levels(*some, stand_for, span) for some in every)
-    level = np.zeros(len(eligible), np.int64)
-    plain = np.sum([_counted(*one, level, stand_for) for one in answers], axis=0)
-    weighed = np.sum([_counted(*one, w, stand_for) for one, w in zip(answers, without, strict=True)], axis=0)
-    gain = dict(zip(FIGURES, 100 * (scores(weighed[None]) - scores(plain[None]))[0], strict=True))
-    if not all(gain[name] > 0 for name in _FIGURES):
+    chosen, *without = (_best_levels(some, stand_for, span) for some in every)
+    trials = (
+        LayerTrial.of(a.square, a.truth, a.shares.argmax(axis=1), (a.shares * _weights(w)).argmax(axis=1), len(names))
+        for a, w in zip(answers, without, strict=True)
+    )
+    judged = verdict(LayerTrial.joined(trials, len(names)), eligible, names)
+    if not judged.pays:
         return None
     weights = tuple(_weights(chosen - chosen.min()).tolist())
     each = ", ".join(f"{name} {weight:.2f}" for name, weight in zip(names, weights, strict=True))
-    changed = " and ".join(f"{words} by {gain[name]:+.2f}" for name, words in _FIGURES.items())
-    return Weighing(
-        weights, f"the shares of the classes weigh {each}: on squares that this was not chosen on {changed} points"
-    )
+    said = f"the shares of the classes weigh {each}: on squares that this was not chosen on {judged.changed}"
+    return Weighing(weights, said)
 
 
-def _rows_of(
-    answers: Sequence[tuple[NDArray[np.float64], NDArray[np.uint8]]],
-) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    shares, truth = zip(*answers, strict=True)
-    return np.concatenate(shares), np.concatenate(truth)
+def _rows_of(answers: Sequence[Answers]) -> Answers:
+    return Answers(*(np.concatenate(arrays) for arrays in zip(*answers, strict=True)))
 
 
 def _weights(level: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -190,37 +195,35 @@ def _weights(level: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.round(2.0 ** (level / _STEPS), 3)
 
 
-def _counted(
-    shares: NDArray[np.float64], truth: NDArray[np.uint8], level: NDArray[np.int64], stand_for: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """int64 (classes, classes): echoes by class and answer."""
-    classes = shares.shape[1]
-    winner = (shares * _weights(level)).argmax(axis=1)
-    counts = np.bincount(truth.astype(np.int64) * classes + winner, minlength=classes**2)
-    return counts.reshape(classes, classes) * stand_for
-
-
-def _best_levels(
-    shares: NDArray[np.float64], truth: NDArray[np.uint8], stand_for: NDArray[np.int64], span: int
-) -> NDArray[np.int64]:
+def _best_levels(answers: Answers, stand_for: NDArray[np.int64], span: int) -> NDArray[np.int64]:
     """int64 (classes,): steps of the classes' weights, class by class the best one within half the span, until none
     is better."""
+    shares, of_truth, classes = answers.shares, answers.truth.astype(np.int64) * len(stand_for), len(stand_for)
 
-    def score(level: NDArray[np.int64]) -> float:
-        reached = dict(zip(FIGURES, scores(_counted(shares, truth, level, stand_for)[None])[0], strict=True))
+    def score(winner: NDArray[np.int64]) -> float:
+        counts = np.bincount(of_truth + winner, minlength=classes**2).reshape(classes, classes) * stand_for
+        reached = dict(zip(FIGURES, scores(counts[None])[0], strict=True))
         return sum(float(reached[name]) for name in _FIGURES)
 
-    best = np.zeros(shares.shape[1], np.int64)
-    reached = score(best)
+    best = np.zeros(classes, np.int64)
+    reached = score(shares.argmax(axis=1))
     reach = max(span // 2, 1)
     for _ in range(_ROUNDS):
         before = best
-        for k in range(len(best)):
+        for k in range(classes):
             begin = best
+            weighed = shares * _weights(begin)
+            weighed[:, k] = -1.0
+            other = weighed.argmax(axis=1)
+            most = weighed.max(axis=1)
             for step in range(-reach, reach + 1):
                 tried = begin.copy()
                 tried[k] += step
-                if np.ptp(tried) <= span and (now := score(tried)) > reached:
+                if np.ptp(tried) > span:
+                    continue
+                own = shares[:, k] * _weights(tried)[k]
+                now = score(np.where((own > most) | ((own == most) & (k < other)), k, other))  # the first of equals
+                if now > reached:
                     best, reached = tried, now
         if best is before:
             break

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from fwclass.graph.context_trial import MOST_SQUARES, LayerTrial, verdict, weighing
+from fwclass.graph.context_trial import MOST_SQUARES, Answers, LayerTrial, verdict, weighing
 
 NAMES = ("ground", "roof", "water")
 EVEN = np.array([1000, 1000, 1000])
@@ -72,14 +72,15 @@ def test_the_order_of_folds_changes_nothing_and_squares_are_no_more_than_can_be_
 MANY = np.array([9000, 500, 500])
 
 
-def fold_of(seed, towards=0.0, rows=3000):
-    """Shares of three classes, as many rows of each, that tell them badly apart; class 0 gets `towards` more."""
+def fold_of(seed, towards=0.0, rows=3000, squares=10):
+    """Shares of three classes, as many rows of each, that tell them badly apart; class 0 gets `towards` more, a number
+    or one a row."""
     r = np.random.default_rng(seed)
     truth = r.integers(0, 3, rows).astype(np.uint8)
     shares = r.uniform(0, 1, (rows, 3))
     shares[np.arange(rows), truth] += 0.5
     shares[:, 0] += towards
-    return shares, truth
+    return Answers(shares, truth, np.stack([np.arange(rows) * squares // rows, np.full(rows, seed)], axis=1))
 
 
 def test_shares_of_a_class_that_the_sample_has_too_few_of_weigh_more():
@@ -88,7 +89,9 @@ def test_shares_of_a_class_that_the_sample_has_too_few_of_weigh_more():
     assert weighed.weights[0] > 1.5 and min(weighed.weights) == 1.0
     assert weighed.sentence.startswith("the shares of the classes weigh ground 1.")
     assert "overall accuracy by +" in weighed.sentence and "mean IoU by +" in weighed.sentence
-    assert weighing([(s[::-1], t[::-1]) for s, t in folds[::-1]], MANY, NAMES, 2.0) == weighed, "no order counts"
+    assert weighed.sentence.endswith(") points (95 % intervals)")
+    turned = [Answers(*(a[::-1] for a in fold)) for fold in folds[::-1]]
+    assert weighing(turned, MANY, NAMES, 2.0) == weighed, "no order counts"
     least = weighing(folds, MANY, NAMES, 1.2)
     assert max(least.weights) == 1.189
 
@@ -106,4 +109,21 @@ def test_nothing_weighs_where_nothing_can_be_told(folds, most):
 
 def test_classes_that_are_told_apart_weigh_the_same():
     truth = np.tile(np.arange(3, dtype=np.uint8), 100)
-    assert weighing([(np.eye(3)[truth], truth)] * 3, MANY, NAMES, 2.0) is None
+    folds = [Answers(np.eye(3)[truth], truth, np.stack([truth, np.full(300, k)], axis=1)) for k in range(3)]
+    assert weighing(folds, MANY, NAMES, 2.0) is None
+
+
+@pytest.mark.parametrize(("squares", "weigh"), [(10, True), (1, False)])
+def test_weights_that_gain_in_a_few_squares_are_none(squares, weigh):
+    """The same rows, which gain, lie in twenty squares or in two: of so few nothing is known."""
+    folds = [fold_of(seed, squares=squares) for seed in range(2)]
+    assert (weighing(folds, MANY, NAMES, 2.0) is not None) == weigh
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_weights_whose_gain_chance_would_give_are_none(seed):
+    """Every square has its own say for or against class 0, none by rule; what weights gain on the other folds' squares
+    (0.1 to 1.5 points of both figures) is chance, and the interval says so."""
+    said = np.random.default_rng(100 + seed).normal(0.0, 0.35, (4, 10))
+    folds = [fold_of(4 * seed + k, np.repeat(some, 100), rows=1000) for k, some in enumerate(said)]
+    assert weighing(folds, EVEN, NAMES, 2.0) is None
