@@ -85,6 +85,8 @@ def test_two_generations(runs):
     words = describe(found)
     assert "corrections: 0 -> 1,200 echoes" in words and "labelled: none -> 6,000 echoes" in words
     assert f"{found['accuracy']['kappa'][0]:.4f} -> unknown" in words, "it was left out without a word"
+    found["accuracy"]["tested"][1] = 0
+    assert "and 0 tested echoes, not the same ones (areas, labels and corrections" in describe(found), "nor why"
     assert "quality     m² with echoes: 14,700 -> 15,000\n" in words
     assert "quality     m RMSEz at check points: 0.0512 -> unknown\n" in words
     with sqlite3.connect(runs / "d.gpkg") as layers:

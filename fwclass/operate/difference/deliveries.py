@@ -311,7 +311,7 @@ def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
             words = ("unknown" if value is None else f"{value:.4f}" for value in (before, after))
             yield f"{key.replace('_', ' '):<18}{' -> '.join(words)}"
     before, after = accuracy["tested"]
-    if before and after and before != after:
+    if before != after:
         yield (
             f"{'':<12}of {before:,} and {after:,} tested echoes, not the same ones (areas, labels and corrections "
             "decide): part of the difference may be theirs"
