@@ -141,7 +141,8 @@ def _of_no_test(corrected: dict[str, int] | None, config: Config) -> list[str]:
     return [
         f"{corrected['applied']:,} echoes were corrected or confirmed (fwclass label): all of them train, and nothing "
         f"nearer than {config.areas.gap:g} m (areas.gap) to one is tested. List boxes as areas.test, in and near which "
-        "corrections do not train; or confirm smaller places."
+        "corrections do not train, and confirm nothing in them, for what is confirmed there is tested; or confirm "
+        "smaller places."
     ]
 
 
