@@ -98,7 +98,7 @@ def standing_drive(place, seconds):
 
 
 def test_crowns_are_found_beside_a_vehicle_that_stands_for_minutes(tmp_path):
-    """Copies of one frame outweigh those around: of the crown returns there four of five were missed."""
+    """Copies of one frame would outweigh those around it."""
     place = next(k for k in range(120, 30, -1) if all(f.speed > 0 for f in drive()[k - 30 : k + 6]))
     here = {f.number: f.labels == 5 for f in drive()[place - 5 : place + 6]}
     answered = []
