@@ -255,3 +255,9 @@ def test_info_of_a_directory_is_that_of_its_files(small, tmp_path):
     assert json.loads(ended.stdout) == [
         json.loads(fwclass("info", folder / n, "--json").stdout) for n in ("a.LAS", "b.las")
     ]
+    one = json.loads(ended.stdout)[0]
+    told = fwclass("info", folder).stdout.split("\n\n")
+    assert len(told) == 3 and f"together     2 files, {2 * one['points']:,} points or pulses\n" in told[2]
+    assert all(f"{code}: {2 * n:,}" in told[2] for code, n in one["classes"].items())
+    assert told[2].count("  ! ") == len(one["faults"]) == told[2].count("(alike in 1 other file)")
+    assert "together" not in fwclass("info", folder / "b.las").stdout

@@ -80,6 +80,7 @@ def _info_waveforms(
 def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
     from fwclass.read.info import describe, files_in
     from fwclass.read.info import info as facts_of
+    from fwclass.read.info_together import describe_together
     from fwclass.store.unchanged import unchanged
 
     facts, faults = [], []
@@ -95,7 +96,7 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(facts if len(files) > 1 else (facts[0] if facts else None), indent=1))
     else:
-        click.echo("\n\n".join(describe(f) for f in facts))
+        click.echo("\n\n".join(filter(None, (*map(describe, facts), describe_together(facts)))))
     if faults:
         sys.exit(FAILED)
 

@@ -3,7 +3,7 @@ its packets."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -300,10 +300,10 @@ def describe(info_: dict[str, Any]) -> str:
     crs = info_["crs"]
     rows = [
         ("file", f"{info_['path']}  ({info_['size']:,} bytes)"),
-        ("format", _format_text(info_)),
+        ("format", format_text(info_)),
         ("written by", " / ".join(t for t in (info_["system"], info_["software"]) if t)),
         ("CRS", f"{crs['name']}" + (f" (EPSG:{crs['epsg']})" if crs["epsg"] else "") if crs else "none"),
-        ("bounds", _bounds_text(info_["bounds"])),
+        ("bounds", bounds_text(info_["bounds"])),
         ("GPS time", " to ".join(map(_time_text, info_["gps_time"])) + " s" if info_["gps_time"] else "none"),
         *_describe_rest(info_),
     ]
@@ -323,7 +323,8 @@ def _describe_rest(info_: dict[str, Any]) -> list[tuple[str, str]]:
     return describe_pulses(info_) if "pulses" in info_ else _describe_points(info_)
 
 
-def _format_text(info_: dict[str, Any]) -> str:
+def format_text(info_: Mapping[str, Any]) -> str:
+    """Format, version and point format of what a file holds."""
     if "format" in info_:
         return str(info_["format"])
     if "pulses" in info_:
@@ -340,8 +341,8 @@ def _describe_points(info_: dict[str, Any]) -> list[tuple[str, str]]:
     waves = info_["waveforms"]
     rows = [
         ("points", f"{info_['points']:,}"),
-        ("returns", _counts_text(info_["returns"])),
-        ("classes", _counts_text(info_["classes"])),
+        ("returns", counts_text(info_["returns"])),
+        ("classes", counts_text(info_["classes"])),
         *([("flags", _flags_text(info_["flags"]))] if info_["flags"] else []),
         ("extra bytes", ", ".join(info_["extra_bytes"]) or "none"),
         ("amplitudes", words_of(info_["quantities"]["amplitude"])),
@@ -359,12 +360,14 @@ def _describe_points(info_: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _bounds_text(bounds: list[float] | None) -> str:
+def bounds_text(bounds: Sequence[float] | None) -> str:
+    """``xmin, ymin, zmin, xmax, ymax, zmax`` in words."""
     if bounds is None:
         return "none"
     x0, y0, z0, x1, y1, z1 = bounds
     return f"x {x0:.2f} to {x1:.2f}, y {y0:.2f} to {y1:.2f}, z {z0:.2f} to {z1:.2f}"
 
 
-def _counts_text(counts: dict[str, int]) -> str:
+def counts_text(counts: Mapping[str, int]) -> str:
+    """Counts by what they are of."""
     return ", ".join(f"{key}: {n:,}" for key, n in counts.items()) or "none"

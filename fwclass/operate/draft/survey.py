@@ -27,6 +27,7 @@ from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at
 from fwclass.read.info import info
+from fwclass.read.info_together import alike_faults
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.polygons import is_polygon_file
@@ -269,17 +270,8 @@ def _head(holdings: Holdings) -> list[str]:
     density = f", {sum(holdings.codes.values()) / area:.1f}/m2 on {area / 1e6:.3g} km2" if area else ""
     waves = ", with waveforms" if holdings.waveforms else ""
     held = f"{holdings.records:,} points or pulses{density}{waves}"
-    alike: dict[str, list[str]] = {}
-    for facts in holdings.facts:
-        path = Path(facts["path"])
-        for fault in map(str, (facts.get("faults") or [])[:SHOWN]):
-            kind = re.sub(rf"{re.escape(path.stem)}\.\w+|[\d.,]+", "0", fault)
-            alike.setdefault(kind, []).append(f"{visible(path.name)}: {visible(fault)}")
     lines = [f"# Drafted by `fwclass init` from {several(files, 'file')}: {held}."]
-    for same in alike.values():
-        more = f" (alike in {several(len(same) - 1, 'other file')})" if len(same) > 1 else ""
-        lines.append(f"# ! {same[0]}{more}")
-    return lines
+    return [*lines, *(f"# ! {line}" for line in alike_faults(holdings.facts, SHOWN))]
 
 
 def _system_lines(holdings: Holdings) -> list[str]:
