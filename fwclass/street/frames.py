@@ -390,7 +390,7 @@ class Track:
         here = beams - int(np.isnan(r).sum())
         self.returns += here
         self.blind += here == 0
-        if count >= FEWEST_ROAD and self.params.features == "road":
+        if count >= FEWEST_ROAD and self.params.features == "height":
             self._road = float(np.median(under[:count]))
         return Placed(frame.number, frame.time, place, self._road, x, y, z, r, light, frame.labels, self._repeats())
 

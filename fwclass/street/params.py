@@ -145,7 +145,7 @@ class StreetParams(Params):
     radii : of the spheres [m]. most_frames : of the neighbourhood before and after a frame. stood : frames that a
     vehicle that stands adds; later ones are left out until it moves on.
     window : `exact`, or the `paper`'s, which loses members near the scanner.
-    features : `scanner`, heights count from the scanner (Li 2018); `road`, from the road beside the vehicle.
+    features : `scanner`, heights count from the scanner (Li 2018); `height`, from the road beside the vehicle.
     intensity : the strongest that the scanner tells, full scale: mean and deviation of a sphere's intensities, as
     shares of it, are features; null: they are none.
     smooth : radius of the spheres [m] that the share of the first class is averaged over before it decides; null: every
@@ -166,7 +166,7 @@ class StreetParams(Params):
     most_frames: int = Field(ge=1, le=1000)
     stood: int = Field(ge=1, le=1_000_000)
     window: Literal["exact", "paper"]
-    features: Literal["scanner", "road"]
+    features: Literal["scanner", "height"]
     intensity: float | None = Field(gt=0, le=1e9)
     smooth: float | None = Field(ge=0.02, le=LARGEST_RADIUS)
     road_half_width: float = Field(gt=0, le=20)

@@ -30,7 +30,7 @@ LIGHT = ("street_intensity_mean", "street_intensity_deviation")
 
 def feature_names(params: StreetParams) -> tuple[str, ...]:
     """Columns of the features, radius by radius."""
-    first = "street_road_height_mean" if params.features == "road" else BASES[0]
+    first = "street_road_height_mean" if params.features == "height" else BASES[0]
     light = LIGHT if params.intensity is not None else ()
     return tuple(scaled(base, radius) for radius in params.radii for base in (first, *BASES[1:], *light))
 
@@ -156,7 +156,7 @@ class Ring:
                 *(self._x, self._y, self._z, self._light, self._r, self._place, rows, middle),
                 *(radius, scan.step, geometry.lean, scan.wraps, narrow, self._sums),
             )
-            from_road = self.params.features == "road"
+            from_road = self.params.features == "height"
             features_of(self._sums, self._y[middle], self._z[middle], frame.road, from_road, self._out[k])
         if len(self._out) == 1:
             return self._out[0]

@@ -279,7 +279,7 @@ def test_speed_that_is_nowhere():
 
 
 def test_the_height_of_the_road_is_found():
-    placed, _ = taken(drive()[:40], features="road")
+    placed, _ = taken(drive()[:40], features="height")
     assert np.median([p.road for p in placed]) == pytest.approx(-1.8, abs=0.05)
 
 
