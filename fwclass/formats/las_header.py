@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales
 from fwclass.paths import open_sized
@@ -31,6 +33,9 @@ PACKET_ENDINGS = (".wdp", ".wdz")
 VLR_HEADER, EVLR_HEADER = 54, 60
 MAX_EVLR_BODY = 1 << 22
 """Bytes of an extended record that are kept; longer ones (waveforms, images) are only located."""
+
+SEEN_BEHIND = 100
+"""Records behind the points that are looked at: most are points, or none is."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +146,9 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
     vlrs = _vlrs(stream, path, header_size, n_vlrs, points_start)
     points_end = points_start + (0 if compressed else n_points * record_length)
     evlrs = _evlrs(stream, first_evlr, n_evlrs, points_end, size, faults)
+    if not compressed and n_points:
+        behind = min([at for at in (wave_start, first_evlr) if points_end <= at <= size], default=size)
+        _check_count(stream, path, points_end, behind, record_length, n_points, (scales, offsets, b))
     return Header(
         path,
         size,
@@ -238,6 +246,34 @@ def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tup
         records.append(Record(text(user), number, at, length, stream.read(length), head))
         at += VLR_HEADER + length
     return tuple(records)
+
+
+def _check_count(
+    stream: BinaryIO,
+    path: Path,
+    start: int,
+    end: int,
+    record_length: int,
+    count: int,
+    places: tuple[tuple[float, ...], ...],
+) -> None:
+    """`InputError` where bytes `start` to `end`, behind the points that the header counts, read as more of them:
+    whose writer was cut off, or to which points were added. Zeros and what lies elsewhere are none."""
+    room = max(0, min(end - start, SEEN_BEHIND * record_length)) // record_length
+    stream.seek(start)
+    records = np.frombuffer(stream.read(room * record_length), np.uint8).reshape(-1, record_length)
+    scales, offsets, bounds = places
+    place = records[:, :12].copy().view("<i4") * np.array(scales) + np.array(offsets)
+    high, low = np.array(bounds[::2]), np.array(bounds[1::2])
+    near = (place >= low - (high - low)) & (place <= high + (high - low))
+    if room and 2 * (near.all(axis=1) & records.any(axis=1)).sum() > room:
+        raise InputError(
+            "the header counts fewer points than the file holds",
+            where=path,
+            expected=f"{count} points",
+            got=f"room for {(end - start) // record_length} more, which read as points",
+            do="its writer was cut off, or points were added: export it again or repair its header (lasinfo -repair)",
+        )
 
 
 def _evlrs(

@@ -293,3 +293,19 @@ def test_yellowscan_without_wdp(shared_data, params):
 def test_step_is_metres_per_nanosecond(tmp_path, params):
     waves = read(six(tmp_path / "a.las"), params)
     np.testing.assert_allclose(waves.pulses["step_z"], METRES_PER_NS, rtol=FLOAT32_RTOL)
+
+
+@pytest.mark.parametrize("waves", [True, False])
+def test_points_behind_those_that_the_header_counts_are_refused_and_other_bytes_are_not(tmp_path, waves):
+    xyz, waveforms = np.arange(300).reshape(100, 3), [np.arange(60)] * 100 if waves else ()
+    path = write_las(tmp_path / "a.las", xyz, point_format=4 if waves else 1, waveforms=waveforms, where="internal")
+    raw = bytearray(path.read_bytes())
+    open_source(path)
+    for behind in (bytes(3000), bytes(range(256)) * 12, b"x"):
+        path.write_bytes(raw + behind)
+        open_source(path)
+    struct.pack_into("<I", raw, 107, 80)
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="fewer points than the file holds") as error:
+        open_source(path)
+    assert "room for 20 more" in str(error.value)
