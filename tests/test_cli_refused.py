@@ -91,7 +91,7 @@ def test_a_small_test_near_the_training_area_is_told_beside_the_accuracy(tmp_pat
     report = json.loads((tmp_path / "r" / "report.json").read_text())
     told = report["accuracy"]["remarks"]
     assert told == report["remarks"][:2] and len(told) == 2, told
-    assert all("the model has not seen such data" in more for more in report["remarks"][2:])
+    assert all("seen such data" in more or "those of many" in more for more in report["remarks"][2:])
     assert "squares of 25 m" in told[0] and "--set areas.gap=" in told[1]
     lines = ended.stderr.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("accuracy "))

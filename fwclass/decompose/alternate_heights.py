@@ -22,8 +22,9 @@ ERROR_OF_MEDIAN = 1.2533
 
 
 def alternate_heights(sample: Waveforms, fits: Fits) -> float:
-    """How many times as high the echoes of odd pulses are as those of even ones, of `sample_runs`; 1 where that is not
-    sure. What lies under consecutive pulses is much the same, and a median over pairs knows nothing of the rest."""
+    """How many times as high (amplitudes [DN]) the echoes of odd pulses are as those of even ones, of `sample_runs`; 1
+    where that is not sure. What lies under consecutive pulses is much the same, and a median over pairs knows nothing
+    of the rest."""
     number = sample.pulses["pulse"].astype(np.int64)
     alone = np.bincount(fits.row, minlength=len(number)) == 1
     alone[1:] &= number[1:] != number[:-1]

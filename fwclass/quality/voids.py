@@ -68,13 +68,13 @@ class CellGroups:
 
     def voids(self, least: float) -> list[Void]:
         """Groups of at least `least` [m²] that do not reach the window's edge, the largest first."""
-        return self._found(least, False)
+        return self._voids(least, False)
 
     def pieces(self) -> list[Void]:
         """All groups, the largest first."""
-        return self._found(0.0, True)
+        return self._voids(0.0, True)
 
-    def _found(self, least: float, outer: bool) -> list[Void]:
+    def _voids(self, least: float, outer: bool) -> list[Void]:
         facts = np.concatenate([np.empty((0, 6), np.int64), *self._facts])
         joins = np.concatenate([np.empty((0, 2), np.int64), *self._joins])
         n, cell = len(facts), self._window.cell

@@ -64,8 +64,8 @@ def _open(path: Path) -> OpenedTable:
     if is_helios(path):
         layout = open_helios(path)
         bins = f"{layout.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * layout.bin_ns:g} there and back"
-        told = (("bins", bins),)
-        return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, told, (NO_CRS,), LEVELS, level=LEVEL)
+        lines = (("bins", bins),)
+        return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, lines, (NO_CRS,), LEVELS, level=LEVEL)
     if is_footprints(path):
         shots, kind, system, about = open_footprints(path)
         return OpenedTable(kind, shots, system, None, False, tuple(about), (), step=FOOTPRINT_STEP)

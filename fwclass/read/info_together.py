@@ -29,24 +29,24 @@ def alike_faults(facts: Sequence[Mapping[str, Any]], most: int | None = None) ->
 def describe_together(facts: Sequence[Mapping[str, Any]]) -> str:
     """Points, formats, systems, bounds, classes and faults of all files of points or pulses, for a terminal; "" for
     fewer than two."""
-    found = [f for f in facts if "crs" in f and "bounds" in f]
-    if len(found) < 2:
+    clouds = [f for f in facts if "crs" in f and "bounds" in f]
+    if len(clouds) < 2:
         return ""
-    points = sum(int(f.get("points") or f.get("pulses") or f.get("rows") or 0) for f in found)
-    corners = [f["bounds"] for f in found if f["bounds"]]
+    points = sum(int(f.get("points") or f.get("pulses") or f.get("rows") or 0) for f in clouds)
+    corners = [f["bounds"] for f in clouds if f["bounds"]]
     bounds = [*map(min, *(c[:3] for c in corners)), *map(max, *(c[3:] for c in corners))] if len(corners) > 1 else None
     classes = Counter[str]()
-    for one in found:
+    for one in clouds:
         classes.update(one.get("classes") or {})
     rows = [
-        ("together", f"{several(len(found), 'file')}, {points:,} points or pulses"),
-        ("formats", _by_count(map(format_text, found))),
-        ("CRS", _by_count("none" if not f["crs"] else _system(f["crs"]) for f in found)),
+        ("together", f"{several(len(clouds), 'file')}, {points:,} points or pulses"),
+        ("formats", _by_count(map(format_text, clouds))),
+        ("CRS", _by_count("none" if not f["crs"] else _system(f["crs"]) for f in clouds)),
         ("bounds", bounds_text(bounds or (corners[0] if corners else None))),
         ("classes", counts_text(dict(sorted(classes.items(), key=lambda item: int(item[0]))))),
     ]
     lines = [f"{name:<12} {visible(text)}" for name, text in rows]
-    return "\n".join([*lines, *(f"  ! {line}" for line in alike_faults(found))])
+    return "\n".join([*lines, *(f"  ! {line}" for line in alike_faults(clouds))])
 
 
 def _system(crs: Mapping[str, Any]) -> str:

@@ -43,14 +43,14 @@ def feature_distribution(runner: Runner) -> dict[str, Any] | None:
         return None
     distribution = receipt.meta["distribution"]
     labels = [f"p{round(100 * s)}" for s in distribution["shares"]]
-    found = {
+    features = {
         feature: {
             name: {**dict(zip(labels, row["quantiles"], strict=True)), "n": row["rows"] - row["without_value"]}
             for name, row in by_class.items()
         }
         for feature, by_class in distribution["features"].items()
     }
-    return found if any(row["n"] for by_class in found.values() for row in by_class.values()) else None
+    return features if any(row["n"] for by_class in features.values() for row in by_class.values()) else None
 
 
 def training_facts(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:

@@ -48,7 +48,7 @@ def _in_any_form(pattern: str, directory: Path) -> list[Path]:
     """As `matching_files`; where none does, an ö may be one character in the pattern and two in the names, as a Mac
     writes them, or the other way round."""
     forms = (pattern, *(unicodedata.normalize(form, pattern) for form in ("NFC", "NFD")))
-    return next((found for form in forms if (found := matching_files(form, directory))), [])
+    return next((files for form in forms if (files := matching_files(form, directory))), [])
 
 
 def matching_files(pattern: str, directory: Path) -> list[Path]:

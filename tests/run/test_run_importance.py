@@ -38,6 +38,7 @@ def test_importance_in_parts(tmp_path):
         arrays=lambda stage, part, name, only=None: read_arrays(arrays_at(path(stage, part, name)), only),
         arrays_path=lambda stage, part, name: arrays_at(path(stage, part, name)),
         digest=lambda stage, part: "",
+        meta=lambda stage, part: {},
     )
     write_arrays(path("training", "all") / SAMPLE, sample.arrays())
     for first, count in ((0, 3), (3, 1)):

@@ -222,13 +222,13 @@ def _labels(delivery: ComparedDelivery) -> dict[str, int]:
 
 def _quality(delivery: ComparedDelivery) -> dict[str, float | None]:
     """Figures of `QUALITY`, None for what is not known."""
-    found = {}
+    figures = {}
     for place in QUALITY:
         value: Any = delivery.report.get("quality")
         for key in place.split("."):
             value = value.get(key) if isinstance(value, Mapping) else None
-        found[place] = float(value) if isinstance(value, int | float) else None
-    return found
+        figures[place] = float(value) if isinstance(value, int | float) else None
+    return figures
 
 
 def _figure(delivery: ComparedDelivery, key: str) -> float | None:
