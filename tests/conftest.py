@@ -37,13 +37,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> order.Files:
     return order.Files(config, log)
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
-    """One process more than cores: a fifth of the suite's time is spent waiting for commands, disks and clocks."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return None if cores is None or "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else cores + 1
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--unit", action="store_true", help="the first tier: tests that start no process and no server")
 
