@@ -56,7 +56,8 @@ def test_one_that_wants_too_much_in_pieces_too_is_reported(made):
 def test_one_that_crashes_is_reported_by_its_signal(made):
     _, outcomes = made
     outcome = outcomes["held", "crash"]
-    assert outcome.status == "failed" and len(outcome.lost) == 4
+    # twice alone, and up to twice among others before, which on a quiet machine have ended by then
+    assert outcome.status == "failed" and 2 <= len(outcome.lost) <= 4
     assert "SIGSEGV" in outcome.message
     assert outcomes["after", "crash"].status == "blocked"
 
