@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.params import PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
-from fwclass.decompose.pulse_sample import of_channel
+from fwclass.decompose.pulse_sample import of_channel, rows_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
@@ -79,18 +79,19 @@ def _signs(waves: Waveforms) -> Floats:
 
 def _parity(waves: Waveforms, channel: Channel) -> float:
     """Gain of a channel's samples of even number over the mean of both, less 1; 0 where that is not sure."""
-    length = np.diff(waves.offsets)
-    rows = np.flatnonzero(length > 1)
-    if len(rows) < 2 * FEWEST:
+    waves = rows_of(waves, np.flatnonzero(np.diff(waves.offsets) > 1))
+    length, first = np.diff(waves.offsets), waves.offsets[:-1]
+    if len(length) < 2 * FEWEST:
         return 0.0
-    sign, samples, first = _signs(waves), waves.samples.astype(np.float64), waves.offsets[rows]
+    sign, samples = _signs(waves), waves.samples.astype(np.float64)
     last = np.zeros(len(samples), np.bool_)
-    last[waves.offsets[1:][length > 0] - 1] = (length & 1)[length > 0] == 1  # as many of even number as of odd
+    last[waves.offsets[1:] - 1] = (length & 1) == 1  # as many of even number as of odd
     sums = np.add.reduceat(np.where(last, 0.0, samples - channel.baseline), first)
     turns = np.add.reduceat(np.where(last, 0.0, samples * sign), first)
-    highest, used = np.maximum.reduceat(samples, first), (length[rows] // 2 * 2).astype(np.float64)
-    number = np.add.reduceat(np.where(samples == np.repeat(highest, length[rows]), 1, 0), first)
-    peak = np.maximum.reduceat(np.where(samples == np.repeat(highest, length[rows]), sign, -1.0), first)
+    highest, used = np.maximum.reduceat(samples, first), (length // 2 * 2).astype(np.float64)
+    at_highest = samples == np.repeat(highest, length)
+    number = np.add.reduceat(np.where(at_highest, 1, 0), first)
+    peak = np.maximum.reduceat(np.where(at_highest, sign, -1.0), first)
     some = (number == 1) & (highest < channel.clip) & (sums > BRIGHT * channel.noise * np.sqrt(used))
     sums, turns, used, even = sums[some], turns[some], used[some], peak[some] > 0.0
     if min(even.sum(), (~even).sum()) < FEWEST:

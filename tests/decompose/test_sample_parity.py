@@ -45,3 +45,12 @@ def test_gains_that_change_sides_from_pulse_to_pulse_are_not(tmp_path):
         return np.where(odd, LEVEL + 1.05 * (samples - LEVEL), samples)
 
     assert decomposed(tmp_path, change)[2] == 0.0
+
+
+def test_waveforms_of_one_sample_among_others_are_passed_over(tmp_path):
+    truth = scene(pulses=PULSES, noise=0.7, seed=5)
+    columns = truth.columns()
+    columns["samples"] = [s[:1] if k % 10 == 0 else s for k, s in enumerate(columns["samples"])]
+    path = write_parquet(tmp_path / "a.parquet", columns, {"crs": "EPSG:25832", "spacing_ns": "1"})
+    _, judged = decompose_file(path, tmp_path / "a.laz", (), True)
+    assert judged["plausibility"]["channels"][0]["parity"] == 0.0
