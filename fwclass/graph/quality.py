@@ -119,13 +119,13 @@ def deliver_quality(
         here.inputs, MEASURE_QUALITY.name, blocks, params.cell, {"echoes": np.uint32(0), "pulses": np.uint32(0)}
     )
     differences = _Differences(here.inputs, blocks, params, number)
-    density, system, empty, pieces = Density(params.cell), crs_of_wkt(crs), list[CellGroups](), list[Void]()
+    density, system, empty, full = Density(params.cell), crs_of_wkt(crs), list[CellGroups](), list[CellGroups]()
     for place, bounds in places.items():
         target = here.directory / ("rasters" if place == WHOLE else f"rasters/{place}")
         target.mkdir(parents=True)
         without, covered_cells = _density_raster(counted, Box(*bounds), density, target, system, publish)
         empty.append(without)
-        pieces = covered_cells.pieces() if len(places) == 1 else []
+        full.append(covered_cells)
         _difference_raster(differences, Box(*bounds), target, system, publish)
     density_facts = density.facts(params.void_spacings)
     least = (params.void_spacings * (density_facts["spacing"] or 0.0)) ** 2
@@ -159,7 +159,10 @@ def deliver_quality(
         "remarks": [
             *([LEFT_ASIDE] if left_aside else []),
             *(["all echoes are noise"] if not echoes else []),
-            *(density_remarks(density_facts) or piece_remarks(pieces)),
+            *(
+                density_remarks(density_facts)
+                or (piece_remarks(full[0].pieces(), full[0].area) if len(full) == 1 else [])
+            ),
             *strip_remarks(strips),
             *step_remarks(strips),
             *roughness_remarks(strips["roughness"]),

@@ -70,9 +70,15 @@ class CellGroups:
         """Groups of at least `least` [m²] that do not reach the window's edge, the largest first."""
         return self._voids(least, False)
 
-    def pieces(self) -> list[Void]:
-        """All groups, the largest first."""
-        return self._voids(0.0, True)
+    @property
+    def area(self) -> float:
+        """Area of all groups [m²]."""
+        return float(sum(int(facts[:, 0].sum()) for facts in self._facts)) * self._window.cell**2
+
+    def pieces(self, share: float = PIECE) -> list[Void]:
+        """Groups of at least this `share` of the area [m²], the largest first: of sparse echoes nearly every cell is a
+        group."""
+        return self._voids(share * self.area, True)
 
     def _voids(self, least: float, outer: bool) -> list[Void]:
         facts = np.concatenate([np.empty((0, 6), np.int64), *self._facts])
@@ -107,17 +113,15 @@ def void_facts(voids: Sequence[Void], least: float, area: float) -> dict[str, An
     }
 
 
-def piece_remarks(pieces: Sequence[Void]) -> list[str]:
-    """That a survey falls into `pieces` beside each other, as where a strip or a file is missing: what lies between
-    them is open to the outside, and no void."""
-    total = sum(p.area for p in pieces)
-    large = [p for p in pieces if p.area >= PIECE * total]
-    apart = min((_apart(a.box, b.box) for a, b in itertools.combinations(large, 2)), default=BESIDE)
+def piece_remarks(pieces: Sequence[Void], area: float) -> list[str]:
+    """That a survey of so much `area` [m²] falls into `pieces` beside each other, as where a strip or a file is
+    missing: what lies between them is open to the outside, and no void."""
+    apart = min((_apart(a.box, b.box) for a, b in itertools.combinations(pieces, 2)), default=BESIDE)
     if apart >= BESIDE:
         return []
-    shares = " and ".join(f"{100 * p.area / total:.0f} %" for p in large)
+    shares = " and ".join(f"{100 * p.area / area:.0f} %" for p in pieces)
     return [
-        f"the echoes lie in {len(large)} pieces beside each other ({shares} of the area): water, or is a strip or a "
+        f"the echoes lie in {len(pieces)} pieces beside each other ({shares} of the area): water, or is a strip or a "
         "file missing between them? What is open to the outside is no void; polygons of the survey (quality.area) tell "
         "such gaps"
     ]

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import label
 
 from fwclass.grid import Box, Window
-from fwclass.quality.voids import BESIDE, CellGroups, Void, piece_remarks, void_facts
+from fwclass.quality.voids import BESIDE, PIECE, CellGroups, Void, piece_remarks, void_facts
 
 WINDOW = Window(2.0, 1000, 2000, 40, 30)
 
@@ -55,25 +55,30 @@ def test_pieces_hang_together_by_corners_whatever_the_stripes(seed: int) -> None
     full = np.random.default_rng(seed).random(WINDOW.shape) < 0.3
     labels, n = label(full, np.ones((3, 3)))
     expected = sorted((4.0 * (labels == k).sum() for k in range(1, n + 1)), reverse=True)
-    made = [pieces(full, rows) for rows in (1, 3, 30)]
+    made = [pieces(full, rows, 0.0) for rows in (1, 3, 30)]
     assert [p.area for p in made[0]] == expected and made[0] == made[1] == made[2]
 
 
-def pieces(full: np.ndarray, rows: int) -> list[Void]:
+def pieces(full: np.ndarray, rows: int, share: float = PIECE) -> list[Void]:
     made = CellGroups(WINDOW, corners=True)
     for top in range(WINDOW.nrows, 0, -rows):
         low = max(0, top - rows)
         made.add(Window(2.0, WINDOW.col, WINDOW.row + low, WINDOW.ncols, top - low), full[low:top])
-    return made.pieces()
+    assert made.area == 4.0 * full.sum()
+    return made.pieces(share)
+
+
+def remarks(full: np.ndarray) -> list[str]:
+    return piece_remarks(pieces(full, 7), 4.0 * full.sum())
 
 
 def test_a_strip_that_is_missing_is_told_though_it_is_no_void() -> None:
     full = np.ones(WINDOW.shape, bool)
-    assert piece_remarks(pieces(full, 7)) == [] == piece_remarks([])
+    assert remarks(full) == [] == piece_remarks([], 0.0)
     full[10:12] = False
-    (told,) = piece_remarks(pieces(full, 7))
+    (told,) = remarks(full)
     assert "2 pieces beside each other (64 % and 36 % of the area)" in told and not voids(~full, 7)
     full[1:12] = full[0, 20:] = False
-    assert piece_remarks(pieces(full, 7)) == [], "a few echoes at the rim"
+    assert remarks(full) == [], "a few echoes at the rim"
     far = [Void(100.0, Box(0, 0, 10, 10)), Void(100.0, Box(10 + BESIDE, 0, 30 + BESIDE, 10))]
-    assert piece_remarks(far) == []
+    assert piece_remarks(far, 200.0) == []
