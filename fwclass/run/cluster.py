@@ -212,10 +212,16 @@ class Cluster:
             threading.Thread(target=self._muster, daemon=True).start()
 
     def _check_workers(self) -> None:
-        """`FwclassError` if a worker computes by other code than this process."""
+        """`FwclassError` if a worker computes by other code than this process, or no worker of this machine lives."""
+        answers = self._client.run(_fingerprint_here, on_error="return")
+        lost = [answer for answer in answers.values() if isinstance(answer, OSError)]  # ended before it could say
+        if self._cluster is not None and len(lost) == len(answers):
+            self.__exit__(None, None, None)
+            raise no_answer(None, False, lost[0] if lost else OSError("no worker is left"))
         codes = {
             address: difference_from_here(there) if isinstance(there, dict) else f"{type(there).__name__}: {there}"
-            for address, there in self._client.run(_fingerprint_here, on_error="return").items()
+            for address, there in answers.items()
+            if self._cluster is None or not isinstance(there, OSError)
         }
         others = [f"{address}: {text}" for address, text in codes.items() if text]
         if others:

@@ -9,9 +9,12 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from distributed import Client
+from distributed.comm import CommClosedError
 
 from fwclass import compiling
 from fwclass.errors import FwclassError
@@ -135,6 +138,29 @@ def test_workers_that_do_not_start_are_told_as_such(at_most_a_minute: None) -> N
     with pytest.raises(FwclassError, match="workers of this machine do not start") as told:
         Cluster(None, 1, 0.01, 10).__exit__(None, None, None)
     assert "run.worker_memory_gib" in str(told.value)
+
+
+@pytest.mark.parametrize("answers", [{}, {"tcp://127.0.0.1:1": CommClosedError("Stream is closed")}])
+def test_workers_that_end_before_they_answer_are_not_said_to_compute_by_other_code(
+    monkeypatch: pytest.MonkeyPatch, answers: dict[str, object]
+) -> None:
+    monkeypatch.setattr(Client, "run", lambda *_, **__: answers)
+    with pytest.raises(FwclassError, match="workers of this machine do not start"):
+        Cluster(None, 1, LIMIT_GIB, 10).__exit__(None, None, None)
+
+
+def test_one_worker_that_ends_early_leaves_the_others_to_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Client.run
+
+    def with_one_lost(client: Client, *given: Any, **options: Any) -> dict[str, object]:
+        return {**run(client, *given, **options), "tcp://127.0.0.1:1": CommClosedError("Stream is closed")}
+
+    monkeypatch.setattr(Client, "run", with_one_lost)
+    with Cluster(None, 1, LIMIT_GIB, 10) as cluster:
+        tasks = [Task("one", "a", 1, {}, partial(quick))]
+        assert [o.status for o in cluster.run(tmp_path, tasks)] == ["computed"]
 
 
 def test_a_part_that_no_worker_can_begin_is_given_up(tmp_path: Path) -> None:
