@@ -36,6 +36,17 @@ def check_scales(path: Path, scales: tuple[float, ...], offsets: tuple[float, ..
         )
 
 
+def counts_fewer(path: Path, count: int, what: str, got: str) -> InputError:
+    """What to raise where a file holds more `what` (points, pulses) than its header counts."""
+    return InputError(
+        f"the header counts fewer {what} than the file holds",
+        where=path,
+        expected=f"{count} {what}",
+        got=got,
+        do=f"its writer was cut off, or {what} were added: export it again or repair its header",
+    )
+
+
 _BLOCK = 1 << 24
 """Bytes that are held at a time."""
 

@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.formats.checks import check_length, check_scales
+from fwclass.formats.checks import check_length, check_scales, counts_fewer
 from fwclass.paths import open_sized
 
 WAVE_OFFSET = {4: 28, 5: 34, 9: 30, 10: 38}
@@ -268,13 +268,8 @@ def _check_count(
         high, low = np.array(bounds[::2]), np.array(bounds[1::2])
         near = (place >= low - (high - low)) & (place <= high + (high - low))
     if room and 2 * (near.all(axis=1) & records.any(axis=1)).sum() > room:
-        raise InputError(
-            "the header counts fewer points than the file holds",
-            where=path,
-            expected=f"{count} points",
-            got=f"room for {(end - start) // record_length} more, which read as points",
-            do="its writer was cut off, or points were added: export it again or repair its header (lasinfo -repair)",
-        )
+        more = (end - start) // record_length
+        raise counts_fewer(path, count, "points", f"room for {more} more, which read as points")
 
 
 def _evlrs(

@@ -11,9 +11,10 @@ import struct
 from typing import BinaryIO, NoReturn
 
 import lazrs
+import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.formats.checks import SECTOR, first_hole
+from fwclass.formats.checks import SECTOR, counts_fewer, first_hole
 from fwclass.formats.las_header import RECORD_LENGTH, Header
 
 VARIABLE_CHUNKS = 0xFFFFFFFF
@@ -29,6 +30,12 @@ _SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 _BYTES, _BYTES14 = 0, 14
 _LEGACY = {0: (6,), 1: (6, 7), 2: (6, 8), 3: (6, 7, 8), 4: (6, 7, 9), 5: (6, 7, 8, 9)}
 _MODERN = {6: (10,), 7: (10, 11), 8: (10, 12), 9: (10, 13), 10: (10, 12, 13)}
+SLACK = 16
+"""Bytes of a chunk that may stand behind its last code; lazrs and LASzip leave none."""
+
+MOST_LAST = 1 << 24
+"""Bytes of points of a last chunk that are unpacked to see whether it holds more; usual ones have a tenth of it."""
+
 NO_CODE = b"\xff" * 4
 """What no arithmetic coder writes first."""
 
@@ -82,6 +89,7 @@ def check_laz(header: Header) -> None:
         table_at, n_chunks = _chunk_table_place(header, stream)
         _check_count(header, n_chunks, _chunk_size(header))
         chunks = _chunk_table(header, stream, body, table_at)
+        _check_surplus(header, stream, body, chunks)
         if struct.unpack_from("<H", body)[0] == LAYERED:
             starts = _check_layers(header, stream, items, chunks)
         else:
@@ -202,6 +210,38 @@ def _chunk_table(header: Header, stream: BinaryIO, body: bytes, table_at: int) -
         chunks.append((int(count), at, int(bytes_)))
         at += bytes_
     return chunks
+
+
+def _check_surplus(header: Header, stream: BinaryIO, body: bytes, chunks: list[tuple[int, int, int]]) -> None:
+    """`InputError` where the chunks hold more points than the header counts. Chunks of equal size leave open how many
+    the last one holds: one of layers states it, of the others the code goes on behind the last point that is counted.
+    """
+    held = sum(points for points, _, _ in chunks)
+    if not varies_chunks(header):
+        points, at, length = chunks[-1]
+        held -= points
+        last = header.n_points - held
+        stream.seek(at)
+        if struct.unpack_from("<H", body)[0] == LAYERED:
+            held += int.from_bytes(stream.read(header.record_length + 4)[-4:], "little")
+        elif 0 < last * header.record_length <= MOST_LAST and _decodes(
+            stream.read(length)[:-SLACK], body, last, header.record_length
+        ):
+            raise counts_fewer(header.path, header.n_points, "points", "compressed points that go on behind them")
+    if held > header.n_points:
+        raise counts_fewer(header.path, header.n_points, "points", f"chunks of {held}")
+
+
+def _decodes(data: bytes, body: bytes, points: int, record_length: int) -> bool:
+    """The bytes of a chunk hold so many points."""
+    try:
+        room = np.empty(points * record_length, np.uint8)
+        lazrs.decompress_points_with_chunk_table(data, body, room, [(points, len(data))])
+    except BaseException as error:  # a panic of lazrs is no `Exception`
+        if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
+            raise
+        return False
+    return True
 
 
 def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: list[tuple[int, int, int]]) -> list[int]:

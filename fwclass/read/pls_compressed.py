@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.checks import counts_fewer
 from fwclass.formats.extents import Extents, read_extent
 from fwclass.read.plz_kernels import (
     BITS,
@@ -29,7 +30,7 @@ from fwclass.read.plz_kernels import (
     unpack_table,
     unpack_waves,
 )
-from fwclass.read.range_coder import decoder_of
+from fwclass.read.range_coder import decoder_of, position
 from fwclass.read.wave_extents import read_waves
 from fwclass.read.wave_kernels import SOUND
 
@@ -55,6 +56,10 @@ LIKELY = 1_000
 
 EXPANSION = 100
 """A file unpacks to this many times its bytes at most: constant samples reach some 60, real ones 2 to 6."""
+
+
+SLACK = 16
+"""Bytes of a chunk that may stand behind its last code; the library leaves none."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +165,7 @@ def unpacked_pulses(path: Path, chunks: Chunks, first: int, last: int) -> NDArra
     Raises
     ------
     InputError
-        A chunk ends before its pulses do.
+        A chunk ends before its pulses do, or the last goes on behind those that the header counts.
     """
     length = int(chunks.items[:, 1].sum())
     every = range(
@@ -178,6 +183,9 @@ def unpacked_pulses(path: Path, chunks: Chunks, first: int, last: int) -> NDArra
         whole = unpack_pulses(*decoder, places[c], places[c + 1], chunks.items, out)
         if whole < count:
             raise _damaged(path, f"{count} pulses from pulse {begins} on", f"the end of their chunk after {whole}")
+        behind = position(decoder.state) if count > 1 else places[c] + length
+        if begins + count == chunks.first[-1] and places[c + 1] - behind > SLACK:
+            raise counts_fewer(path, int(chunks.first[-1]), "pulses", "compressed pulses that go on behind them")
         rows.append(out[max(first - begins, 0) :])
     return np.concatenate(rows)
 

@@ -309,3 +309,18 @@ def test_points_behind_those_that_the_header_counts_are_refused_and_other_bytes_
     with pytest.raises(InputError, match="fewer points than the file holds") as error:
         open_source(path)
     assert "room for 20 more" in str(error.value)
+
+
+@pytest.mark.parametrize("fewer", [3, 300])
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_compressed_points_behind_those_that_the_header_counts_are_refused(tmp_path, point_format, fewer):
+    xyz = np.random.default_rng(0).integers(0, 100_000, (700, 3))
+    las = write_las(tmp_path / "a.las", xyz, point_format=point_format)
+    raw = bytearray(to_laz(las, tmp_path / "a.laz").read_bytes())
+    open_source(tmp_path / "a.laz")
+    struct.pack_into("<Q", raw, 247, 700 - fewer) if point_format == 6 else struct.pack_into(
+        "<I", raw, 107, 700 - fewer
+    )
+    (tmp_path / "b.laz").write_bytes(raw)
+    with pytest.raises(InputError, match="fewer points than the file holds"):
+        open_source(tmp_path / "b.laz")

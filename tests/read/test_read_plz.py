@@ -103,6 +103,17 @@ def test_one_of_both_may_be_compressed(tmp_path, params, what):
     same(read(packed, params), read(plain, params))
 
 
+def test_compressed_pulses_behind_those_that_the_header_counts_are_refused(tmp_path, params):
+    kinds = described()
+    packed = compress(survey(tmp_path / "a.pls", pulses=40, descriptors=kinds).path, kinds)
+    raw = bytearray(packed.read_bytes())
+    struct.pack_into("<q", raw, 184, 30)
+    packed.write_bytes(raw)
+    with pytest.raises(InputError, match="fewer pulses than the file holds"):
+        read(packed, params)
+    assert "fewer pulses" in fault_of(packed, (packed.with_suffix(".wvz"),), tmp_path, marked=True)
+
+
 @pytest.mark.parametrize("chunk", [1, 7, 40])
 def test_cutting_changes_nothing(tmp_path, base, chunk):
     """Spans begin and end inside of chunks."""

@@ -13,6 +13,7 @@ from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, two_segments
 from tolerances import FLOAT32_CHAIN_RTOL
 
 from fwclass.errors import InputError
+from fwclass.operate.schedule.inbox import fault_of
 from fwclass.read.info import describe, info
 from fwclass.read.params import ReadParams
 from fwclass.read.pls_read import pulse_bounds
@@ -439,6 +440,24 @@ def test_descriptors_of_several_kinds(tmp_path, params):
     np.testing.assert_array_equal(waves.samples, np.concatenate(blocks))
     assert waves.pulses["saturation"].tolist() == [2.0 ** kinds[k].bits - 1 for k in owner]
     assert waves.pulses["sample_spacing"].tolist() == [kinds[k].spacing for k in owner]
+
+
+@pytest.mark.parametrize("appended", [None, 1])
+@pytest.mark.parametrize("extra", [0, 6])
+def test_pulses_behind_those_that_the_header_counts_are_refused_and_other_bytes_are_not(tmp_path, appended, extra):
+    path = survey(tmp_path / "a.pls", pulses=50, appended=appended, extra_bytes=extra).path
+    raw = bytearray(path.read_bytes())
+    open_source(path)
+    if appended is None:
+        for behind in (bytes(3000), bytes(range(256)) * 12, b"x"):
+            path.write_bytes(raw + behind)
+            open_source(path)
+    struct.pack_into("<q", raw, 184, 30)
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="fewer pulses than the file holds") as error:
+        open_source(path)
+    assert "room for 2" in str(error.value)
+    assert "fewer pulses" in fault_of(path, (path.with_suffix(".wvs"),), tmp_path, marked=True)
 
 
 def test_maker_lengths():
