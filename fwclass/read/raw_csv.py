@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.last_line import check_last_line
 from fwclass.paths import open_regular
 from fwclass.read.beam_source import BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
@@ -141,6 +142,7 @@ def is_raw_csv(path: Path) -> bool:
 def open_raw_csv(path: Path) -> tuple[CsvLayout, Settings]:
     """Look at metadata, heading and first rows; `InputError` for what is no table of waveforms."""
     metadata, columns, delimiter, start, others = _heading(path)
+    check_last_line(path)
     _refuse_slips(others, path)
     settings = Settings.of(metadata, path)
     check_columns(list(columns), settings, path)

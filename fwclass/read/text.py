@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pyarrow import csv
 
 from fwclass.errors import InputError
+from fwclass.formats.last_line import check_last_line
 from fwclass.paths import open_regular
 from fwclass.read.text_kernels import tidy
 from fwclass.read.text_layout import NULLS, SHOWN, Layout, is_number, layout_of, refusal, shown, words_of
@@ -93,6 +94,7 @@ def read_text(path: str | Path, ignored: Collection[str] = (), named: Collection
     """
     path = Path(path)
     data = _text_of(path)
+    check_last_line(path)
     layout = layout_of(path, data, ignored)
     body = _tidy(data[layout.start :], layout.delimiter == " ")
     values, names = _parse_columns(path, body, layout, named)

@@ -17,6 +17,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
 from fwclass.formats.checks import cut_off
+from fwclass.formats.last_line import check_last_line
 from fwclass.paths import open_regular
 from fwclass.schema import Table
 from fwclass.units import number_of
@@ -254,6 +255,7 @@ def _first_fields(path: Path, records: int) -> NDArray[np.float64]:
 def _text(path: Path, head: bytes) -> _Columns:
     """Time, x, y, z (or longitude, latitude [deg], height) of a text table."""
     skip, delimiter, columns, geographic = _layout(path, head)
+    check_last_line(path)
     encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else "latin-1"
     try:
         with (

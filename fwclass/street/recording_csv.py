@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from fwclass.errors import InputError
+from fwclass.formats.last_line import check_last_line
 from fwclass.paths import open_regular
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import LISTS, MOST_BEAMS, NUMBERS, check_columns, class_codes, frame_of
@@ -28,6 +29,7 @@ class CsvRecording:
 
     def __init__(self, path: Path, scan: Scan) -> None:
         self.path, self._scan = path, scan
+        check_last_line(path)
         with open_regular(path) as stream:
             head = self._text(stream.readline(LONGEST_LINE), 1)
         self._mark = next((m for m in (",", ";", "\t") if m in head), ",")
