@@ -91,15 +91,16 @@ class ReferenceSection(Section):
 class SurveySection(Section):
     """What is classified.
 
-    `directory` is relative to the survey's file; null: beside it, or, of a `simulated` survey, in the run directory,
-    into which it is simulated; ``data:NAME`` lies below the directory that the environment variable FWCLASS_DATA names,
-    and `origin` says where its files can be had. `echoes` of files with waveforms are found in these (``waveforms``),
-    or the files' own ``returns``, their waveforms left aside; ``auto``: returns for a workflow that they are enough
-    for, where every file has some and the run does not hold echoes of waveforms. `crs`, if given, is used for
-    all files, whatever they name; `none` goes without. `features`: what the classifier decides by, a list of columns or
-    the name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
-    `base_model`: of one that keeps rows that it has learned from; they are learned from beside the survey's labels, by
-    its features and, unless named, its classes.
+    `directory` is relative to the survey's file; null: beside it, or, of a `simulated` survey, in the run
+    directory, into which it is simulated; ``data:NAME`` lies below the directory that the environment variable
+    FWCLASS_DATA names, and `origin` says where its files can be had. `exclude`: patterns of files that `sources`
+    match and that are left out. `echoes` of files with waveforms are found in these (``waveforms``), or the files'
+    own ``returns``, their waveforms left aside; ``auto``: returns for a workflow that they are enough for, where
+    every file has some and the run does not hold echoes of waveforms. `crs`, if given, is used for all files,
+    whatever they name; `none` goes without. `features`: what the classifier decides by, a list of columns or the
+    name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
+    `base_model`: of one that keeps rows that it has learned from; they are learned from beside the survey's labels,
+    by its features and, unless named, its classes.
     """
 
     name: str = Field(pattern=r"^\w[\w .-]*$", max_length=100)
@@ -108,6 +109,7 @@ class SurveySection(Section):
     simulated: bool
     echoes: Literal["auto", "waveforms", "returns"]
     sources: tuple[Pattern, ...] = Field(min_length=1)
+    exclude: tuple[Pattern, ...]
     crs: str | None
     reference: ReferenceSection
     trajectory: TrajectorySection

@@ -46,7 +46,8 @@ LEAST = 5
 def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
     """The survey's recordings in order; `ConfigError` where there are none. `directory`: in place of the survey's."""
     base = directory or config.path.parent / (config.survey.directory or ".")
-    paths = [path for pattern in config.survey.sources for path in matching_paths(pattern, base)]
+    left = {path for pattern in config.survey.exclude for path in matching_paths(pattern, base)}
+    paths = [p for pattern in config.survey.sources for p in matching_paths(pattern, base) if p not in left]
     if not paths:
         raise ConfigError(
             "no recording of this name",

@@ -25,7 +25,7 @@ def source_files(runner: Runner, survey: Survey) -> dict[str, Any]:
         meta = indexed.get(f"{strip.number:05d}", {})
         facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
         files.append({"path": strip.path.name, "strip": strip.number, **facts})
-    return {"files": files, "faults": dict(sorted(faults.items()))}
+    return {"files": files, "excluded": list(survey.excluded), "faults": dict(sorted(faults.items()))}
 
 
 def echo_counts(runner: Runner) -> dict[str, int]:

@@ -13,12 +13,13 @@ NAMED = 5
 """Sources that are named."""
 
 
-def since_earlier(runner: Runner, name: str, survey: str, files: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def since_earlier(runner: Runner, name: str, survey: str, files: Mapping[str, Any]) -> dict[str, Any] | None:
     """What changed since the delivery that is shown now; None where there is none, or it cannot be read.
 
     Parameters
     ----------
-    name : of its report. survey : name of the survey. files : of this run, as `source_files` has them.
+    name : of its report. survey : name of the survey. files : of this run, as `source_files` has them; one
+        that is left out on request (survey.exclude) is not lost.
 
     Returns
     -------
@@ -26,14 +27,11 @@ def since_earlier(runner: Runner, name: str, survey: str, files: Sequence[Mappin
         ``lost_sources`` with path, points and pulses, and ``remarks``.
     """
     path = runner.store.generations.shown(name)
+    here = {*(one["path"] for one in files["files"]), *files["excluded"]}
     try:
         before = read_json(path) if path is not None else None
         there = list(before["input"]["files"]) if before is not None else []
-        lost = [
-            {key: f.get(key) for key in ("path", "points", "pulses")}
-            for f in there
-            if f["path"] not in {one["path"] for one in files}
-        ]
+        lost = [{key: f.get(key) for key in ("path", "points", "pulses")} for f in there if f["path"] not in here]
     except (DamagedError, OSError, KeyError, TypeError, AttributeError):
         return None
     if before is None:

@@ -12,7 +12,7 @@ import numpy as np
 from fwclass.classify.lines import line_remarks
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
-from fwclass.errors import first_few, visible
+from fwclass.errors import first_few, several, visible
 from fwclass.features.dense import Crowd
 from fwclass.formats.echo_labels import written_by_fwclass
 from fwclass.graph.breaklines import BREAKLINES, breakline_remarks, outside_remarks
@@ -90,10 +90,13 @@ def remarks_on_crowds(runner: Runner, config: Config) -> list[str]:
     return [crowd.text(config.features)] if crowd else []
 
 
-def remarks_on_empty_files(files: Mapping[str, Any]) -> list[str]:
-    """That source files have nothing in them."""
-    names = [visible(f["path"]) for f in files["files"] if f["points"] == 0 and not f["pulses"]]
-    return [f"files without any point: {first_few(names, SHOWN)}"] if names else []
+def remarks_on_files(files: Mapping[str, Any]) -> list[str]:
+    """That source files have nothing in them, or are left out."""
+    empty = [visible(f["path"]) for f in files["files"] if f["points"] == 0 and not f["pulses"]]
+    left = [visible(name) for name in files["excluded"]]
+    remarks = [f"files without any point: {first_few(empty, SHOWN)}"] if empty else []
+    count = several(len(left), "source file")
+    return [*remarks, f"left out by survey.exclude: {count}, {first_few(left, SHOWN)}"] if left else remarks
 
 
 def lines_changed(runner: Runner) -> bool:

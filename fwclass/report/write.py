@@ -52,7 +52,7 @@ from fwclass.report.remarks import (
     remarks_of_parts,
     remarks_on_accuracy,
     remarks_on_crowds,
-    remarks_on_empty_files,
+    remarks_on_files,
 )
 from fwclass.report.repeated import repeated_facts
 from fwclass.report.returns import heights_of_returns, returns_facts
@@ -180,7 +180,7 @@ def _of_the_survey(
         },
         "counts": echo_counts(runner),
         "bathymetry": bathymetry_facts(runner),
-        "earlier": since_earlier(runner, REPORT, config.survey.name, files["files"]),
+        "earlier": since_earlier(runner, REPORT, config.survey.name, files),
         "place": place_of(tiles, survey.crs, survey.standard_time, covered, spacings),
         "areas": config.areas.shown(layout.box),
         "waves": some_waves(receipts_of_run(runner, "read"), decomposed, PartInputs(runner.store)),
@@ -284,7 +284,7 @@ def _remarks(
         *of("labels", "repeated", "returns", "ground", "plausibility", "bathymetry", "drift", "unsure"),
         *ground_notes(card or {}, config.ground.method, config.terrain.height, in_run=True),
         *remarks_on_crowds(runner, config),
-        *remarks_on_empty_files(report["input"]),
+        *remarks_on_files(report["input"]),
         *remarks_of_parts(runner),
         *(class_remarks(source, known, keeps) if classified else ()),
         *(_on_neighbours(config.classify.regularize) if classified else ()),
@@ -340,6 +340,7 @@ def _standing(config: Config, runner: Runner, survey: Survey) -> dict[str, Any] 
         or standing.get("failed")
         or (standing.get("libraries") or {}).get("here") != dict(fingerprint())  # told, and shown, by other code
         or standing.get("outputs") != delivered_files(runner)
+        or standing["input"].get("excluded", []) != list(survey.excluded)
         or ((standing.get("sampling") or {}).get("corrections") is None) != (survey.corrections is None)
     ):
         return None

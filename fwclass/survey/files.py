@@ -6,7 +6,7 @@ import glob
 import itertools
 import os
 import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from fwclass.errors import InputError
@@ -42,6 +42,28 @@ def find_files(
             )
         matching |= dict.fromkeys(matches)
     return sorted(matching, key=lambda p: (p.name, str(p)))
+
+
+def without(
+    places: Sequence[Location], exclude: Iterable[str], directory: Path | Url, where: Path, params: StoreParams
+) -> tuple[list[Location], tuple[str, ...]]:
+    """Those of `places` that no pattern of ``survey.exclude`` matches, and the names of the others.
+
+    Raises
+    ------
+    InputError
+        A pattern matches no file, or nothing is left.
+    """
+    left = {str(p) for p in find_files(exclude, directory, "survey.exclude", where, params)}
+    kept = [p for p in places if str(p) not in left]
+    if not kept:
+        raise InputError(
+            "every source file is left out",
+            where=f"{where}: survey.exclude",
+            got=", ".join(exclude),
+            do="leave some in",
+        )
+    return kept, tuple(p.name for p in places if str(p) in left)
 
 
 def _in_any_form(pattern: str, directory: Path) -> list[Path]:

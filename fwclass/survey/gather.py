@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import glob
+import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,7 @@ from fwclass.store.url import Url, is_url, url_of
 from fwclass.survey.bounds import flat_bounds
 from fwclass.survey.check_point_file import check_point_file
 from fwclass.survey.file_digests import Digests
-from fwclass.survey.files import box_text, find_files, joint_bounds
+from fwclass.survey.files import box_text, find_files, joint_bounds, without
 from fwclass.survey.layout import FileDigests, Strip, Survey
 from fwclass.survey.numbering import assign_numbers
 from fwclass.survey.reference import (
@@ -62,10 +64,11 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     records must be where the headers place them."""
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
-    places, opened, full = open_survey(config, directory, copied, digests)
+    places, opened, full, excluded = open_survey(config, directory, copied, digests)
     user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = assign_numbers(s.path.stem for s in opened)
-    bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
+    bounds, faults = _bounds_of(zip(places, opened, strict=True))
+    _refuse_faulty(faults, len(places), config)
     for source in full:
         own, ends = user_crs or system_of(source), bounds[source.path]
         refuse_unless_flat(own, ends[:3], ends[3:], source.path, max(source.scales[:2]))
@@ -93,18 +96,19 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}
     more_files: dict[str, Any] = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
     weekly = tuple(s.path.name for s in full if isinstance(s, LasSource) and not s.standard_gps_time)
-    more = more_files | {"overruled": overruled_systems(config, full), "weekly": weekly}
+    more = more_files | {"overruled": overruled_systems(config, full), "weekly": weekly, "excluded": excluded}
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more)
 
 
 def open_survey(
     config: Config, directory: Path | Url, copied: bool, digests: Digests | None = None
-) -> tuple[list[Location], list[Source], list[Source]]:
-    """Where the survey's sources are, all of them opened and checked, and those that hold anything; `InputError` for
-    names that two of them share, and where none does."""
+) -> tuple[list[Location], list[Source], list[Source], tuple[str, ...]]:
+    """Where the survey's sources are, all of them opened and checked, those that hold anything, and the names of those
+    that ``survey.exclude`` leaves out; `InputError` for names that two of them share, and where none does."""
     asked = config.survey.sources, directory, "survey.sources"
-    places = digests.find(*asked, config) if digests else find_files(*asked, config.path, config.store)
-    opened = open_all(places, config, copied)
+    matching = digests.find(*asked, config) if digests else find_files(*asked, config.path, config.store)
+    places, excluded = without(matching, config.survey.exclude, directory, config.path, config.store)
+    opened = open_all(places, config, copied, deep=digests is not None)
     require_distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
     if not full:
@@ -113,13 +117,14 @@ def open_survey(
             where=", ".join(str(s.path) for s in opened[:3]),
             do="check the delivery; there is nothing to classify",
         )
-    return places, opened, full
+    return places, opened, full, excluded
 
 
-def open_all(places: Sequence[Location], config: Config, copied: bool = False) -> list[Source]:
+def open_all(places: Sequence[Location], config: Config, copied: bool = False, deep: bool = False) -> list[Source]:
     """Every source, opened and checked, also for what a copy of its points needs where they are `copied`; `InputError`
-    naming all that cannot be used."""
-    opened, faults = [], []
+    naming all that cannot be used, and `deep`, with them, those whose points cannot be read."""
+    opened: list[Source] = []
+    faults: dict[Location, InputError] = {}
     for place in places:
         try:
             source = with_settings(open_source(local(place)), config.read)
@@ -128,15 +133,48 @@ def open_all(places: Sequence[Location], config: Config, copied: bool = False) -
                 check_records(source.path)
             opened.append(source)
         except InputError as fault:
-            faults.append(fault)
-    refuse_unusable(faults, len(places), f"{config.path}: survey.sources")
+            faults[place] = fault
+    if faults and deep:
+        sound = [p for p in places if p not in faults]
+        faults |= _bounds_of(zip(sound, opened, strict=True))[1]
+    _refuse_faulty(faults, len(places), config)
     return opened
 
 
-def refuse_unusable(faults: Sequence[InputError], files: int, where: str) -> None:
-    """`InputError` naming all of so many `files` that cannot be used, if `faults` tell of any."""
+def _bounds_of(
+    sources: Iterable[tuple[Location, Source]],
+) -> tuple[dict[Path, tuple[float, ...]], dict[Location, InputError]]:
+    """Bounds of those that hold anything, and the faults of those whose points cannot be read."""
+    bounds, faults = {}, {}
+    for place, source in sources:
+        try:
+            if source.n_records:
+                bounds[source.path] = flat_bounds(_here(place, source))
+        except InputError as fault:
+            faults[place] = fault
+    return bounds, faults
+
+
+def _refuse_faulty(faults: Mapping[Location, InputError], files: int, config: Config) -> None:
+    """As `refuse_unusable`, with how to go on without them."""
+    if not faults:
+        return
+    base = str(directory_of(config, Path())).rstrip("/")
+    names = [glob.escape(str(place).removeprefix(f"{base}/")) for place in list(faults)[:BAD_FILES]]
+    words = ", ".join(json.dumps(name, ensure_ascii=False) for name in names)
+    otherwise = f"go on without {'it' if len(faults) == 1 else 'them'} by survey.exclude: [{words}]"
+    refuse_unusable(list(faults.values()), files, f"{config.path}: survey.sources", otherwise)
+
+
+def refuse_unusable(faults: Sequence[InputError], files: int, where: str, otherwise: str) -> None:
+    """`InputError` naming all of so many `files` that cannot be used, if `faults` tell of any.
+
+    `otherwise`: what can be done about a file that cannot be mended."""
     if len(faults) == 1:
-        raise faults[0]
+        one = faults[0]
+        raise type(one)(
+            one.what, where=one.where, expected=one.expected, got=one.got, do=f"{one.do}; or {otherwise}"
+        ) from one
     if faults:
         lines = [f"{Path(f.where or '').name}: {f.what}{f', {f.got}' if f.got else ''}" for f in faults[:BAD_FILES]]
         lines += [f"and {len(faults) - BAD_FILES} more"] if len(faults) > BAD_FILES else []
@@ -144,7 +182,7 @@ def refuse_unusable(faults: Sequence[InputError], files: int, where: str) -> Non
             f"{len(faults)} of {files} source files cannot be used",
             where=where,
             got="\n    ".join(["", *lines]),
-            do="get them again, or take them out of the survey's directory (`fwclass info` tells all of each)",
+            do=f"get them again, or {otherwise} (`fwclass info` tells all of each)",
         )
 
 

@@ -58,7 +58,8 @@ class Survey:
     the reference's labels by echo; `corrections`: what corrects labels of any kind, `water`: what is
     flattened, `breaklines`: what the terrain passes through, `check_points`: what heights are held against, `area`:
     what was to be flown, all None for nothing; `overruled`: by name of the file the system (WKT) that it names where
-    the user names another; `weekly`: names of the files whose header calls their GPS times seconds of the week.
+    the user names another; `weekly`: names of the files whose header calls their GPS times seconds of the week;
+    `excluded`: names of the files that ``survey.exclude`` leaves out.
     """
 
     strips: tuple[Strip, ...]
@@ -76,6 +77,7 @@ class Survey:
     area: PolygonFile | None = None
     overruled: Mapping[str, str] = field(default_factory=dict)
     weekly: tuple[str, ...] = ()
+    excluded: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

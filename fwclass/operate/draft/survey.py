@@ -131,7 +131,8 @@ def look_into(files: Sequence[Path]) -> Holdings:
             holdings.facts.append(facts)
         except InputError as fault:
             faults.append(fault)
-    refuse_unusable(faults, len(files), os.path.commonpath([p.resolve().parent for p in files]) if faults else "")
+    where = os.path.commonpath([p.resolve().parent for p in files]) if faults else ""
+    refuse_unusable(faults, len(files), where, "draft with the others alone, by their names")
     if not holdings.facts or not holdings.records:
         raise InputError(
             "no file of points or pulses that holds any",

@@ -138,7 +138,7 @@ def survey_facts(config: Config, root: Path, copied: bool = False) -> SurveyFact
     directory = directory_of(config, root)
     if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):
         return simulated_facts(config)
-    _, _, full = open_survey(config, directory, copied)
+    _, _, full, _ = open_survey(config, directory, copied)
     with Display() as display:
         crs = common_crs(config, full, Runner(root, Loop(), display))
     reference: tuple[int, ...] = ()

@@ -70,7 +70,8 @@ def trial_of(forecast: Forecast, count: int, root: Path) -> TrialSurvey:
             got=directory,
             do="plan without --dry-run, or copy the survey to a disk first",
         )
-    change: dict[str, Any] = {"directory": str(directory), "sources": tuple(glob.escape(str(s.path)) for s in touching)}
+    names = tuple(glob.escape(str(s.path)) for s in touching)
+    change: dict[str, Any] = {"directory": str(directory), "sources": names, "exclude": ()}
     reference = config.survey.reference
     if reference.kind == "cloud":
         change["reference"] = reference.model_copy(update={"files": _clouds(config, directory, wanted)})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
@@ -21,11 +22,13 @@ WAVES = frozenset(ending for endings in WAVEFORM_ENDINGS.values() for ending in 
 class SourceDirectories:
     """Directories of a survey's sources.
 
-    `patterns`: of survey.sources, absolute; `into`: the directory that was asked for, or None.
+    `patterns`: of survey.sources, absolute; `left_out`: of survey.exclude, likewise; `into`: the directory that was
+    asked for, or None.
     """
 
     patterns: tuple[str, ...]
     into: Path | None
+    left_out: tuple[str, ...] = ()
 
     def of(self, name: str) -> Path | None:
         """The directory in which the survey finds a file of this name; None where it finds none."""
@@ -49,7 +52,11 @@ class SourceDirectories:
 
     def finds(self, path: Path) -> bool:
         """The survey takes `path` for one of its sources."""
-        return any(path_matches(path.parts, PurePath(p).parts) for p in self.patterns)
+        return _matches(path, self.patterns) and not _matches(path, self.left_out)
+
+
+def _matches(path: Path, patterns: Iterable[str]) -> bool:
+    return any(path_matches(path.parts, PurePath(p).parts) for p in patterns)
 
 
 def source_directories_of(config: Config, inbox: Path) -> SourceDirectories:
@@ -69,7 +76,10 @@ def source_directories_of(config: Config, inbox: Path) -> SourceDirectories:
             do="leave the inbox out, or name a directory",
         )
     directory = (config.path.parent / named).resolve()
-    patterns = tuple(str(Path(glob.escape(str(directory))) / p) for p in config.survey.sources)
+    patterns, left_out = (
+        tuple(str(Path(glob.escape(str(directory))) / p) for p in some)
+        for some in (config.survey.sources, config.survey.exclude)
+    )
     into = None if config.schedule.into is None else (directory / config.schedule.into).resolve()
     kept = inbox / REPLACED / "0"
     for pattern in patterns:
@@ -81,7 +91,7 @@ def source_directories_of(config: Config, inbox: Path) -> SourceDirectories:
                 expected=f"a directory that {pattern} does not reach",
                 do="choose another inbox",
             )
-    return SourceDirectories(patterns, into)
+    return SourceDirectories(patterns, into, left_out)
 
 
 def _wild(part: str) -> bool:

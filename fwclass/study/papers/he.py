@@ -23,7 +23,7 @@ from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.he_claims import CLAIMS, COMBINED
 from fwclass.study.papers.he_work import describe_sample, judge_filter, terrain_of
-from fwclass.survey.files import find_files
+from fwclass.survey.files import find_files, without
 from fwclass.survey.gather import directory_of
 
 FILTER, SAMPLE = "filter-search", "filter-sample"
@@ -42,7 +42,8 @@ def samples_of(config: Config) -> dict[str, Path]:
             do="name labelled files in survey.sources, as conf/surveys/he2023-isprs.yaml does",
         )
     directory = directory_of(config, Path())
-    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    matching = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    places, _ = without(matching, config.survey.exclude, directory, config.path, config.store)
     samples: dict[str, Path] = {}
     for place in places:
         path = local(place)
