@@ -59,14 +59,14 @@ def test_all_damaged_files_are_told_at_once_and_left_out_by_the_words_of_the_mes
     assert "gone" not in ended.stderr and "3 source files, cut2.laz, east.laz" in ended.stderr, ended.stderr
 
 
-def test_a_pattern_that_leaves_nothing_out_is_refused(damaged: Path) -> None:
+def test_a_pattern_that_leaves_nothing_out_is_refused(damaged: Path, tmp_path: Path) -> None:
     for text, words in (("[wast.laz]", "files like wast.laz"), ("['*']", "every source file is left out")):
-        ended = fwclass("plan", damaged, "--set", f"survey.exclude={text}")
+        ended = fwclass("plan", damaged, "--out", tmp_path / "p", "--set", f"survey.exclude={text}")
         assert ended.returncode == 1 and words in ended.stderr and "survey.exclude" in ended.stderr, ended.stderr
 
 
-def test_areas_by_files_leave_them_out_too(damaged: Path) -> None:
+def test_areas_by_files_leave_them_out_too(damaged: Path, tmp_path: Path) -> None:
     text = damaged.read_text().replace("train: [[500000, 5400000, 500030, 5400040]]", 'train: {files: ["[wt]*.laz"]}')
     damaged.write_text(text.replace("  classes:", "  exclude: [cut.laz, torn*]\n  classes:"))
-    ended = fwclass("plan", damaged)
+    ended = fwclass("plan", damaged, "--out", tmp_path / "p")
     assert ended.returncode == 0, ended.stderr
