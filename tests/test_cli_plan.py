@@ -45,10 +45,22 @@ def test_a_plan_is_told_and_written_and_nothing_runs(conf: Path, tmp_path: Path)
     assert sorted(p.name for p in (tmp_path / "r" / "plan").iterdir()) == ["plan.json", "plan.png", "tiles.gpkg"]
 
 
-def test_what_a_paper_compares_is_said_not_to_be_reckoned_with(conf: Path, tmp_path: Path) -> None:
-    """A run of a paper was planned as the classification alone, and nothing said so."""
-    ended = fwclass("plan", conf, "--out", tmp_path / "r", "--workflow", "xiong2018")
-    assert "note: what xiong2018 compares and draws behind these stages is not reckoned with" in ended.stderr
+def test_what_a_paper_compares_is_reckoned_with(conf: Path, tmp_path: Path) -> None:
+    """A run of a paper was planned as the classification alone."""
+    ended = fwclass("plan", conf, "--out", tmp_path / "r", "--workflow", "xiong2018", "--json")
+    assert ended.returncode == 0, ended.stderr
+    told = json.loads(ended.stdout)
+    parts = {s["name"]: s["parts"] for s in told["stages"]}
+    assert parts["paper-model"] == parts["paper-time"] == parts["paper-difference"] == 4
+    assert parts["select-ranked"] == 2 * 5 and parts["paper-drops"] == 1 and told["without_cost"] == []
+
+
+@pytest.mark.parametrize(("workflow", "survey"), [("he2023", "he2023-isprs"), ("li2018", "street-sim")])
+def test_the_graph_of_a_study_without_a_survey(workflow: str, survey: str, tmp_path: Path) -> None:
+    ended = fwclass("plan", survey, "--workflow", workflow, "--graph", "--json", cwd=tmp_path)
+    assert ended.returncode == 0 and len(json.loads(ended.stdout)) == (2 if workflow == "he2023" else 3)
+    refused = fwclass("plan", survey, "--workflow", workflow, cwd=tmp_path)
+    assert refused.returncode == 2 and "--graph tells its stages" in refused.stderr
 
 
 def test_json_goes_to_standard_output_alone(conf: Path, tmp_path: Path) -> None:

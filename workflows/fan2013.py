@@ -12,12 +12,11 @@ from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import fan
-from fwclass.study.papers.begin import features_like, require_whole
+from fwclass.study.papers.begin import require_whole
 from fwclass.study.papers.page import deliver
-from fwclass.study.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
 from fwclass.study.selection import selection
 from fwclass.survey.area_of_interest import Area
-from fwclass.walk.steps import until_report, until_tiles
+from fwclass.walk.steps import tasks_of, until_report, until_tiles
 from fwclass.walk.workflow import Workflow, after_tiles
 
 from .classification import classification
@@ -35,7 +34,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     used = config.features_asked
     computed = (*used, *config.features.also)
     check_features(config, computed, f"{config.path}: survey.features, features.also")
-    names = features_like(config, printed["selection"]["order"])
+    names = fan.features_of(config)
     plan = without_corrections(until_tiles(Plan(config, used, computed), runner, delivers=True))
     report = until_report(plan, runner, after_tiles(classification.stages))
     if runner.failures:
@@ -47,10 +46,8 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         "best": selection(every, aside, names, "forward", computed=computed),
     }
     variants = fan.variants(config, names, printed)
-    columns = tuple(dict.fromkeys((*names, *used)))  # the run's own forest may decide by what the paper lacks
-    receipts = dict(require_all(runner, data_tasks(plan.layout, columns) + learn_tasks(config, columns, variants)))
-    receipts |= require_all(runner, comparison_tasks(config, fan.comparisons(config, variants)))
-    receipts |= require_all(runner, time_tasks(config, columns, fan.timed_variants(variants)))
+    receipts = dict(require_all(runner, tasks_of(plan, fan.TABLES.stages)))
+    receipts |= require_all(runner, tasks_of(plan, fan.TABLES.times))
 
     def page() -> dict[str, Any]:
         facts = fan.facts(config, printed, report, curves, variants, receipts)
@@ -59,4 +56,4 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     return runner.carry_out(page)
 
 
-fan2013 = Workflow(NAME, "Fan 2013: figures beside the paper's", classification.stages, walk)
+fan2013 = Workflow(NAME, "Fan 2013: figures beside the paper's", classification.stages, walk, study=fan.STAGES)

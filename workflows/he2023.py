@@ -7,22 +7,24 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
+from fwclass.graph.stage import Plan
 from fwclass.run.runner import Runner, require_all
-from fwclass.study.papers.he import deliver, facts, filter_tasks, samples_of
+from fwclass.study.papers.he import NAME, SAMPLE, STAGES, deliver, facts
 from fwclass.survey.area_of_interest import Area
+from fwclass.walk.steps import tasks_of
 from fwclass.walk.workflow import Workflow
-
-NAME = "he2023"
 
 
 def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Search and judge every filter on every sample; return the report. There are no tiles to choose."""
     if tiles is not None:
         raise ConfigError("samples have no tiles", where="--tiles", do="leave --tiles out")
-    printed, samples = paper(NAME), samples_of(config)
-    receipts = require_all(runner, filter_tasks(config, printed, samples))
+    receipts = require_all(runner, tasks_of(Plan(config), STAGES))
+    samples = [part for stage, part in receipts if stage == SAMPLE]
     runner.finish(whole=True)
-    return runner.carry_out(lambda: deliver(config, runner, samples, facts(config, printed, samples, receipts)))
+    return runner.carry_out(lambda: deliver(config, runner, samples, facts(config, paper(NAME), samples, receipts)))
 
 
-he2023 = Workflow(NAME, "He 2023: ground filters, and CSF + SMRF, beside the paper's figures", (), walk, lambda c: c)
+he2023 = Workflow(
+    NAME, "He 2023: ground filters, and CSF + SMRF, beside the paper's figures", (), walk, lambda c: c, study=STAGES
+)

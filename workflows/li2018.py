@@ -7,12 +7,12 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
+from fwclass.graph.stage import Plan
 from fwclass.run.runner import Runner, require_all
-from fwclass.study.papers.li import deliver, drive_tasks, facts, table_tasks
+from fwclass.study.papers.li import NAME, STAGES, deliver, facts
 from fwclass.survey.area_of_interest import Area
+from fwclass.walk.steps import tasks_of
 from fwclass.walk.workflow import Workflow
-
-NAME = "li2018"
 
 
 def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
@@ -30,11 +30,11 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
             got=config.street.smooth,
             do="leave it out; `fwclass street train` and `classify` heed it",
         )
-    printed = paper(NAME)
-    receipts = dict(require_all(runner, drive_tasks(config)))
-    receipts |= require_all(runner, table_tasks(config, printed))
+    receipts = require_all(runner, tasks_of(Plan(config), STAGES))
     runner.finish(whole=True)
-    return runner.carry_out(lambda: deliver(runner, facts(config, printed, receipts)))
+    return runner.carry_out(lambda: deliver(runner, facts(config, paper(NAME), receipts)))
 
 
-li2018 = Workflow(NAME, "Li 2018: street-tree crowns from a 2-D scanner, figures beside the paper's", (), walk)
+li2018 = Workflow(
+    NAME, "Li 2018: street-tree crowns from a 2-D scanner, figures beside the paper's", (), walk, study=STAGES
+)

@@ -12,12 +12,11 @@ from fwclass.graph.stages import check_features
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import shi
-from fwclass.study.papers.begin import features_like, require_whole
+from fwclass.study.papers.begin import require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.shi_scenes import scenes
-from fwclass.study.papers.variants import comparison_tasks, data_tasks
 from fwclass.survey.area_of_interest import Area
-from fwclass.walk.steps import until_report, until_tiles
+from fwclass.walk.steps import tasks_of, until_report, until_tiles
 from fwclass.walk.workflow import Workflow, after_tiles
 
 from .classification import classification
@@ -37,19 +36,14 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     computed = (*used, *config.features.also)
     check_features(config, computed, f"{config.path}: survey.features, features.also")
     check_features(config, config.classify.refine.shares, f"{config.path}: classify.refine.scales")
-    names = features_like(config, (*printed["fscore"]["kept"], *printed["fscore"]["dropped"]))
+    names = shi.features_of(config)
     plan = without_corrections(until_tiles(Plan(config, used, computed), runner, delivers=True))
     report = until_report(plan, runner, after_tiles(classification.stages))
     if runner.failures:
         return report
     variants = shi.variants(config, names)
-    columns = tuple(dict.fromkeys((*names, *used)))
-    receipts = dict(
-        require_all(runner, data_tasks(plan.layout, columns, True) + shi.ladder_tasks(config, columns, variants))
-    )
-    receipts |= require_all(runner, shi.layer_tasks(plan.layout, columns))
-    receipts |= require_all(runner, comparison_tasks(config, shi.comparisons(variants)))
-    receipts |= require_all(runner, shi.clock_tasks(config, columns, variants))
+    receipts = dict(require_all(runner, tasks_of(plan, (*shi.TABLES.stages, shi.COUNT_LAYERS, shi.RANK_FEATURES))))
+    receipts |= require_all(runner, tasks_of(plan, shi.TABLES.times))
 
     def page() -> dict[str, Any]:
         facts = shi.facts(config, printed, report, variants, plan.layout, receipts)
@@ -59,4 +53,6 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     return runner.carry_out(page)
 
 
-shi2019 = Workflow(NAME, "Shi 2019: two layers, figures beside the paper's", classification.stages, walk)
+shi2019 = Workflow(
+    NAME, "Shi 2019: two layers, figures beside the paper's", classification.stages, walk, study=shi.STAGES
+)

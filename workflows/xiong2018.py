@@ -14,11 +14,10 @@ from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import xiong
 from fwclass.study.papers.begin import require_whole
 from fwclass.study.papers.page import deliver
-from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
 from fwclass.study.select.thinning import measure_rates
 from fwclass.study.selection import with_selected
 from fwclass.survey.area_of_interest import Area
-from fwclass.walk.steps import until_report, until_tiles
+from fwclass.walk.steps import tasks_of, until_report, until_tiles
 from fwclass.walk.workflow import Workflow, after_tiles
 
 from .classification import classification
@@ -43,12 +42,10 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     if runner.failures:
         return report
     variants = xiong.variants(config, names, chosen)
-    forest = next(v for v in variants if v.name == xiong.ALL)
-    receipts = dict(require_all(runner, data_tasks(plan.layout, names) + learn_tasks(config, names, variants)))
-    receipts |= require_all(runner, importance_tasks(config, names, forest))
-    receipts |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
-    thinned = measure_rates(config, aside, plan.layout, chosen)
-    receipts |= require_all(runner, time_tasks(config, names, variants))
+    judged = replace(plan, names=chosen)
+    receipts = dict(require_all(runner, tasks_of(judged, xiong.TABLES.stages)))
+    thinned = measure_rates(judged, aside)
+    receipts |= require_all(runner, tasks_of(judged, xiong.TABLES.times))
 
     def page() -> dict[str, Any]:
         facts = xiong.facts(config, printed, report, choice, thinned, variants, receipts)
@@ -57,4 +54,6 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     return runner.carry_out(page)
 
 
-xiong2018 = Workflow(NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk)
+xiong2018 = Workflow(
+    NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk, study=xiong.STAGES
+)

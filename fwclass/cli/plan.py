@@ -59,8 +59,12 @@ def plan(
     from fwclass.workflows import workflow_of
 
     chosen = workflow_of(workflow)
-    if not chosen.stages:
-        raise ConfigError("this workflow has no stages to plan", where=f"workflow {workflow}", do="run it")
+    if not chosen.stages and not graph:
+        raise ConfigError(
+            "this workflow goes through no survey, so there are no tiles to plan",
+            where=f"workflow {workflow}",
+            do="run it; --graph tells its stages",
+        )
     own = {id(s) for s in chosen.stages} - {id(s) for s in workflow_of("classification").stages}
     if count is not None and (own or chosen.settle is not None):
         raise ConfigError(
@@ -80,9 +84,9 @@ def plan(
     check_areas(config, facts.box)
     if copied:
         check_class_codes({s.path.name: s.point_format for s in facts.sources}, begun.config)
-    forecast = make_forecast(begun, facts, number, room_at(root), stages=chosen.stages)
+    forecast = make_forecast(begun, facts, number, room_at(root), stages=chosen.all_stages)
     if count is not None:
-        forecast = _dry_run(forecast, count, root, chosen.stages)
+        forecast = _dry_run(forecast, count, root, chosen.all_stages)
     paths = deliver(forecast, root)
     written = "\n".join(f"written     {visible(p)}" for p in paths)
     click.echo(f"{describe(forecast)}\n\n{written}", err=as_json)
@@ -116,19 +120,19 @@ def _dry_run(forecast: Any, count: int, root: Path, stages: Any) -> Any:
 
 
 def _tell_unknown(config: Any, chosen: Any) -> None:
-    """What is said of work whose cost is not known: stages of a user, and all that a workflow's own walk makes."""
-    own = [s.name for s in chosen.stages if s.name not in config.plan.stages]
+    """What is said of stages of a user, whose cost is not known."""
+    own = [s.name for s in chosen.all_stages if s.name not in config.plan.stages]
     if own:
         click.echo(f"note: what {', '.join(own)} of {chosen.name} take is not known and not reckoned with", err=True)
-    if chosen.walk is not None:
-        click.echo(f"note: what {chosen.name} compares and draws behind these stages is not reckoned with", err=True)
 
 
 def _tell_graph(config: Any, chosen: Any, as_json: bool) -> None:
     """The stages of a workflow in the order of the run: what a part of each is, and which others it reads."""
+    from fwclass.graph.stage import Plan
     from fwclass.graph.stages import graph_of
 
-    stages = graph_of(chosen.begin(config), chosen.stages)
+    plan = chosen.begin(config) if chosen.stages else Plan(config)
+    stages = graph_of(plan, chosen.all_stages)
     if as_json:
         click.echo(json.dumps(stages, indent=1))
         return

@@ -166,7 +166,7 @@ def classify(
         temporary_directory("street", output.parent) as beside,
         open_runner(beside, int(count), options["scheduler"], config.run) as runner,
     ):
-        summary = work(job, output, runner, config.assess.block)
+        summary = work(job, output, runner, config)
     click.echo(describe_batch(summary, output), err=True)
     if options["as_json"]:
         click.echo(json.dumps(summary, indent=1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
+from pathlib import Path
 from typing import Any
 
 from fwclass.conf.sections import Section
@@ -40,6 +41,8 @@ def _plain(value: Any, silent: frozenset[str] = frozenset()) -> Any:
         return value
     if isinstance(value, (Params, Section)):
         return value.model_dump(mode="json", exclude=set(silent) & set(type(value).model_fields))
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, (Box, Tile)):
         return list(value.bounds) if isinstance(value, Box) else value.key
     if is_dataclass(value) and not isinstance(value, type):

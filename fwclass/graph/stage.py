@@ -110,6 +110,8 @@ class Stage:
     function : ``function(inputs: StageInputs, **arguments)`` makes a part; importable, it travels to the workers.
     when : whether a run has this stage.
     parts : its parts; unless given all tiles, the blocks that own an echo, or the one part `all` of the survey.
+    number : how many parts a run may have, where each is planned by what others say, and `parts` cannot tell them.
+    load : units of every part, where they follow from the settings alone.
     waves : of strips and chunks those with (True) or without (False) waveforms alone.
     edge, margin : of its blocks [m], and how many more lie around those that own an echo.
     part_name : of a part, in the store and in receipts: unless given its `key`, as tiles, blocks, strips and spans have
@@ -144,6 +146,8 @@ class Stage:
     function: Callable[..., Result]
     when: Callable[[Plan], bool] = always
     parts: Callable[[Plan], Sequence[Any]] | None = None
+    number: Callable[[Plan], int] | None = None
+    load: Callable[[Plan], float] | None = None
     waves: bool | None = None
     edge: Callable[[Plan], float] | None = None
     margin: int = 0

@@ -24,14 +24,8 @@ from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_POLYGONS
 from fwclass.graph.check_points import MEASURE_CHECK_POINTS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.context import CLASSIFY_IN_CONTEXT, SHARE_FIRST
-from fwclass.graph.context_training import (
-    DRAW_CONTEXT,
-    MERGE_CONTEXT,
-    SHARE_FOLDS,
-    TRAIN_CONTEXT,
-    TRAIN_FOLDS,
-    TRY_CONTEXT,
-)
+from fwclass.graph.context_folds import SHARE_FOLDS, TRAIN_FOLDS
+from fwclass.graph.context_training import DRAW_CONTEXT, MERGE_CONTEXT, TRAIN_CONTEXT, TRY_CONTEXT
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
 from fwclass.graph.features import COMPUTE_FEATURES

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.conf import Config
 from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
@@ -177,6 +178,11 @@ def learning_arguments(plan: Plan) -> Mapping[str, Any]:
     """Arguments that all stages that learn share."""
     config = plan.config
     return {"names": config.features_asked, "params": config.train, "classes": config.classes}
+
+
+def sample_rows(config: Config) -> int:
+    """Rows of the survey's sample at most."""
+    return config.train.samples_per_class * len(config.survey.classes)
 
 
 OF_TREES = frozenset(

@@ -17,13 +17,15 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names, Score, Trial, score
 from fwclass.select.search import Search, backward, by_fscore, forward, in_given_order
-from fwclass.study.keys import plain
-from fwclass.study.select.cost import costs
+from fwclass.study.select.cost import TIME_SETS, costs
 from fwclass.study.select.result import plain_result, sets_to_time
-from fwclass.study.select.sample import PLACED, TRAINING, require_own_labels, sample_tasks, training_of
-from fwclass.study.select.trials import Trials
-from fwclass.survey.layout import Layout
+from fwclass.study.select.sample import FOLD_SAMPLE, PLACE_ROWS, PLACED, TRAINING, require_own_labels, training_of
+from fwclass.study.select.trials import RANK_FEATURES, TRY_FEATURES, Trials
 from fwclass.walk.steps import tasks_until_labels, until_tiles
+
+SELECTION = (PLACE_ROWS, FOLD_SAMPLE, TRY_FEATURES, TIME_SETS)
+ELIMINATION = (PLACE_ROWS, FOLD_SAMPLE, RANK_FEATURES, TIME_SETS)
+"""Stages by which features are chosen: forward, and backward by their importance."""
 
 
 def selection(
@@ -43,7 +45,7 @@ def selection(
     """
     began = time.perf_counter()
     _check(config, candidates, order)
-    layout, meta = training(config, runner, candidates, computed or candidates)
+    plan, meta = training(config, runner, candidates, computed or candidates)
     useful = tuple(c for c in candidates if c not in meta["useless"])
     if not useful:
         raise InputError(
@@ -52,10 +54,10 @@ def selection(
             got="; ".join(f"{n}: {why}" for n, why in meta["useless"].items()),
             do="see why the stages that compute them found nothing, or name others",
         )
-    search = _search(config, runner, candidates, useful, method, tuple(o for o in order if o in useful), meta)
-    sampled = (t for t in layout.tiles if runner.is_done(PLACED, t.key))
+    search = _search(plan, runner, useful, method, tuple(o for o in order if o in useful), meta)
+    sampled = (t for t in plan.layout.tiles if runner.is_done(PLACED, t.key))
     tile = max(sampled, key=lambda t: runner.store.rows(PLACED, t.key))
-    cost = costs(runner, layout, tile, sets_to_time(search))
+    cost = costs(runner, plan, tile, sets_to_time(search))
     return {
         "method": method,
         "survey": config.survey.name,
@@ -65,30 +67,29 @@ def selection(
         "order": list(order),
         "sample": {n: meta[n] for n in ("rows", "counts", "eligible", "blocks", "by_fold", "digest")},
         "classes": [c.name for c in config.classes],
-        "params": plain(config.select),
+        "params": config.select.model_dump(mode="json"),
         **plain_result(search, cost, pick),
         "timed_on": tile.key,
         "seconds": round(time.perf_counter() - began, 1),
     }
 
 
-def training(config: Config, runner: Runner, names: Names, computed: Names) -> tuple[Layout, dict[str, Any]]:
+def training(config: Config, runner: Runner, names: Names, computed: Names) -> tuple[Plan, dict[str, Any]]:
     """Walk until the placed sample of the training areas is there, of `names` among `computed`; what it says."""
     plan = until_tiles(Plan(config, names, computed), runner)
-    tasks = [*tasks_until_labels(plan), *sample_tasks(plan.layout, names)]
+    tasks = [*tasks_until_labels(plan), *PLACE_ROWS.tasks(plan), *FOLD_SAMPLE.tasks(plan)]
     receipts = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
-    return plan.layout, dict(receipts[TRAINING, "all"].meta)
+    return plan, dict(receipts[TRAINING, "all"].meta)
 
 
-def _search(
-    config: Config, runner: Runner, candidates: Names, useful: Names, method: str, order: Names, meta: dict[str, Any]
-) -> Search:
+def _search(plan: Plan, runner: Runner, useful: Names, method: str, order: Names, meta: dict[str, Any]) -> Search:
+    config, candidates = plan.config, plan.names
     weights = np.array(meta["eligible"]) / np.array(meta["counts"])
 
     def scored(trial: Trial) -> Score:
         return score(trial, weights, config.select.score)
 
-    trials = Trials(runner, config, candidates)
+    trials = Trials(runner, plan)
     if method == "forward":
         return (
             in_given_order(order, useful, trials, scored) if order else forward(useful, trials, scored, config.select)

@@ -80,8 +80,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
         and not plain["card"].get("context")
     ):
         try:
-            validated = cross_validate(config, runner, plan.layout, before, config.features_asked)
-            plain["cross_validation"] = validated
+            plain["cross_validation"] = cross_validate(plan, runner, before)
         except InputError as fault:
             why = f"{fault.what}{fault.got and f' ({fault.got})'}"
             plain["remarks"] += [f"Nothing tells how good it is elsewhere, for it cannot be cross-validated: {why}."]

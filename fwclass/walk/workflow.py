@@ -30,7 +30,7 @@ class Workflow:
     Without a `walk` of its own it goes from files to tiles, makes all stages and writes the report. `settle` gives the
     configuration that it runs by; with it classes, labels and training areas need not be in the survey's file.
     `only_judges`: it says how good the survey is and delivers no echoes, for which the sources' returns are enough
-    where `survey.echoes` is ``auto``.
+    where `survey.echoes` is ``auto``. `study`: what a walk of its own selects, trains and judges besides `stages`.
     """
 
     name: str
@@ -39,6 +39,12 @@ class Workflow:
     walk: Walk | None = None
     settle: Callable[[Config], Config] | None = None
     only_judges: bool = False
+    study: tuple[Stage, ...] = ()
+
+    @property
+    def all_stages(self) -> tuple[Stage, ...]:
+        """Every stage that a run of it has."""
+        return (*self.stages, *self.study)
 
     @property
     def classifies(self) -> bool:

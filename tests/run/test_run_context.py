@@ -16,8 +16,8 @@ from fwclass import conf
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph import context_training
+from fwclass.graph.context_folds import _folds_at, _squares_around, squares_of
 from fwclass.graph.context_layer import context_layer, tries
-from fwclass.graph.context_training import _folds_at, _squares_around, squares_of
 from fwclass.graph.context_trial import Weighing, verdict
 from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent

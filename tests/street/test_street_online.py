@@ -41,7 +41,7 @@ def run_batch(tmp_path, workers, name, source=None, **changed):
     (tmp_path / name).mkdir()
     with open_runner(tmp_path / f".{name}", workers, None, made.run) as runner:
         work = batch.Work(source or directory() / "drive.parquet", directory() / "model", made.street)
-        return batch.classify(work, tmp_path / name, runner, 1.0), tmp_path / name
+        return batch.classify(work, tmp_path / name, runner, made), tmp_path / name
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.graph.areas import training_tiles
-from fwclass.graph.context_training import TRAIN_FOLDS, TRY_CONTEXT
 from fwclass.graph.corrections import READ_CORRECTIONS
 from fwclass.graph.ground_seams import CHECK_SEAMS
 from fwclass.graph.learn import TREES_PER_PART
@@ -22,6 +21,7 @@ from fwclass.graph.sites import in_sites
 from fwclass.graph.sources import INDEX
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import STAGES
+from fwclass.graph.training_rows import sample_rows
 from fwclass.grid import Box, TileGrid, groups, joint_box
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of
@@ -231,15 +231,15 @@ class _Quantities:
             return Amount(len(boxes), sum(sizes), max(sizes), held)
         if stage.unit == "echo":
             return Amount(1, total, total, total if stage.reads else 0.0)
-        parts = len(stage.all_parts(plan))
+        parts = len(stage.all_parts(plan)) if stage.number is None else stage.number(plan)
         if stage.unit == "part":
             return Amount(parts, float(parts), 1.0, 1.0)
-        rows = float(config.train.samples_per_class * len(config.survey.classes))
+        rows = float(sample_rows(config))
+        if stage.load is not None:
+            each = stage.load(plan)
+            return Amount(parts, parts * each, each, each if stage.unit == "row" else rows * TREES_PER_PART)
         if stage.unit == "row":
             return Amount(parts, rows, rows, rows)
-        if stage in (TRAIN_FOLDS, TRY_CONTEXT):
-            each = rows * min(config.train.trees, config.classify.context.trees)
-            return Amount(parts, parts * each, each, rows * TREES_PER_PART)
         units = rows * config.train.trees
         each = rows * min(config.train.trees, TREES_PER_PART) if parts > 1 else units
         return Amount(parts, units, each, each if parts > 1 else 0.0)

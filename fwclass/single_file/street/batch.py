@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,8 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.assess.blocks import BlockCounts
+from fwclass.conf import Config
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.street import crown_accuracy, model_remarks, params_of
 from fwclass.graph.street_answers import Answering, halo
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
@@ -22,7 +24,6 @@ from fwclass.model import Model
 from fwclass.publish.files import whole
 from fwclass.report.drift import drift
 from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Task
 from fwclass.run.runner import Runner, require_all
 from fwclass.single_file.street.output import finish
 from fwclass.store.models import load_model, model_digest
@@ -56,10 +57,10 @@ def check(work: Work) -> None:
     open_on_trajectory(work.recording, work.params, work.trajectory)
 
 
-def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+def read(here: StageInputs, work: Work) -> Mapping[str, Any]:
     """Take the frames of the recording one after the other and keep those that are used, as flat files."""
     with unchanged(work.recording, *work.trajectory.files):
-        return _read(work, directory)
+        return _read(work, here.directory)
 
 
 def _read(work: Work, directory: Path) -> Mapping[str, Any]:
@@ -105,17 +106,17 @@ def _scan(meta: Mapping[str, Any]) -> Scan:
     return Scan(int(meta["scan"][0]), *map(float, meta["scan"][1:]))
 
 
-def chunk(work: Work, first: int, last: int, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+def chunk(here: StageInputs, work: Work, first: int, last: int) -> Mapping[str, Any]:
     """Answer the frames `first` to `last`, with as many before and after as their answers may reach over."""
-    meta = inputs.meta(FRAMES, "all")
+    meta = here.inputs.meta(FRAMES, "all")
     scan, model = _scan(meta), load_model(work.model)
     around = halo(work.params)
     low, high = max(0, first - around), min(int(meta["frames"]), last + around)
     geometry = Geometry.of(scan, work.params.mounting)
     answering = Answering(model, work.params, geometry, range(first - low, last - low))
     writer = Writer(scan.beams, geometry.tilted)
-    with (directory / PART).open("wb") as file:
-        for frame in _frames(inputs, meta, scan, low, high):
+    with (here.directory / PART).open("wb") as file:
+        for frame in _frames(here.inputs, meta, scan, low, high):
             for _, one in answering.take(frame):
                 file.write(writer.frame(one))
         for _, one in answering.rest():
@@ -144,23 +145,46 @@ def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, h
         yield Placed(int(number), float(time), int(place), float(road), x, *row)
 
 
-def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str, Any]:
+def stages(work: Work, frames: int) -> tuple[Stage, Stage]:
+    """Reading the frames, and answering those that are used, `frames` in all, in chunks."""
+    step, digest = work.params.chunk, model_digest(work.model)
+    read_frames = Stage(
+        FRAMES,
+        VERSION,
+        "survey",
+        "part",
+        read,
+        arguments=lambda plan: {"work": work},
+        keyed=lambda plan: {"model": digest},
+    )
+    answer_chunk = replace(
+        read_frames,
+        name=CHUNK,
+        function=chunk,
+        parts=lambda plan: range(0, frames, step),
+        part_name=lambda at: f"{at:09d}",
+        each=lambda plan, at: {"first": at, "last": min(at + step, frames)},
+        after=(FRAMES,),
+        needs=lambda plan, at: ((FRAMES, "all"),),
+    )
+    return read_frames, answer_chunk
+
+
+def classify(work: Work, target: Path, runner: Runner, config: Config) -> dict[str, Any]:
     """Classify a recording into `target` (see `output`), judged where it has labels; plain data."""
     model = load_model(work.model)
     remarks = model_remarks(model, work.params)
     work = replace(work, params=params_of(model, work.params, work.model))
-    about = [str(work.recording), model_digest(work.model), work.params.model_dump(mode="json")]
-    first = Task(FRAMES, "all", VERSION, about, partial(read, work))
-    meta = require_all(runner, [first])[first.name].meta
-    count, step = int(meta["frames"]), work.params.chunk
+    plan = Plan(config)
+    read_frames, _ = stages(work, 0)
+    meta = require_all(runner, read_frames.tasks(plan))[FRAMES, "all"].meta
+    count = int(meta["frames"])
     if not count:
         raise InputError(
             "no frame of the recording can be used", where=work.recording, got=meta["counts"], do="fwclass street info"
         )
-    tasks = [
-        Task(CHUNK, f"{at:09d}", VERSION, about, partial(chunk, work, at, min(at + step, count)), needs=(first.name,))
-        for at in range(0, count, step)
-    ]
+    _, answer_chunk = stages(work, count)
+    tasks = list(answer_chunk.tasks(plan))
     receipts = require_all(runner, tasks)
     geometry = Geometry.of(_scan(meta), work.params.mounting)
     with whole(target / ANSWERS) as beside, beside.open("wb") as file:
@@ -169,7 +193,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
             with runner.store.path(CHUNK, task.part, PART).open("rb") as part:
                 shutil.copyfileobj(part, file, 1 << 20)
         file.write(END)
-    accuracy = _judge(runner, meta, model, target, block) if "labels" in meta["kept"] else None
+    accuracy = _judge(runner, meta, model, target, config.assess.block) if "labels" in meta["kept"] else None
     most, cut = (f(receipts[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
     drifted = drift(model.card, [receipts[t.name].meta["outside"] for t in tasks])
     most_frames = 2 * work.params.most_frames + 1

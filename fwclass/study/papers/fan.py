@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fwclass.assess.confusion import figures
 from fwclass.conf import Config
+from fwclass.conf.papers import paper
+from fwclass.graph.stage import Plan
 from fwclass.schema import base_of
+from fwclass.study.papers.begin import features_like
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.fan_claims import CLAIMS
-from fwclass.study.papers.variants import all_classes, make_variant
+from fwclass.study.papers.variants import Comparison, all_classes, make_variant
 from fwclass.study.papers.work import Variant
+from fwclass.study.select.trials import TRY_FEATURES
+from fwclass.study.selection import SELECTION
 
 WAVEFORM = ("amplitude", "width", "backscatter")
 """Bases of features that only a waveform tells; how many echoes there are a discrete return tells too."""
@@ -140,3 +146,36 @@ def _thesis(config: Config, tables: Mapping[str, Any]) -> dict[str, Any] | None:
         "features": {k: tables[f"{k}-{seeds[0]}"]["features"] for k in ("with", "without")},
         **{k: [tables[f"{k}-{s}"] for s in seeds] for k in ("with", "without")},
     }
+
+
+def columns(plan: Plan) -> tuple[str, ...]:
+    """The paper's features, and those of the run's own forest, which may decide by what the paper lacks."""
+    return tuple(dict.fromkeys((*features_of(plan.config), *plan.names)))
+
+
+def features_of(config: Config) -> tuple[str, ...]:
+    """The survey's features that the paper has too."""
+    return features_like(config, paper("fan2013")["selection"]["order"])
+
+
+def _all_variants(plan: Plan) -> tuple[Variant, ...]:
+    return variants(plan.config, features_of(plan.config), paper("fan2013"))
+
+
+def _trials(plan: Plan) -> int:
+    """Forward in the paper's order, and in the best."""
+    candidates = len(features_of(plan.config))
+    return plan.config.select.folds * (candidates + candidates * (candidates + 1) // 2)
+
+
+TABLES = Comparison(
+    columns,
+    _all_variants,
+    pairs=lambda plan: comparisons(plan.config, _all_variants(plan)),
+    timed=lambda plan: timed_variants(_all_variants(plan)),
+)
+STAGES = (
+    *(replace(stage, number=_trials) if stage is TRY_FEATURES else stage for stage in SELECTION),
+    *TABLES.stages,
+    *TABLES.times,
+)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.conf import Config
+from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.stage import Stage
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Task
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import write_json
 from fwclass.store.external_file import ExternalFile, digest_file
-from fwclass.store.remote_file import local
+from fwclass.store.remote_file import Location, local
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.he_claims import CLAIMS, COMBINED
 from fwclass.study.papers.he_work import describe_sample, judge_filter, terrain_of
 from fwclass.survey.files import find_files, without
 from fwclass.survey.gather import directory_of
+from fwclass.survey.layout import FileDigests
 
+NAME = "he2023"
 FILTER, SAMPLE = "filter-search", "filter-sample"
-VERSION = 1
+VERSION = 2
 FIGURES = ("type_i", "type_ii", "total_error", "kappa")
 SHOWN = ("smrf", "csf", COMBINED)
 """Filters whose terrain is drawn beside the reference's, as in figures 6 to 8."""
 
 
-def samples_of(config: Config) -> dict[str, Path]:
-    """The labelled files by name; `InputError` for two of one name, or none."""
+@dataclass(frozen=True)
+class LabelledFile:
+    """A labelled file: its name without its ending, where it lies, and its digests."""
+
+    key: str
+    location: Location
+    digests: FileDigests
+
+
+def samples_of(config: Config) -> tuple[LabelledFile, ...]:
+    """The labelled files; `InputError` for two of one name, or none."""
     if config.simulated:
         raise ConfigError(
             "ground filters are judged on labelled files",
@@ -44,13 +56,15 @@ def samples_of(config: Config) -> dict[str, Path]:
     directory = directory_of(config, Path())
     matching = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
     places, _ = without(matching, config.survey.exclude, directory, config.path, config.store)
-    samples: dict[str, Path] = {}
+    samples: dict[str, LabelledFile] = {}
     for place in places:
         path = local(place)
         if path.stem in samples:
-            raise InputError("two samples have one name", where=path, got=samples[path.stem], do="rename one of them")
-        samples[path.stem] = path
-    return samples
+            raise InputError(
+                "two samples have one name", where=path, got=samples[path.stem].location, do="rename one of them"
+            )
+        samples[path.stem] = LabelledFile(path.stem, place, (ExternalFile(path.name, digest_file(path)),))
+    return tuple(samples.values())
 
 
 def methods_of(printed: Mapping[str, Any]) -> tuple[str, ...]:
@@ -58,33 +72,39 @@ def methods_of(printed: Mapping[str, Any]) -> tuple[str, ...]:
     return (*printed["families"], COMBINED)
 
 
-def filter_tasks(config: Config, printed: Mapping[str, Any], samples: Mapping[str, Path]) -> list[Task]:
-    """A part for every sample, and for every filter on it."""
-    limits, terrain = config.ground_search, config.terrain
-    tasks = []
-    for name, path in samples.items():
-        file = (ExternalFile(path.name, digest_file(path)),)
-        about = [terrain.model_dump(mode="json"), config.ground.model_dump(mode="json")]
-        work = partial(describe_sample, path, config.ground, terrain)
-        tasks.append(Task(SAMPLE, name, VERSION, about, work, external=file))
-        for method in methods_of(printed):
-            params = config.ground.model_copy(update={"method": method})
-            searched = [params.model_dump(mode="json"), limits.model_dump(mode="json"), about[0]]
-            search = partial(judge_filter, path, params, limits, terrain)
-            tasks.append(Task(FILTER, f"{name}-{method}", VERSION, searched, search, external=file))
-    return tasks
+DESCRIBE_SAMPLE = Stage(
+    SAMPLE,
+    VERSION,
+    "file",
+    "part",
+    describe_sample,
+    parts=lambda plan: samples_of(plan.config),
+    arguments=lambda plan: {"params": plan.config.ground, "terrain": plan.config.terrain},
+    source=lambda plan, one: (one.location, one.digests),
+)
+JUDGE_FILTER = Stage(
+    FILTER,
+    VERSION,
+    "file",
+    "part",
+    judge_filter,
+    parts=lambda plan: [(one, method) for one in samples_of(plan.config) for method in methods_of(paper(NAME))],
+    part_name=lambda part: f"{part[0].key}-{part[1]}",
+    arguments=lambda plan: {"limits": plan.config.ground_search, "terrain": plan.config.terrain},
+    each=lambda plan, part: {"params": plan.config.ground.model_copy(update={"method": part[1]})},
+    source=lambda plan, part: (part[0].location, part[0].digests),
+)
+STAGES = (DESCRIBE_SAMPLE, JUDGE_FILTER)
 
 
-def facts(
-    config: Config, printed: Mapping[str, Any], samples: Mapping[str, Path], receipts: Receipts
-) -> dict[str, Any]:
+def facts(config: Config, printed: Mapping[str, Any], samples: Sequence[str], receipts: Receipts) -> dict[str, Any]:
     """Everything that the page tells, as plain data."""
     methods = methods_of(printed)
     about = {name: dict(receipts[SAMPLE, name].meta) for name in samples}
     by_sample = {s: {m: dict(receipts[FILTER, f"{s}-{m}"].meta) for m in methods} for s in samples}
     middle = float(np.median([a["slope"] for a in about.values()]))
     gathered: dict[str, Any] = {
-        **heading("he2023", config, printed, ("families", "optima", "gains")),
+        **heading(NAME, config, printed, ("families", "optima", "gains")),
         "methods": list(methods),
         "samples": about,
         "steep": [name for name, a in about.items() if a["slope"] >= middle],
@@ -104,7 +124,7 @@ def _means(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {**means, "speed": sum(r["points"] for r in results) / max(seconds, 1e-9)}
 
 
-def deliver(config: Config, runner: Runner, samples: Mapping[str, Path], facts: Mapping[str, Any]) -> dict[str, Any]:
+def deliver(config: Config, runner: Runner, samples: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
     """Write ``he2023.json``, ``he2023.html`` and ``report.json``; the report."""
     inputs = PartInputs(runner.store)
     write_json(runner.pending / "he2023.json", dict(facts))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.graph.ground_trial import FilterTrial, halves, ranges_of, search_halves, start_of, truth_of, with_values
+from fwclass.graph.stage_work import StageInputs
 from fwclass.grid import Window
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.measure import measure
@@ -28,19 +29,14 @@ TERRAIN, REFERENCE = "terrain", "reference"
 
 
 def judge_filter(
-    path: Path,
-    params: GroundParams,
-    limits: GroundSearchParams,
-    terrain: TerrainParams,
-    inputs: PartInputs,
-    directory: Path,
+    here: StageInputs, params: GroundParams, limits: GroundSearchParams, terrain: TerrainParams
 ) -> Mapping[str, Any]:
     """A filter's parameters with the greatest kappa on a sample, what it has right by them, and its terrain.
 
     ``start``, ``best``, ``held_out`` and ``curves`` as in `search_halves`, ``seconds`` of the processor of a run as
     set, ``points``, ``runs`` that were tried; arrays ``dtm`` of the best flags.
     """
-    cloud = read_point_cloud(path)
+    cloud = read_point_cloud(here.file())
     truth, shown, rows = _labelled(cloud)
     places = (cloud.x, cloud.y, cloud.z)
     seen = shown.copy()
@@ -54,19 +50,17 @@ def judge_filter(
     seconds = time.thread_time() - began
     best = with_values(params, searches["best"]["parameters"])
     flags = ground_by_blocks(*_some(places, rows), cloud.last[rows], best)
-    _write_terrain(places, rows, flags.ground, flags.noise, terrain, directory)
+    _write_terrain(places, rows, flags.ground, flags.noise, terrain, here.directory)
     return {**searches, "seconds": seconds, "points": len(rows), "runs": len(trial.known)}
 
 
-def describe_sample(
-    path: Path, params: GroundParams, terrain: TerrainParams, inputs: PartInputs, directory: Path
-) -> Mapping[str, Any]:
+def describe_sample(here: StageInputs, params: GroundParams, terrain: TerrainParams) -> Mapping[str, Any]:
     """Size, density and slope of a sample, and the terrain of its reference."""
-    cloud = read_point_cloud(path)
+    cloud = read_point_cloud(here.file())
     truth, _, rows = _labelled(cloud)
     places = (cloud.x, cloud.y, cloud.z)
     measured = measure(*_some(places, rows), cloud.last[rows])
-    dtm = _write_terrain(places, rows, truth[rows] == 1, np.zeros(len(rows), bool), terrain, directory)
+    dtm = _write_terrain(places, rows, truth[rows] == 1, np.zeros(len(rows), bool), terrain, here.directory)
     rise = np.hypot(*np.gradient(dtm.astype(np.float64), terrain.cell))
     known = np.isfinite(rise)
     return {

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 from fwclass.conf import Config
+from fwclass.conf.papers import paper
+from fwclass.graph.stage import Plan, Stage
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Task
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import write_json
 from fwclass.street.ring import BASES
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.li_claims import CLAIMS
-from fwclass.study.papers.li_work import DRIVE, GRIDS, judge_feature, judge_radius, simulate_drive
+from fwclass.study.papers.li_work import DRIVE, GRIDS, StreetSettings, judge_feature, judge_radius, simulate_drive
 
+NAME = "li2018"
 RADIUS, SINGLE = "street-radius", "street-single"
-DRIVE_VERSION, VERSION = 1, 2
+DRIVE_VERSION, VERSION = 2, 3
 FASTER = 1.4
 """Speed of the drive that tests, over that of the one that trains."""
 
@@ -31,30 +33,51 @@ def drives(config: Config) -> dict[str, dict[str, Any]]:
     return {"main": {}, "other": other, "leafless": {**other, "seed": scene.seed + 2, "leaves": False}}
 
 
-def drive_tasks(config: Config) -> list[Task]:
-    """A simulated recording for every drive."""
-    about = [config.street_scene.model_dump(), config.street.scanner, config.street.mounting.model_dump()]
-    return [
-        Task(DRIVE, name, DRIVE_VERSION, [*about, changed], partial(simulate_drive, config, changed))
-        for name, changed in drives(config).items()
-    ]
+def _settings(plan: Plan) -> dict[str, Any]:
+    config = plan.config
+    return {
+        "settings": StreetSettings(
+            config.street, config.train, config.compare, config.papers, config.assess, config.classes
+        )
+    }
 
 
-def table_tasks(config: Config, printed: Mapping[str, Any]) -> list[Task]:
-    """A part for every radius, and one for every feature alone."""
-    sections = ("street", "train", "compare", "papers", "assess")
-    about = [getattr(config, n).model_dump(mode="json") for n in sections]
-    about.append([c.plain() for c in config.classes])
-    needs = tuple((DRIVE, name) for name in drives(config))
-    tasks = [
-        Task(RADIUS, f"{100 * r:.0f}", VERSION, [*about, r], partial(judge_radius, config, r), needs)
-        for r in printed["radii"]
-    ]
-    metres = printed["single"]["radius"]
-    return tasks + [
-        Task(SINGLE, base, VERSION, [*about, metres, k], partial(judge_feature, config, metres, k), needs)
-        for k, base in enumerate(BASES)
-    ]
+SIMULATE_DRIVE = Stage(
+    DRIVE,
+    DRIVE_VERSION,
+    "survey",
+    "part",
+    simulate_drive,
+    parts=lambda plan: tuple(drives(plan.config)),
+    arguments=lambda plan: {
+        "scene": plan.config.street_scene,
+        "scanner_name": plan.config.street.scanner,
+        "mounting": plan.config.street.mounting,
+    },
+    each=lambda plan, name: {"changes": drives(plan.config)[name]},
+)
+JUDGE_RADIUS = Stage(
+    RADIUS,
+    VERSION,
+    "survey",
+    "part",
+    judge_radius,
+    parts=lambda plan: paper(NAME)["radii"],
+    part_name=lambda metres: f"{100 * metres:.0f}",
+    arguments=_settings,
+    each=lambda plan, metres: {"metres": metres},
+    after=(DRIVE,),
+    needs=lambda plan, part: [(DRIVE, name) for name in drives(plan.config)],
+)
+JUDGE_FEATURE = replace(
+    JUDGE_RADIUS,
+    name=SINGLE,
+    function=judge_feature,
+    parts=lambda plan: BASES,
+    part_name=str,
+    each=lambda plan, base: {"metres": paper(NAME)["single"]["radius"], "feature": BASES.index(base)},
+)
+STAGES = (SIMULATE_DRIVE, JUDGE_RADIUS, JUDGE_FEATURE)
 
 
 def facts(config: Config, printed: Mapping[str, Any], receipts: Receipts) -> dict[str, Any]:
@@ -66,7 +89,7 @@ def facts(config: Config, printed: Mapping[str, Any], receipts: Receipts) -> dic
     total = sum(map(sum, matrix))
     crowns = sum(matrix[0]) / total
     gathered: dict[str, Any] = {
-        **heading("li2018", config, printed, ("points", "share", "radii", "bounds", "single")),
+        **heading(NAME, config, printed, ("points", "share", "radii", "bounds", "single")),
         "drives": {n: {**receipts[DRIVE, n].meta} for n in drives(config)},
         "scene": config.street_scene.model_dump(mode="json"),
         "method": config.train.method,

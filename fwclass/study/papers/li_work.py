@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.conf import Config
+from fwclass.assess.params import AssessParams
+from fwclass.conf.sections import PapersSection
 from fwclass.conf.street import scanner
+from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.street import (
     Rows,
     Split,
@@ -25,13 +27,15 @@ from fwclass.graph.street import (
     sample_of,
 )
 from fwclass.hashing import hash_keys, seed_for
-from fwclass.model import Model, class_index
+from fwclass.model import ClassDef, Model, class_index
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
-from fwclass.street.params import StreetParams
+from fwclass.street.params import MountingParams, StreetParams, StreetSceneParams
 from fwclass.street.recording_parquet import write_recording
 from fwclass.street.ring import feature_names
 from fwclass.street.simulate import simulate_frames
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.params import TrainParams
 
 DRIVE, RECORDING, GRIDS = "street-drive", "drive.parquet", "grids"
 SHOWN = 400
@@ -47,11 +51,25 @@ WINDOW_FRAMES = 60
 """Frames on which the paper's window is held against the exact one."""
 
 
-def simulate_drive(config: Config, changes: Mapping[str, Any], inputs: PartInputs, directory: Path) -> dict[str, Any]:
+@dataclass(frozen=True)
+class StreetSettings:
+    """Sections of the configuration by which streets are judged, and its classes."""
+
+    street: StreetParams
+    train: TrainParams
+    compare: CompareParams
+    papers: PapersSection
+    assess: AssessParams
+    classes: tuple[ClassDef, ...]
+
+
+def simulate_drive(
+    here: StageInputs, scene: StreetSceneParams, scanner_name: str, mounting: MountingParams, changes: Mapping[str, Any]
+) -> dict[str, Any]:
     """A simulated recording."""
-    params = config.street_scene.model_copy(update=dict(changes))
-    frames = simulate_frames(params, scanner(config.street.scanner), config.street.mounting)
-    return {"frames": write_recording(directory / RECORDING, frames), **changes}
+    params = scene.model_copy(update=dict(changes))
+    frames = simulate_frames(params, scanner(scanner_name), mounting)
+    return {"frames": write_recording(here.directory / RECORDING, frames), **changes}
 
 
 def _path(inputs: PartInputs, name: str) -> Path:
@@ -69,34 +87,34 @@ def _some(rows: Rows, most: int, seed: int) -> Rows:
 
 
 def _judged(
-    config: Config, rows: Rows, answers: Callable[[Rows], NDArray[np.uint8]], split: Split | None
+    settings: StreetSettings, rows: Rows, answers: Callable[[Rows], NDArray[np.uint8]], split: Split | None
 ) -> dict[str, Any]:
-    return judge_answers([rows], answers, split, config.classes, config.assess.block)
+    return judge_answers([rows], answers, split, settings.classes, settings.assess.block)
 
 
-def _model(config: Config, rows: Rows, names: tuple[str, ...], split: Split, params: StreetParams) -> Model:
-    sample = sample_of([rows], names, split, config.classes, config.train.samples_per_class)
-    return fit_model(sample, params, config.train, config.compare, config.classes)
+def _model(settings: StreetSettings, rows: Rows, names: tuple[str, ...], split: Split, params: StreetParams) -> Model:
+    sample = sample_of([rows], names, split, settings.classes, settings.train.samples_per_class)
+    return fit_model(sample, params, settings.train, settings.compare, settings.classes)
 
 
-def judge_radius(config: Config, metres: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def judge_radius(here: StageInputs, settings: StreetSettings, metres: float) -> dict[str, Any]:
     """One line of table 1: at random as the paper, then a model of the whole drive on other drives."""
-    params = config.street.model_copy(update={"radii": (metres,), "window": "exact"})
-    names, most, seed = feature_names(params), config.papers.test_echoes, config.papers.seed
+    params = settings.street.model_copy(update={"radii": (metres,), "window": "exact"})
+    names, most, seed = feature_names(params), settings.papers.test_echoes, settings.papers.seed
     began = time.thread_time()
-    rows = _rows(inputs, "main", params)
+    rows = _rows(here.inputs, "main", params)
     spent = time.thread_time() - began
-    chance = Split("random", params.share, config.train.seed, (), 0.0)
-    every = Split("stretch", 0.0, config.train.seed, ((-1e9, -1e9, 1e9, 1e9),), 0.0)
-    by_chance = _model(config, rows, names, chance, params)
-    by_street = _model(config, rows, names, every, params)
+    chance = Split("random", params.share, settings.train.seed, (), 0.0)
+    every = Split("stretch", 0.0, settings.train.seed, ((-1e9, -1e9, 1e9, 1e9),), 0.0)
+    by_chance = _model(settings, rows, names, chance, params)
+    by_street = _model(settings, rows, names, every, params)
     results: dict[str, Any] = {"radius": metres, "vectors": _vectors(by_street)}
     results["frame_ms"] = 1e3 * spent / max(1, len(np.unique(rows.key >> np.uint64(16))))
-    results["random"] = _judged(config, _some(rows, most, seed), by_model(by_chance), chance)
+    results["random"] = _judged(settings, _some(rows, most, seed), by_model(by_chance), chance)
     for name in ("other", "leafless"):
-        there = _some(_rows(inputs, name, params), most, seed)
-        results[name] = _judged(config, there, by_model(by_street), None)
-    results["lost"] = _lost(inputs, params)
+        there = _some(_rows(here.inputs, name, params), most, seed)
+        results[name] = _judged(settings, there, by_model(by_street), None)
+    results["lost"] = _lost(here.inputs, params)
     return results
 
 
@@ -120,27 +138,27 @@ def _lost(inputs: PartInputs, params: StreetParams) -> float:
     return float((counts[1][known] < counts[0][known]).mean())
 
 
-def judge_feature(config: Config, metres: float, feature: int, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def judge_feature(here: StageInputs, settings: StreetSettings, metres: float, feature: int) -> dict[str, Any]:
     """One line of table 2, and the answers of the first frames as a grid."""
-    params = config.street.model_copy(update={"radii": (metres,), "window": "exact"})
+    params = settings.street.model_copy(update={"radii": (metres,), "window": "exact"})
     names = feature_names(params)
-    rows = _rows(inputs, "main", params)
+    rows = _rows(here.inputs, "main", params)
     alone = replace(rows, X=np.ascontiguousarray(rows.X[:, feature : feature + 1]))
-    chance = Split("random", params.share, config.train.seed, (), 0.0)
-    rbf = config.compare.rbf_svm
+    chance = Split("random", params.share, settings.train.seed, (), 0.0)
+    rbf = settings.compare.rbf_svm
     few = rbf.model_copy(update={"max_rows": min(rbf.max_rows, SINGLE_ROWS), "search_rows": min(rbf.search_rows, 1000)})
-    config = replace(config, compare=config.compare.model_copy(update={"rbf_svm": few}))
-    model = _model(config, alone, names[feature : feature + 1], chance, params)
+    settings = replace(settings, compare=settings.compare.model_copy(update={"rbf_svm": few}))
+    model = _model(settings, alone, names[feature : feature + 1], chance, params)
     accuracy = _judged(
-        config, _some(alone, config.papers.test_echoes // 3, config.papers.seed), by_model(model), chance
+        settings, _some(alone, settings.papers.test_echoes // 3, settings.papers.seed), by_model(model), chance
     )
     first = alone.take((alone.key >> np.uint64(16)) < np.uint64(SHOWN))
-    index = class_index(first.codes, config.classes)
-    crown, other = (rows.X[class_index(rows.codes, config.classes) == k, feature] for k in (0, 1))
+    index = class_index(first.codes, settings.classes)
+    crown, other = (rows.X[class_index(rows.codes, settings.classes) == k, feature] for k in (0, 1))
     write_arrays(
-        directory / GRIDS,
+        here.directory / GRIDS,
         {
-            "answer": _grid(first, by_model(model)(first) != config.classes[0].code),
+            "answer": _grid(first, by_model(model)(first) != settings.classes[0].code),
             "reference": _grid(first, index != 0),
         },
     )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,22 +13,23 @@ from fwclass.assess.confusion import figures
 from fwclass.assess.intervals import caution, class_gains, difference, intervals
 from fwclass.classes import GROUND
 from fwclass.conf import Config
+from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import rows_to_test
-from fwclass.graph.refine import ANSWERED
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.training_rows import SAMPLE
-from fwclass.grid import Box, Tile, millimetres, whole_millimetres
+from fwclass.grid import Box, millimetres, whole_millimetres
 from fwclass.model import ClassDef, class_index
-from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Task
 from fwclass.select.search import f_scores
-from fwclass.study.keys import needs_of
+from fwclass.study.papers.begin import features_like
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.shi_claims import CLAIMS
-from fwclass.study.papers.variants import VERSION, learn_tasks, make_variant, time_tasks
-from fwclass.study.papers.work import Variant, spans
+from fwclass.study.papers.variants import VERSION, Comparison, make_variant
+from fwclass.study.papers.work import TRAINING, Variant, spans
 from fwclass.survey.layout import Layout
+from fwclass.train.baselines.params import CompareParams
 from fwclass.train.sample import Sample
 
 HEIGHT = "height_above_ground"
@@ -38,14 +37,6 @@ WITHOUT, FILTERED, HEIGHTS = "without_heights", "iptd", "iptd_heights"
 ALL, SVM, TRIMMED = "svm_all", "svm", "nn_svm"
 LAYER_STAGES = ("coarse", "refine", "classify")
 LAYERS = ("coarse", "fine", "coarse_boundary", "fine_boundary")
-
-_COLUMNS = {
-    **dict.fromkeys(("x", "y"), "tile"),
-    "reference": "label",
-    "coarse_class": ANSWERED,
-    "boundary": "refine",
-    "classification": "classify",
-}
 
 
 def require_layers(config: Config) -> None:
@@ -94,58 +85,45 @@ def comparisons(variants: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
     return list(zip(variants[1:], variants[:-1], strict=True))
 
 
-def trimming(config: Config, one: Variant) -> Config:
+def trimming(plan: Plan, one: Variant) -> CompareParams:
     """The settings that a variant learns by: all but the last are untrimmed."""
-    trim = (
-        (config.compare.rbf_svm.trim if config.compare.rbf_svm.trim != "none" else "nearest")
-        if one.name == TRIMMED
-        else "none"
-    )
-    svm = config.compare.rbf_svm.model_copy(update={"trim": trim})
-    return replace(config, compare=config.compare.model_copy(update={"rbf_svm": svm}))
+    compare: CompareParams = plan.config.compare
+    trim = (compare.rbf_svm.trim if compare.rbf_svm.trim != "none" else "nearest") if one.name == TRIMMED else "none"
+    return compare.model_copy(update={"rbf_svm": compare.rbf_svm.model_copy(update={"trim": trim})})
 
 
-def ladder_tasks(config: Config, names: tuple[str, ...], variants: Sequence[Variant]) -> list[Task]:
-    """Models of all steps and their answers."""
-    return [task for one in variants for task in learn_tasks(trimming(config, one), names, [one])]
+def columns(plan: Plan) -> tuple[str, ...]:
+    """The paper's features, and those that the run's own classifiers decide by."""
+    return tuple(dict.fromkeys((*features_of(plan.config), *plan.names)))
 
 
-def clock_tasks(config: Config, names: tuple[str, ...], variants: Sequence[Variant]) -> list[Task]:
-    """How long each step trains and answers."""
-    return [task for one in variants for task in time_tasks(trimming(config, one), names, [one])]
+def features_of(config: Config) -> tuple[str, ...]:
+    """The survey's features that the paper has too."""
+    printed = paper("shi2019")["fscore"]
+    return features_like(config, (*printed["kept"], *printed["dropped"]))
 
 
-def layer_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
-    """Answers of both layers on the test echoes of every tile, and the F-scores of `names` on the training rows."""
-    config, classes = layout.config, layout.config.classes
-    train, test = config.areas.boxes("train"), config.areas.boxes("test")
-    params = {
-        "areas": config.areas.model_dump(mode="json"),
-        "classes": [c.plain() for c in classes],
-        "block": config.papers.block,
+def _count_arguments(plan: Plan) -> dict[str, Any]:
+    areas = plan.config.areas
+    return {
+        "classes": plan.config.classes,
+        "train": areas.boxes("train"),
+        "test": areas.boxes("test"),
+        "gap": areas.gap,
+        "edge": plan.config.papers.block,
     }
-    tasks = []
-    for tile in layout.tiles:
-        work = partial(count_layers, tile, classes, train, test, config.areas.gap, config.papers.block)
-        tasks.append(Task("paper-layers", tile.key, VERSION, params, work, needs=needs_of(_COLUMNS, (tile.key,))))
-    ranks = partial(rank_features, names)
-    score_params = {"features": list(names)}
-    tasks.append(Task("paper-fscore", "all", VERSION, score_params, ranks, needs=(("paper-training", "all"),)))
-    return tasks
 
 
 def count_layers(
-    tile: Tile,
+    here: StageInputs,
     classes: tuple[ClassDef, ...],
     train: tuple[Box, ...],
     test: tuple[Box, ...],
     gap: float,
     edge: float,
-    inputs: PartInputs,
-    directory: Path,
 ) -> dict[str, Any]:
     """Confusion of both layers in every square of `edge` [m], over all test echoes and over those at the boundary."""
-    table = inputs.rows(tile.key, _COLUMNS)
+    table = here.own_rows()
     index = class_index(table["reference"], classes)
     rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0))
     of_code = np.zeros(256, np.int64)
@@ -168,9 +146,9 @@ def count_layers(
     }
 
 
-def rank_features(names: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def rank_features(here: StageInputs, names: tuple[str, ...]) -> dict[str, Any]:
     """F-score of every feature on the training rows."""
-    sample = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
+    sample = Sample.from_arrays(names, here.inputs.arrays(TRAINING, "all", SAMPLE)[0])
     return {"scores": dict(zip(names, f_scores(sample.X, sample.y).tolist(), strict=True))}
 
 
@@ -246,3 +224,37 @@ def _step(receipts: Receipts, one: Variant, names: Sequence[str]) -> dict[str, A
         "params": model["params"],
         "notes": model["notes"],
     }
+
+
+def _all_variants(plan: Plan) -> tuple[Variant, ...]:
+    return variants(plan.config, features_of(plan.config))
+
+
+TABLES = Comparison(
+    columns,
+    _all_variants,
+    pairs=lambda plan: comparisons(_all_variants(plan)),
+    timed=_all_variants,
+    filtered=True,
+    compare=trimming,
+)
+COUNT_LAYERS = Stage(
+    "paper-layers",
+    VERSION,
+    "tile",
+    "echo",
+    count_layers,
+    arguments=_count_arguments,
+    own=("x", "y", "reference", "coarse_class", "boundary", "classification"),
+)
+RANK_FEATURES = Stage(
+    "paper-fscore",
+    VERSION,
+    "survey",
+    "row",
+    rank_features,
+    arguments=lambda plan: {"names": columns(plan)},
+    after=(TRAINING,),
+    needs=lambda plan, part: ((TRAINING, "all"),),
+)
+STAGES = (*TABLES.stages, COUNT_LAYERS, RANK_FEATURES, *TABLES.times)

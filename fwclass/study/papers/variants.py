@@ -1,30 +1,222 @@
-"""Variants of a classifier as parts: one sample trains them all, one set of test echoes judges them all."""
+"""Stages that compare variants of a classifier: one sample trains them all, one set of test echoes judges them all."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
-from fwclass.graph.areas import IDENTITY_AND_PLACE
+from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles
 from fwclass.graph.learn import TREES_PER_PART
-from fwclass.graph.stage import Plan, always
-from fwclass.graph.training_rows import DRAW_SAMPLE
+from fwclass.graph.stage import Plan, Stage, always
+from fwclass.graph.training_rows import DRAW_SAMPLE, NOT_OF_THE_SAMPLE, sample_rows
 from fwclass.model import ClassDef
-from fwclass.run.part import Task
-from fwclass.study.keys import needs_of, plain
 from fwclass.study.papers import work
-from fwclass.study.papers.work import Variant
-from fwclass.survey.layout import Layout
+from fwclass.study.papers.work import DRAWN, DROPPED, JUDGED, MODELS, TESTED, TRAINING, Variant
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
 from fwclass.train.params import TrainParams
 from fwclass.train.stage import TRAIN_IMPORTANCE, TRAIN_TREES
 
-VERSION = 2
+VERSION = 3
+_OF_MODELS = 1000 * OTHERS_VERSION + TRAIN_TREES.version
+
+Names = tuple[str, ...]
+Pairs = Sequence[tuple[Variant, Variant]]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What the tables of a paper compare, under a plan whose `names` decide and whose `computed` are at hand.
+
+    Attributes
+    ----------
+    columns : features of the sample, all that any variant decides by.
+    variants, pairs, timed : the classifiers, which of them are held against each other, and whose time is taken.
+    ranked : the forest whose features are ranked by permutation, None without one.
+    filtered : some variant leaves a class to the ground filter.
+    compare : by which settings a variant that is no forest learns.
+    """
+
+    columns: Callable[[Plan], Names]
+    variants: Callable[[Plan], Sequence[Variant]]
+    pairs: Callable[[Plan], Pairs]
+    timed: Callable[[Plan], Sequence[Variant]]
+    ranked: Callable[[Plan], Variant] | None = None
+    filtered: bool = False
+    compare: Callable[[Plan, Variant], CompareParams] = lambda plan, one: plan.config.compare
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Sample, test echoes, models, their answers, differences and importances, in the order of the run."""
+        return (*self._of_data(), self._train, *self._of_answers(), *self._of_importance())
+
+    @property
+    def times(self) -> tuple[Stage, ...]:
+        """How long classifiers train and answer: made when all else is done, as nothing is to run beside them."""
+        return (
+            replace(
+                self._train,
+                name="paper-time",
+                function=work.time_variant,
+                parts=self.timed,
+                after=(MODELS, TESTED, TRAINING),
+                needs=lambda plan, one: ((MODELS, one.name), (TESTED, "all"), (TRAINING, "all")),
+            ),
+        )
+
+    def _of_data(self) -> tuple[Stage, ...]:
+        columns = self.columns
+        also = ("ground",) if self.filtered else ()
+        draw_sample = replace(
+            DRAW_SAMPLE,
+            name=DRAWN,
+            when=always,
+            arguments=lambda plan: {
+                **_sample_arguments(plan, columns(plan)),
+                "areas": plan.config.areas.boxes("train"),
+            },
+            each=lambda plan, tile: {},
+            own=lambda plan: (*IDENTITY_AND_PLACE, *columns(plan), "reference"),
+            after=(),
+            needs=lambda plan, tile: (),  # a paper's tables know no corrections
+        )
+        merge_sample = Stage(
+            TRAINING,
+            VERSION,
+            "survey",
+            "row",
+            work.merge_sample,
+            arguments=lambda plan: _sample_arguments(plan, columns(plan)),
+            silent=NOT_OF_THE_SAMPLE,
+            reads=lambda plan: ("x", "y", *columns(plan)),
+            tiles=training_tiles,
+            after=(DRAWN,),
+            needs=lambda plan, part: [(DRAWN, t.key) for t in training_tiles(plan)],
+        )
+        draw_test = Stage(
+            "paper-test",
+            VERSION,
+            "tile",
+            "echo",
+            work.draw_test_echoes,
+            arguments=lambda plan: {
+                "names": columns(plan),
+                "also": also,
+                "train": plan.config.areas.boxes("train"),
+                "test": plan.config.areas.boxes("test"),
+                "gap": plan.config.areas.gap,
+                "classes": all_classes(plan.config),
+                "share": min(1.0, plan.config.papers.test_echoes / max(1, plan.layout.echoes)),
+                "seed": plan.config.papers.seed,
+            },
+            own=lambda plan: (*IDENTITY_AND_PLACE, *columns(plan), *also, "reference"),
+        )
+        gather_test = Stage(
+            TESTED,
+            VERSION,
+            "survey",
+            "row",
+            work.gather_test_echoes,
+            load=lambda plan: plan.config.papers.test_echoes,
+            after=(draw_test.name,),
+            needs=lambda plan, part: [(draw_test.name, t.key) for t in plan.layout.tiles],
+        )
+        return draw_sample, merge_sample, draw_test, gather_test
+
+    @property
+    def _train(self) -> Stage:
+        return Stage(
+            MODELS,
+            _OF_MODELS,
+            "survey",
+            "tree_row",
+            work.learn,
+            parts=self.variants,
+            load=_rows_of_trees,
+            part_name=_name,
+            arguments=lambda plan: {"names": self.columns(plan), "classes": all_classes(plan.config)},
+            each=self._each,
+            after=(TRAINING,),
+            needs=lambda plan, one: ((TRAINING, "all"),),
+        )
+
+    def _of_answers(self) -> tuple[Stage, ...]:
+        judge = Stage(
+            JUDGED,
+            1000 * CLASSIFY.version + VERSION,
+            "survey",
+            "row",
+            work.judge,
+            parts=self.variants,
+            load=lambda plan: plan.config.papers.test_echoes,
+            part_name=_name,
+            arguments=lambda plan: {
+                "names": self.columns(plan),
+                "classes": all_classes(plan.config),
+                "edge": plan.config.papers.block,
+            },
+            each=lambda plan, one: {"one": one},
+            after=(MODELS, TESTED),
+            needs=lambda plan, one: ((MODELS, one.name), (TESTED, "all")),
+        )
+        compare = Stage(
+            "paper-difference",
+            VERSION,
+            "survey",
+            "row",
+            work.compare,
+            parts=self.pairs,
+            load=lambda plan: plan.config.papers.test_echoes,
+            part_name=lambda pair: f"{pair[0].name}-{pair[1].name}",
+            arguments=lambda plan: {"edge": plan.config.papers.block},
+            each=lambda plan, pair: {
+                "name": pair[0].name,
+                "other": pair[1].name,
+                "known": min(one.classes for one in pair),
+            },
+            after=(JUDGED, TESTED),
+            needs=lambda plan, pair: (*((JUDGED, one.name) for one in pair), (TESTED, "all")),
+        )
+        return judge, compare
+
+    def _of_importance(self) -> tuple[Stage, ...]:
+        ranked = self.ranked
+        if ranked is None:
+            return ()
+        measure = Stage(
+            DROPPED,
+            TRAIN_IMPORTANCE.version,
+            "survey",
+            "tree_row",
+            work.measure_drops,
+            parts=lambda plan: range(0, ranked(plan).train.trees, TREES_PER_PART),
+            part_name=lambda first: f"{first:05d}",
+            arguments=lambda plan: {
+                "one": ranked(plan),
+                "names": self.columns(plan),
+                "repeats": plan.config.papers.repeats,
+            },
+            each=lambda plan, first: {"first": first, "count": min(TREES_PER_PART, ranked(plan).train.trees - first)},
+            after=(TRAINING, MODELS),
+            needs=lambda plan, first: ((TRAINING, "all"), (MODELS, ranked(plan).name)),
+        )
+        gather = Stage(
+            "paper-importance",
+            VERSION,
+            "survey",
+            "part",
+            work.importance,
+            arguments=lambda plan: {"features": ranked(plan).features},
+            after=(DROPPED,),
+            needs=lambda plan, part: [(DROPPED, measure.part_name(first)) for first in measure.all_parts(plan)],
+        )
+        return measure, gather
+
+    def _each(self, plan: Plan, one: Variant) -> Mapping[str, Any]:
+        return {"one": one, "compare": None if one.train.method == "forest" else self.compare(plan, one)}
 
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:
@@ -33,130 +225,22 @@ def all_classes(config: Config) -> tuple[ClassDef, ...]:
     return (*config.classes, *more)
 
 
-def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -> list[Task]:
-    """The sample of the training areas and the echoes of the test areas, with all columns that any variant reads;
-    `filtered`: and what the ground filter says of the latter."""
-    config, classes = layout.config, all_classes(layout.config)
-    train, test = config.areas.boxes("train"), config.areas.boxes("test")
-    columns = layout.columns(names)
-    class_facts = [[c.name, c.code, list(c.codes)] for c in classes]
-    drawn = {
-        "features": list(names),
-        "classes": class_facts,
-        "train": [list(b.bounds) for b in train],
-        "seed": config.train.seed,
-        "samples_per_class": config.train.samples_per_class,
-    }
-    share = min(1.0, config.papers.test_echoes / max(1, layout.echoes))
-    judged = {
-        "features": list(names),
-        "classes": class_facts,
-        "areas": config.areas.model_dump(mode="json"),
-        "share": share,
-        "seed": config.papers.seed,
-    }
-    chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in train))
-    also = {"ground": "ground"} if filtered else {}
-    if filtered:
-        judged["filtered"] = True
-    sampling = replace(
-        DRAW_SAMPLE,
-        name="paper-sample",
-        when=always,
-        arguments=lambda plan: {"names": names, "params": config.train, "classes": classes, "areas": train},
-        own=(*IDENTITY_AND_PLACE, *names, "reference"),
-    )
-    tasks = [sampling.task(Plan(config, tiled=layout), t) for t in chosen]
-    draw = partial(
-        work.draw_test_echoes, columns, also, names, train, test, config.areas.gap, classes, share, config.papers.seed
-    )
-    reads = {**columns, **also, "reference": "label"}
-    for tile in layout.tiles:
-        needs = needs_of(reads, (tile.key,))
-        tasks.append(Task("paper-test", tile.key, VERSION, judged, partial(draw, tile), needs=needs))
-    keys = tuple(t.key for t in chosen)
-    merge = partial(work.merge_sample, keys, columns, config.train)
-    needs = (*(("paper-sample", k) for k in keys), *needs_of(columns, keys))
-    tasks.append(Task("paper-training", "all", VERSION, drawn, merge, needs=needs))
-    keys = tuple(t.key for t in layout.tiles)
-    gather = partial(work.gather_test_echoes, keys)
-    tasks.append(Task("paper-tested", "all", VERSION, judged, gather, needs=tuple(("paper-test", k) for k in keys)))
-    return tasks
-
-
-def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
-    """A model of every variant, and its answers on the test echoes."""
-    tasks = []
-    for one in variants:
-        params, classes = facts_of(config, one), all_classes(config)
-        learn = partial(work.learn, one, names, config.compare, classes)
-        tasks.append(Task("paper-model", one.name, _version(), params, learn, needs=(("paper-training", "all"),)))
-        params = {**params, "block": config.papers.block}
-        judge = partial(work.judge, one, names, classes, config.papers.block)
-        needs = (("paper-model", one.name), ("paper-tested", "all"))
-        tasks.append(Task("paper-judged", one.name, 1000 * CLASSIFY.version + VERSION, params, judge, needs=needs))
-    return tasks
-
-
-def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
-    """How long every variant trains and answers: parts that nothing reads, to be run when all else is done."""
-    tasks = []
-    for one in variants:
-        needs = (("paper-model", one.name), ("paper-tested", "all"), ("paper-training", "all"))
-        work_ = partial(work.time_variant, one, names, config.compare, all_classes(config))
-        tasks.append(Task("paper-time", one.name, _version(), facts_of(config, one), work_, needs=needs))
-    return tasks
-
-
-def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> list[Task]:
-    """Permutation importance of a forest's features on what its trees did not see."""
-    tasks, batches = [], []
-    params = {**facts_of(config, one), "repeats": config.papers.repeats}
-    for first in range(0, one.train.trees, TREES_PER_PART):
-        count = min(TREES_PER_PART, one.train.trees - first)
-        part = f"{first:05d}"
-        batches.append(part)
-        measure = partial(work.measure_drops, one, names, first, count, config.papers.repeats)
-        reads = (("paper-training", "all"), ("paper-model", one.name))
-        counted = {**params, "count": count}
-        tasks.append(Task("paper-drops", part, TRAIN_IMPORTANCE.version, counted, measure, needs=reads))
-    merge = partial(work.importance, tuple(batches), one.features)
-    needs = tuple(("paper-drops", b) for b in batches)
-    return [*tasks, Task("paper-importance", "all", VERSION, params, merge, needs=needs)]
-
-
-def facts_of(config: Config, one: Variant) -> dict[str, Any]:
-    """What a variant's parts depend on."""
-    params = {"train": plain(one.train), "features": list(one.features), "classes": one.classes, "rows": one.rows}
-    if one.squares:
-        params["squares"] = list(one.squares)
-    if one.filtered is not None:
-        params["filtered"] = one.filtered
-    if one.train.method != "forest":
-        compare: CompareParams = config.compare
-        params["compare"] = plain(compare)
-    return params
-
-
-def _version() -> int:
-    return 1000 * OTHERS_VERSION + TRAIN_TREES.version
-
-
 def make_variant(
     config: Config, name: str, features: Sequence[str], classes: int | None = None, rows: int = 0, **train: Any
 ) -> Variant:
     """The run's own classifier with other features, classes or training parameters."""
-    params = TrainParams.model_validate({**plain(config.train), "importance_repeats": 0, **train})
+    settings = config.train.model_dump(mode="json")
+    params = TrainParams.model_validate({**settings, "importance_repeats": 0, **train})
     return Variant(name, tuple(features), params, len(config.classes) if classes is None else classes, rows)
 
 
-def comparison_tasks(config: Config, pairs: Iterable[tuple[Variant, Variant]]) -> list[Task]:
-    """How much better the first of each pair is than the second on the same test echoes, with an interval."""
-    tasks = []
-    for one, other in pairs:
-        known = min(one.classes, other.classes)
-        params = {"classes": known, "block": config.papers.block}
-        compare = partial(work.compare, one.name, other.name, known, config.papers.block)
-        needs = (("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all"))
-        tasks.append(Task("paper-difference", f"{one.name}-{other.name}", VERSION, params, compare, needs=needs))
-    return tasks
+def _sample_arguments(plan: Plan, names: Names) -> dict[str, Any]:
+    return {"names": names, "params": plan.config.train, "classes": all_classes(plan.config)}
+
+
+def _rows_of_trees(plan: Plan) -> float:
+    return sample_rows(plan.config) * plan.config.train.trees
+
+
+def _name(one: Variant) -> str:
+    return one.name

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,9 @@ from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import rows_to_test
 from fwclass.graph.machine_search import folds_of_squares
+from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.training_rows import SAMPLE, merged_sample
-from fwclass.grid import Box, Tile, millimetres, whole_millimetres
+from fwclass.grid import Box, millimetres, whole_millimetres
 from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Forest, KernelMachine, Model, Tree, class_index, sample_matrix
 from fwclass.run.inputs import PartInputs
@@ -34,7 +34,9 @@ from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_trees, train
 
 TEST, MODEL, DROPS, ANSWERS = "test", "model", "drops", "answers"
-_TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
+DRAWN, TRAINING, TESTED = "paper-sample", "paper-training", "paper-tested"
+MODELS, JUDGED, DROPPED = "paper-model", "paper-judged", "paper-drops"
+"""Stages that others read: rows of a tile, the sample, the test echoes; models, their answers, drops of accuracy."""
 WARM_ROWS = 2000
 """Rows that a timing begins with and does not count: compiled code is loaded then."""
 
@@ -65,63 +67,61 @@ class Variant:
 
 
 def draw_test_echoes(
-    columns: Mapping[str, str],
-    also: Mapping[str, str],
+    here: StageInputs,
     names: tuple[str, ...],
+    also: tuple[str, ...],
     train: tuple[Box, ...],
     test: tuple[Box, ...],
     gap: float,
     classes: tuple[ClassDef, ...],
     share: float,
     seed: int,
-    tile: Tile,
-    inputs: PartInputs,
-    directory: Path,
 ) -> dict[str, Any]:
     """A share of the tile's labelled echoes in the test areas, drawn by hash, with features, places and `also`."""
-    table = inputs.rows(tile.key, {**_TABLE, **columns, **also, "reference": "label"})
+    table = here.own_rows()
     index = class_index(table["reference"], classes)
     key = canonical_key(table)
     sampled = hash_keys(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
     rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0) & sampled)
     arrays: dict[str, NDArray] = {
-        "X": sample_matrix(table.take(rows), names, tile.key),
+        "X": sample_matrix(table.take(rows), names, here.part),
         "y": index[rows].astype(np.uint8),
         "key": key[rows],
         "east": millimetres(table["x"][rows]),
         "north": millimetres(table["y"][rows]),
         **{name: table[name][rows] for name in also},
     }
-    write_arrays(directory / TEST, arrays)
+    write_arrays(here.directory / TEST, arrays)
     return {"rows": len(rows)}
 
 
-def gather_test_echoes(tiles: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def gather_test_echoes(here: StageInputs) -> dict[str, Any]:
     """The test echoes of all tiles, by key."""
-    parts = [inputs.arrays("paper-test", t, TEST)[0] for t in tiles]
+    parts = [here.inputs.arrays(stage, tile, TEST)[0] for stage, tile in here.needs]
     order = np.argsort(np.concatenate([p["key"] for p in parts]), kind="stable")
     if len(order) == 0:
         raise InputError(
             "no labelled echo lies in a test area", where="areas.test, areas.gap", do="name areas with a reference"
         )
-    write_arrays(directory / TEST, {n: np.concatenate([p[n] for p in parts])[order] for n in parts[0]})
+    write_arrays(here.directory / TEST, {n: np.concatenate([p[n] for p in parts])[order] for n in parts[0]})
     return {"rows": len(order)}
 
 
 def merge_sample(
-    tiles: tuple[str, ...], columns: Mapping[str, str], params: TrainParams, inputs: PartInputs, directory: Path
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]
 ) -> dict[str, Any]:
     """The sample of all tiles."""
+    tiles = here.parts(DRAWN)
     if not tiles:
         raise InputError("no echo lies in any training area", where="areas.train", do="give boxes on the survey")
-    sample = merged_sample(inputs, "paper-sample", tiles, columns, params)
-    write_arrays(directory / SAMPLE, sample.arrays())
+    sample = merged_sample(here.inputs, DRAWN, tiles, {n: here.columns[n] for n in names}, params)
+    write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows, "counts": sample.counts.tolist(), "eligible": sample.eligible.tolist()}
 
 
 def sample_for(inputs: PartInputs, names: tuple[str, ...], one: Variant) -> Sample:
     """The sample with the columns and the classes that a variant knows; `Variant.rows` rows of it."""
-    whole = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
+    whole = Sample.from_arrays(names, inputs.arrays(TRAINING, "all", SAMPLE)[0])
     known = _known(one)
     rows = np.isin(whole.y, known)
     X = np.ascontiguousarray(whole.X[rows][:, [names.index(f) for f in one.features]])
@@ -136,26 +136,26 @@ def _known(one: Variant) -> NDArray[np.int64]:
     return np.array([k for k in range(one.classes) if k != one.filtered], np.int64)
 
 
-def fit_variant(sample: Sample, one: Variant, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Model:
-    """A variant's classifier, trained on `sample`; `classes` are all, also those that it does not know."""
+def fit_variant(sample: Sample, one: Variant, compare: CompareParams | None, classes: tuple[ClassDef, ...]) -> Model:
+    """A variant's classifier, trained on `sample`; `classes` are all, also those that it does not know. A forest needs
+    no `compare`."""
     known, params = tuple(classes[k] for k in _known(one)), one.train
-    if params.method == "forest":
+    if compare is None:
         return train(sample, grow_trees(sample, known, 0, params.trees, params), params, known)
     places = folds_of_squares(*one.squares) if one.squares else BY_PULSES
     return train_other(sample, params, compare, known, params.method, places)
 
 
 def learn(
+    here: StageInputs,
     one: Variant,
     names: tuple[str, ...],
-    compare: CompareParams,
+    compare: CompareParams | None,
     classes: tuple[ClassDef, ...],
-    inputs: PartInputs,
-    directory: Path,
 ) -> dict[str, Any]:
     """A variant's model."""
-    model = fit_variant(sample_for(inputs, names, one), one, compare, classes)
-    save_model(directory / MODEL, model)
+    model = fit_variant(sample_for(here.inputs, names, one), one, compare, classes)
+    save_model(here.directory / MODEL, model)
     card = model.card
     bag = card.get("out_of_bag") or {}
     return {
@@ -169,33 +169,28 @@ def learn(
 
 
 def _model(inputs: PartInputs, name: str) -> Model:
-    return load_model(inputs.path("paper-model", name, MODEL))
+    return load_model(inputs.path(MODELS, name, MODEL))
 
 
 def _test_echoes(inputs: PartInputs) -> dict[str, NDArray]:
-    return inputs.arrays("paper-tested", "all", TEST)[0]
+    return inputs.arrays(TESTED, "all", TEST)[0]
 
 
 def judge(
-    one: Variant,
-    names: tuple[str, ...],
-    classes: tuple[ClassDef, ...],
-    edge: float,
-    inputs: PartInputs,
-    directory: Path,
+    here: StageInputs, one: Variant, names: tuple[str, ...], classes: tuple[ClassDef, ...], edge: float
 ) -> dict[str, Any]:
     """Confusion of a variant on the test echoes: rows are all classes, columns those that it tells.
 
     The answers (uint8, index of the class) are kept for comparisons between variants.
     """
-    model, test = _model(inputs, one.name), _test_echoes(inputs)
+    model, test = _model(here.inputs, one.name), _test_echoes(here.inputs)
     X = np.ascontiguousarray(test["X"][:, [names.index(f) for f in model.features]])
     answers, _ = answer(X, model)
     if one.filtered is not None:
         answers = np.where(test["ground"], one.filtered, _known(one)[answers])
     cell = test["y"].astype(np.int64) * one.classes + answers
     matrix = np.bincount(cell, minlength=len(classes) * one.classes).reshape(len(classes), one.classes)
-    write_arrays(directory / ANSWERS, {"found": answers.astype(np.uint8)})
+    write_arrays(here.directory / ANSWERS, {"found": answers.astype(np.uint8)})
     return {"matrix": matrix.tolist(), "intervals": intervals(by_block(test, answers, one.classes, edge))}
 
 
@@ -216,12 +211,12 @@ def spans(change: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
     return {f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in ends.items()}
 
 
-def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def compare(here: StageInputs, name: str, other: str, known: int, edge: float) -> dict[str, Any]:
     """How much better `name` is than `other`: ``{"blocks", figure: {"value", "low", "high"}}``, fractions; ``iou``, a
     list of the same by class; low and high are None where there are too few blocks for an interval."""
-    test = _test_echoes(inputs)
+    test = _test_echoes(here.inputs)
     both = [
-        by_block(test, inputs.arrays("paper-judged", one, ANSWERS)[0]["found"].astype(np.int64), known, edge)
+        by_block(test, here.inputs.arrays(JUDGED, one, ANSWERS)[0]["found"].astype(np.int64), known, edge)
         for one in (other, name)
     ]
     change = difference(*both)
@@ -233,17 +228,16 @@ def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, 
 
 
 def time_variant(
+    here: StageInputs,
     one: Variant,
     names: tuple[str, ...],
-    compare: CompareParams,
+    compare: CompareParams | None,
     classes: tuple[ClassDef, ...],
-    inputs: PartInputs,
-    directory: Path,
 ) -> dict[str, Any]:
     """Processor seconds of training and of answering, without reading, writing and loading of compiled code."""
-    sample, params = sample_for(inputs, names, one), one.train
+    sample, params = sample_for(here.inputs, names, one), one.train
     known = tuple(classes[k] for k in _known(one))
-    model, test = _model(inputs, one.name), _test_echoes(inputs)
+    model, test = _model(here.inputs, one.name), _test_echoes(here.inputs)
     tested_rows = test["X"] if one.filtered is None else test["X"][~test["ground"]]
     X = np.ascontiguousarray(tested_rows[:, [names.index(f) for f in one.features]])
     answer(X[:WARM_ROWS], model)
@@ -274,23 +268,21 @@ def trees_of(model: Forest, first: int, count: int) -> list[Tree]:
 
 
 def measure_drops(
-    one: Variant, names: tuple[str, ...], first: int, count: int, repeats: int, inputs: PartInputs, directory: Path
+    here: StageInputs, one: Variant, names: tuple[str, ...], first: int, count: int, repeats: int
 ) -> dict[str, Any]:
     """What permuting a feature takes from some of the trees."""
-    model = _model(inputs, one.name)
+    model = _model(here.inputs, one.name)
     if not isinstance(model, Forest):
         raise TypeError(f"{one.name} is no forest")
     losses, rows = drops(
-        sample_for(inputs, names, one), trees_of(model, first, count), first, one.train.drawing, repeats
+        sample_for(here.inputs, names, one), trees_of(model, first, count), first, one.train.drawing, repeats
     )
-    write_arrays(directory / DROPS, {"drops": losses, "rows": rows})
+    write_arrays(here.directory / DROPS, {"drops": losses, "rows": rows})
     return {"trees": count}
 
 
-def importance(
-    batches: tuple[str, ...], features: tuple[str, ...], inputs: PartInputs, directory: Path
-) -> dict[str, Any]:
+def importance(here: StageInputs, features: tuple[str, ...]) -> dict[str, Any]:
     """Mean drop of the out-of-bag accuracy by feature."""
-    parts = [inputs.arrays("paper-drops", b, DROPS)[0] for b in batches]
+    parts = [here.inputs.arrays(DROPPED, batch, DROPS)[0] for batch in here.parts(DROPPED)]
     losses, rows = (np.concatenate([p[n] for p in parts]) for n in ("drops", "rows"))
     return dict(summary(features, losses, rows))

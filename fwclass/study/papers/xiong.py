@@ -9,13 +9,16 @@ import numpy as np
 
 from fwclass.assess.confusion import figures
 from fwclass.conf import Config
+from fwclass.graph.stage import Plan
 from fwclass.schema import base_of
 from fwclass.select.work import scale_of
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
-from fwclass.study.papers.variants import make_variant
+from fwclass.study.papers.variants import Comparison, make_variant
 from fwclass.study.papers.work import Variant
 from fwclass.study.papers.xiong_claims import CLAIMS
+from fwclass.study.select.thinning import THINNING_STAGES
+from fwclass.study.selection import ELIMINATION
 
 SELECTED, ALL, SVM_SELECTED, SVM = "rf_selected", "rf", "svm_selected", "svm"
 _PRINTED = ("strategies", "samples", "selection", "radii", "groups", "thinning")
@@ -149,3 +152,22 @@ def radii(
         {"radius": r, "ours": ours.get(r, []), "of": len(tried.get(r, [])), "paper": paper.get(r)}
         for r in sorted({*tried, *paper})
     ]
+
+
+def _all_variants(plan: Plan) -> tuple[Variant, ...]:
+    return variants(plan.config, plan.computed, plan.names)
+
+
+def _forest(plan: Plan) -> Variant:
+    return next(v for v in _all_variants(plan) if v.name == ALL)
+
+
+TABLES = Comparison(
+    columns=lambda plan: plan.computed,
+    variants=_all_variants,
+    pairs=lambda plan: comparisons(_all_variants(plan)),
+    timed=_all_variants,
+    ranked=_forest,
+)
+"""The plan's names are those that were chosen among all that it computes."""
+STAGES = (*ELIMINATION, *TABLES.stages, *THINNING_STAGES, *TABLES.times)

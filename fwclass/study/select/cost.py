@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,22 +13,18 @@ import numpy as np
 from fwclass.features.names import Asked, is_feature
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
+from fwclass.graph.key_values import plain_values
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import StageInputs
 from fwclass.grid import Tile
-from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Task
 from fwclass.run.runner import Runner, require_all
 from fwclass.select.score import Names
 from fwclass.select.work import scale_of
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
-from fwclass.study.keys import needs_of, plain
-from fwclass.survey.layout import Layout
 
 SINGLE = 30
 """Sets up to this size are timed without each of their features too; in a larger one a feature is lost in the noise."""
-
-COST = "select-cost"
-"""Stage; the part is named by what it timed."""
 
 
 def computed_names(names: Sequence[str]) -> Names:
@@ -36,54 +32,57 @@ def computed_names(names: Sequence[str]) -> Names:
     return tuple(n for n in names if is_feature(n))
 
 
-def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> dict[Names, float]:
+def costs(runner: Runner, plan: Plan, tile: Tile, sets: Sequence[Names]) -> dict[Names, float]:
     """Microseconds of processor time per echo for the computed features of every set, the normals included."""
     wanted = tuple(dict.fromkeys(computed_names(s) for s in sets))
-    config = layout.config
-    asked = Asked.of(n for s in wanted for n in s)
-    around = config.features.model_copy(update={"noise_counts": True})  # candidates may need no filter of it
-    halo = asked.halo(around)
-    columns = layout.columns(asked.columns(around))
-    present = layout.around(tile.box.grown(halo), layout.keys)
-    params = {
-        **around.model_dump(mode="json", exclude={"also"}),
-        "tile": tile.key,
-        "sets": [list(s) for s in wanted],
-        "repeats": config.select.timing_repeats,
-        "echoes": config.select.timing_echoes,
-    }
-    work = partial(
-        time_sets,
+    select = plan.config.select
+    stage = on_tile(
+        TIME_SETS,
+        plan,
         tile,
-        halo,
-        columns,
-        present,
-        wanted,
-        around,
-        config.select.timing_repeats,
-        config.select.timing_echoes,
+        tuple(dict.fromkeys(n for s in wanted for n in s)),
+        {"sets": wanted, "repeats": select.timing_repeats, "echoes": select.timing_echoes},
     )
-    name = digest_of(plain(config.select) | params)[:16]
-    task = Task(COST, name, FEATURE_COMPUTATION.version, params, work, needs=needs_of(columns, present))
+    (task,) = stage.tasks(plan)
     meta = require_all(runner, [task])[task.name].meta
     by_set = dict(zip(wanted, meta["microseconds"], strict=True))
     return {s: by_set[computed_names(s)] for s in sets}
 
 
+def on_tile(stage: Stage, plan: Plan, tile: Tile, names: Names, more: Mapping[str, Any]) -> Stage:
+    """`stage`, which takes the time of features, of one part: on the echoes of `tile` and its neighbours, as far as
+    `names` reach; the part is named by all that it is asked for."""
+    around = _with_noise(plan)
+    halo = Asked.of(names).halo(around)
+    arguments = {"params": around, "tile": tile, "halo": halo, **more}
+    near = plan.layout.around(tile.box.grown(halo), plan.layout.keys)
+    return replace(
+        stage,
+        parts=lambda plan: (digest_of(plain_values(arguments, stage.silent))[:16],),
+        number=None,
+        arguments=lambda plan: arguments,
+        reads=tuple(Asked.of(names).columns(around)),
+        tiles=lambda plan: [t for t in plan.layout.tiles if t.key in near],
+    )
+
+
+def _with_noise(plan: Plan) -> FeaturesParams:
+    """Settings of features that leave no echo out, as candidates may need no filter of noise."""
+    params: FeaturesParams = plan.config.features
+    return params.model_copy(update={"noise_counts": True})
+
+
 def time_sets(
+    here: StageInputs,
+    params: FeaturesParams,
     tile: Tile,
     halo: float,
-    columns: Mapping[str, str],
-    present: tuple[str, ...],
     sets: tuple[Names, ...],
-    params: FeaturesParams,
     repeats: int,
     echoes: int,
-    inputs: PartInputs,
-    directory: Path,
 ) -> dict[str, Any]:
     """Processor time of every set [us per echo]."""
-    whole = inputs.chunk(tile, halo, columns, present)
+    whole = here.inputs.chunk(tile, halo, here.columns, here.present)
     chunk = Chunk(whole.table, whole.core[:echoes], tile)
     micro = microseconds([partial(features, chunk, names, params) for names in sets], repeats, len(chunk.core))
     return {"microseconds": micro, "echoes": len(chunk.core)}
@@ -109,3 +108,17 @@ def parts_of(chosen: Names) -> tuple[dict[str, Names], dict[str, Names], dict[st
     named = computed_names(chosen) if len(chosen) <= SINGLE else ()
     less = {name: tuple(n for n in chosen if n != name) for name in named}
     return without, alone, less
+
+
+TIME_SETS = Stage(
+    "select-cost",
+    FEATURE_COMPUTATION.version,
+    "survey",
+    "part",
+    time_sets,
+    parts=lambda plan: (),
+    number=lambda plan: 1,
+    silent=frozenset({"also"}),
+    reads=lambda plan: tuple(Asked.of(computed_names(plan.names)).columns(_with_noise(plan))),
+)
+"""See `on_tile`."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,17 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.areas import within
-from fwclass.graph.thin import thins
-from fwclass.grid import Box, Tile, millimetres
+from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import StageInputs
+from fwclass.graph.thin import sampled_columns
+from fwclass.graph.training_rows import NOT_OF_THE_SAMPLE
+from fwclass.grid import Box, millimetres
 from fwclass.model import ClassDef
 from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Task
 from fwclass.schema import Table, canonical_key
 from fwclass.select.folds import Folds, check_folds, spatial_folds
-from fwclass.select.params import SelectParams
 from fwclass.store.arrays import write_arrays
-from fwclass.study.keys import needs_of, plain, plain_classes
-from fwclass.survey.layout import Layout
-from fwclass.thin.sample import THIN
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, check_counts
 from fwclass.train.stage import TRAIN_SAMPLE, candidates, merge
@@ -33,8 +30,6 @@ from fwclass.train.stage import TRAIN_SAMPLE, candidates, merge
 SAMPLE, FOLDS = "sample", "folds"
 PLACED, TRAINING = "select-sample", "select-training"
 """Stages: the rows of a tile with their places, and those of all tiles with their folds."""
-
-_TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
 
 
 @dataclass(frozen=True)
@@ -46,49 +41,20 @@ class PlacedSample:
     y: NDArray[np.float64]
 
 
-def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
-    """`PLACED` of every tile that a training area touches, and `TRAINING`."""
-    config = layout.config
-    boxes = config.areas.boxes("train")
-    train = config.train.model_copy(update={"samples_per_class": config.select.samples_per_class})
-    columns = layout.columns((*names, *(THIN.writes if thins(config) else ())))
-    drawn = {
-        "seed": train.seed,
-        "samples_per_class": train.samples_per_class,
-        "classes": plain_classes(config),
-        "features": list(names),
-        "areas": [list(b.bounds) for b in boxes],
-    }
-    chosen = tuple(t.key for t in layout.tiles if any(t.box.touches(b) for b in boxes))
-    tasks = []
-    for tile in layout.tiles:
-        if tile.key in chosen:
-            work = partial(_place_rows, tile, columns, names, boxes, train, config.classes)
-            needs = needs_of({**columns, "reference": "label"}, (tile.key,))
-            tasks.append(Task(PLACED, tile.key, TRAIN_SAMPLE.version, drawn, work, needs=needs))
-    folded = {n: plain(config.select)[n] for n in ("block", "gap", "folds")}
-    work = partial(_fold_sample, chosen, names, train, config.select, config.classes)
-    needs = tuple((PLACED, k) for k in chosen)
-    return [*tasks, Task(TRAINING, "all", TRAIN_SAMPLE.version, {**drawn, **folded}, work, needs=needs)]
-
-
-def _place_rows(
-    tile: Tile,
-    columns: Mapping[str, str],
+def place_rows(
+    here: StageInputs,
     names: tuple[str, ...],
-    boxes: tuple[Box, ...],
+    areas: tuple[Box, ...],
     params: TrainParams,
     classes: tuple[ClassDef, ...],
-    inputs: PartInputs,
-    directory: Path,
 ) -> dict[str, Any]:
     """The rows of a tile that may train, with their places."""
-    table = inputs.rows(tile.key, {**_TABLE, **columns, "reference": "label"})
-    inside = within(table, boxes)
+    table = here.own_rows()
+    inside = within(table, areas)
     if "sampled" in table:  # a thinned run has features of sampled echoes only
         inside &= table["sampled"]
     sample = candidates(table.select(names), table["reference"], canonical_key(table), inside, params, classes)
-    _save(directory, _with_places(sample, table))
+    _save(here.directory, _with_places(sample, table))
     return {"rows": sample.rows}
 
 
@@ -109,42 +75,41 @@ def _load(inputs: PartInputs, stage: str, part: str, names: Sequence[str]) -> Pl
     return PlacedSample(Sample.from_arrays(names, arrays), arrays["place_x"] * 0.001, arrays["place_y"] * 0.001)
 
 
-def _fold_sample(
-    tiles: tuple[str, ...],
+def fold_sample(
+    here: StageInputs,
     names: tuple[str, ...],
-    train: TrainParams,
-    params: SelectParams,
+    params: TrainParams,
     classes: tuple[ClassDef, ...],
-    inputs: PartInputs,
-    directory: Path,
+    block: float,
+    gap: float,
+    folds: int,
 ) -> dict[str, Any]:
     """The survey's sample with its folds; refused where nothing can be chosen on it."""
+    tiles = here.parts(PLACED)
     if not tiles:
         raise InputError(
             "no echo lies in any training area", where="areas.train", do="give boxes on the survey, in its coordinates"
         )
-    parts = [_load(inputs, PLACED, t, names) for t in tiles]
-    sample = merge((p.sample for p in parts), train)
+    parts = [_load(here.inputs, PLACED, t, names) for t in tiles]
+    sample = merge((p.sample for p in parts), params)
     _check_classes(sample, classes)
     key = np.concatenate([p.sample.key for p in parts])
     order = np.argsort(key)
     rows = order[np.searchsorted(key[order], sample.key)]
     x, y = (np.concatenate([getattr(p, n) for p in parts])[rows] for n in ("x", "y"))
-    folds = spatial_folds(x, y, sample.y, params.block, params.gap, params.folds)
-    notes = check_folds(folds, sample.y, tuple(c.name for c in classes))
-    _save(directory, PlacedSample(sample, x, y))
-    write_arrays(directory / FOLDS, {"fold": folds.fold, "near": folds.near.astype(np.uint8)})
+    split = spatial_folds(x, y, sample.y, block, gap, folds)
+    notes = check_folds(split, sample.y, tuple(c.name for c in classes))
+    _save(here.directory, PlacedSample(sample, x, y))
+    write_arrays(here.directory / FOLDS, {"fold": split.fold, "near": split.near.astype(np.uint8)})
     return {
         "rows": sample.rows,
         "counts": sample.counts.tolist(),
         "eligible": sample.eligible.tolist(),
-        "blocks": folds.blocks,
+        "blocks": split.blocks,
         "digest": sample.digest,
         "useless": useless(sample),
         "notes": list(notes),
-        "by_fold": [
-            np.bincount(sample.y[folds.judged(f)], minlength=len(classes)).tolist() for f in range(params.folds)
-        ],
+        "by_fold": [np.bincount(sample.y[split.judged(f)], minlength=len(classes)).tolist() for f in range(folds)],
     }
 
 
@@ -194,3 +159,47 @@ def require_own_labels(config: Config) -> None:
             got=config.survey.base_model,
             do="--set survey.base_model=null, with survey.classes and survey.features",
         )
+
+
+def folding(plan: Plan) -> dict[str, Any]:
+    """How the squares of the training areas are folded."""
+    select = plan.config.select
+    return {"block": select.block, "gap": select.gap, "folds": select.folds}
+
+
+def selection_rows(config: Config) -> int:
+    """Rows of the sample that features are chosen on, at most."""
+    rows: int = config.select.samples_per_class * len(config.survey.classes)
+    return rows
+
+
+def _arguments(plan: Plan) -> dict[str, Any]:
+    config = plan.config
+    train = config.train.model_copy(update={"samples_per_class": config.select.samples_per_class})
+    return {"names": plan.names, "params": train, "classes": config.classes}
+
+
+PLACE_ROWS = Stage(
+    PLACED,
+    TRAIN_SAMPLE.version,
+    "tile",
+    "echo",
+    place_rows,
+    parts=training_tiles,
+    arguments=lambda plan: {**_arguments(plan), "areas": plan.config.areas.boxes("train")},
+    silent=NOT_OF_THE_SAMPLE,
+    own=lambda plan: (*IDENTITY_AND_PLACE, *plan.names, *sampled_columns(plan), "reference"),
+)
+FOLD_SAMPLE = Stage(
+    TRAINING,
+    TRAIN_SAMPLE.version,
+    "survey",
+    "row",
+    fold_sample,
+    load=lambda plan: selection_rows(plan.config),
+    arguments=lambda plan: {**_arguments(plan), **folding(plan)},
+    silent=NOT_OF_THE_SAMPLE,
+    after=(PLACED,),
+    needs=lambda plan, part: [(PLACED, t.key) for t in training_tiles(plan)],
+)
+"""The plan's names are the candidates."""

@@ -6,22 +6,22 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.conf import Config
-from fwclass.features.names import Asked
-from fwclass.features.stage import FEATURE_COMPUTATION, features
-from fwclass.graph.areas import within
-from fwclass.graph.stage import Plan
+from fwclass.features.params import FeaturesParams
+from fwclass.features.stage import features
+from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.stages import check_features
+from fwclass.graph.training_rows import sample_rows
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.publish.selection_curves import draw_rates
-from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.schema import Table, canonical_key
@@ -29,12 +29,9 @@ from fwclass.select.folds import check_folds, spatial_folds
 from fwclass.select.params import SelectParams
 from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
-from fwclass.store.atomic import digest_of
-from fwclass.study.keys import needs_of, plain, plain_classes
-from fwclass.study.select.cost import computed_names, microseconds
+from fwclass.study.select.cost import TIME_SETS, computed_names, microseconds, on_tile
 from fwclass.study.select.sample import require_own_labels
 from fwclass.study.select.trials import predict
-from fwclass.survey.layout import Layout
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform
@@ -43,89 +40,44 @@ from fwclass.train.stage import TRAIN_TREES, candidates, grow_trees
 from fwclass.walk.steps import tasks_until_labels, until_tiles
 
 THINNING = "thinning"
-RATE, RATE_COST = "select-rate", "select-rate-cost"
-"""Stages: a rate's folds, and what features cost at every rate."""
+RATE = "select-rate"
 
 _FEW = 50
 """Echoes that kernels are warmed up on before they are timed."""
 
-_TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y", "z"), "tile")
 
-
-def rate_tasks(layout: Layout, names: Names) -> list[Task]:
-    """A part per rate, and the timing of the features."""
-    config = layout.config
-    boxes = config.areas.boxes("train")
-    columns = layout.columns(names)
-    train = config.train.model_copy(update={"trees": config.select.trees})
-    chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in boxes))
-    needs = tuple(n for t in chosen for n in needs_of({**columns, "reference": "label"}, (t.key,)))
-    params = {
-        **plain(train),
-        "select": plain(config.select),
-        "classes": plain_classes(config),
-        "features": list(names),
-        "areas": [list(b.bounds) for b in boxes],
-    }
-    keys, version, tasks = tuple(t.key for t in chosen), 1000 * THIN.version + TRAIN_TREES.version, []
-    for rate in config.select.rates:
-        thin = config.thin.model_copy(update={"rate": rate})
-        work = partial(at_rate, keys, columns, names, boxes, thin, train, config.select, config.classes)
-        tasks.append(Task(RATE, f"{rate:g}", version, {**params, "thin": plain(thin)}, work, needs))
-    return tasks
-
-
-def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
-    """How long features take for a share of a tile's echoes, at every rate."""
-    config = layout.config
-    names = computed_names(names)
-    asked = Asked.of(names)
-    around = config.features.model_copy(update={"noise_counts": True})  # candidates may need no filter of it
-    halo = asked.halo(around)
-    columns = layout.columns(asked.columns(around))
-    present = layout.around(tile.box.grown(halo), layout.keys)
-    params = {**around.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
-    work = partial(_time_rates, tile, halo, columns, present, names, around, config.select)
-    return Task(
-        RATE_COST, digest_of(params)[:16], FEATURE_COMPUTATION.version, params, work, needs=needs_of(columns, present)
-    )
-
-
-def _time_rates(
+def time_rates(
+    here: StageInputs,
+    params: FeaturesParams,
     tile: Tile,
     halo: float,
-    columns: Mapping[str, str],
-    present: tuple[str, ...],
     names: Names,
-    params: Any,
-    select: SelectParams,
-    inputs: PartInputs,
-    directory: Path,
+    rates: tuple[float, ...],
+    repeats: int,
+    echoes: int,
 ) -> dict[str, Any]:
-    whole = inputs.chunk(tile, halo, columns, present)
-    echoes = whole.core[: select.timing_echoes]
+    """How long features take for a share of a tile's echoes, at every rate [us per echo]."""
+    whole = here.inputs.chunk(tile, halo, here.columns, here.present)
+    core = whole.core[:echoes]
     works = []
-    for rate in select.rates:
-        core = echoes[np.floor(np.arange(0, len(echoes), 1.0 / rate)).astype(np.int64)]
-        works.append(partial(features, Chunk(whole.table, core, tile), names, params))
-    return {"microseconds": microseconds(works, select.timing_repeats, len(echoes))}
+    for rate in rates:
+        some = core[np.floor(np.arange(0, len(core), 1.0 / rate)).astype(np.int64)]
+        works.append(partial(features, Chunk(whole.table, some, tile), names, params))
+    return {"microseconds": microseconds(works, repeats, len(core))}
 
 
 def at_rate(
-    tiles: tuple[str, ...],
-    columns: Mapping[str, str],
+    here: StageInputs,
     names: Names,
-    boxes: tuple[Box, ...],
+    areas: tuple[Box, ...],
     thin: ThinParams,
-    train: TrainParams,
+    params: TrainParams,
     select: SelectParams,
     classes: tuple[ClassDef, ...],
-    inputs: PartInputs,
-    directory: Path,
 ) -> dict[str, Any]:
     """Labelled echoes of the training areas, thinned; every block classified by a forest of the other folds' sample,
     and every echo by its nearest sampled one."""
-    table = _read_labelled(tiles, columns, boxes, classes, inputs)
+    table = _read_labelled(here, areas, classes)
     x, y, z = (table[n] for n in "xyz")
     reference = class_index(table["reference"], classes).astype(np.uint8)
     folds = spatial_folds(x, y, reference, select.block, select.gap, select.folds)
@@ -143,13 +95,13 @@ def at_rate(
     for f in range(select.folds):
         judged = folds.judged(f)[rows]
         sample = candidates(
-            some, table["reference"][rows], canonical_key(table)[rows], folds.trains(f)[rows], train, classes
+            some, table["reference"][rows], canonical_key(table)[rows], folds.trains(f)[rows], params, classes
         )
         trained.append(sample.rows)
         if f == 0:  # untimed: what is compiled at its first call
-            predict(X[:1], grow_trees(sample, classes, 0, 1, train), names, classes)
+            predict(X[:1], grow_trees(sample, classes, 0, 1, params), names, classes)
         began = time.process_time()
-        trees = grow_trees(sample, classes, 0, train.trees, train)
+        trees = grow_trees(sample, classes, 0, params.trees, params)
         seconds["train"] += time.process_time() - began
         began = time.process_time()
         answers[judged] = predict(X[judged], trees, names, classes)
@@ -176,18 +128,11 @@ def _warm(
     index_of_followed((x, y, z), np.arange(len(x)) % 2 == 0, thin.reach)
 
 
-def _read_labelled(
-    tiles: tuple[str, ...],
-    columns: Mapping[str, str],
-    boxes: tuple[Box, ...],
-    classes: tuple[ClassDef, ...],
-    inputs: PartInputs,
-) -> Table:
+def _read_labelled(here: StageInputs, boxes: tuple[Box, ...], classes: tuple[ClassDef, ...]) -> Table:
     """Labelled rows of the training areas, in canonical order."""
-    wanted = {**_TABLE, **columns, "reference": "label"}
     parts = []
-    for key in tiles:
-        table = inputs.rows(key, wanted).select(wanted)
+    for key in here.present:
+        table = here.inputs.rows(key, here.columns)
         parts.append(table.take(within(table, boxes) & (class_index(table["reference"], classes) >= 0)))
     whole = Table.concat(parts)
     return whole.take(np.argsort(canonical_key(whole), kind="stable"))
@@ -206,21 +151,21 @@ def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
     check_features(config, names, "survey.features or --candidates")
     plan = until_tiles(Plan(config, names, names), runner)
-    return measure_rates(config, runner, plan.layout, names, tasks_until_labels(plan))
+    return measure_rates(plan, runner, tasks_until_labels(plan))
 
 
-def measure_rates(
-    config: Config, runner: Runner, layout: Layout, names: Names, labels: Sequence[Task] = ()
-) -> dict[str, Any]:
-    """The same where the tiles are there; `labels` are the tasks until all labels are, where they may not be."""
-    rates = rate_tasks(layout, names)
+def measure_rates(plan: Plan, runner: Runner, labels: Sequence[Task] = ()) -> dict[str, Any]:
+    """The same where the tiles are there, for the plan's names; `labels` are the tasks until all labels are, where they
+    may not be."""
+    config, select = plan.config, plan.config.select
+    rates = AT_RATE.tasks(plan)
     receipts = require_all(runner, ancestors([*labels, *rates], [t.name for t in rates]))
-    boxes = config.areas.boxes("train")
-    trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
-    largest = max(trained, key=lambda t: (runner.store.rows("tile", t.key), t.key))
-    timing = cost_task(layout, largest, names)
+    largest = max(training_tiles(plan), key=lambda t: (runner.store.rows("tile", t.key), t.key))
+    names = computed_names(plan.names)
+    more = {"names": names, "rates": select.rates, "repeats": select.timing_repeats, "echoes": select.timing_echoes}
+    (timing,) = on_tile(TIME_RATES, plan, largest, names, more).tasks(plan)
     cost = require_all(runner, [timing])[timing.name].meta
-    return plain_curve(config, names, {r: receipts[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
+    return plain_curve(config, plan.names, {r: receipts[RATE, f"{r:g}"].meta for r in select.rates}, cost)
 
 
 def plain_curve(
@@ -256,8 +201,8 @@ def plain_curve(
         "steps": steps,
         "lowest": min(good),
         "notes": list(notes),
-        "params": plain(config.select),
-        "thin": plain(config.thin),
+        "params": config.select.model_dump(mode="json"),
+        "thin": config.thin.model_dump(mode="json"),
     }
 
 
@@ -291,3 +236,27 @@ def describe_thinning(result: Mapping[str, Any]) -> str:
 def draw(result: Mapping[str, Any]) -> bytes:
     """The picture of a thinning curve, PNG."""
     return draw_rates(result["steps"], result["lowest"], f"{result['survey']}: thinning (Xiong 2018)")
+
+
+AT_RATE = Stage(
+    RATE,
+    1000 * THIN.version + TRAIN_TREES.version,
+    "survey",
+    "tree_row",
+    at_rate,
+    parts=lambda plan: plan.config.select.rates,
+    load=lambda plan: plan.config.select.folds * sample_rows(plan.config) * plan.config.select.trees,
+    part_name=lambda rate: f"{rate:g}",
+    arguments=lambda plan: {
+        "names": plan.names,
+        "areas": plan.config.areas.boxes("train"),
+        "params": plan.config.train.model_copy(update={"trees": plan.config.select.trees}),
+        "select": plan.config.select,
+        "classes": plan.config.classes,
+    },
+    each=lambda plan, rate: {"thin": plan.config.thin.model_copy(update={"rate": rate})},
+    reads=lambda plan: (*IDENTITY_AND_PLACE, "z", *plan.names, "reference"),
+    tiles=training_tiles,
+)
+TIME_RATES = replace(TIME_SETS, name="select-rate-cost", function=time_rates)
+THINNING_STAGES = (AT_RATE, TIME_RATES)
