@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fwclass.errors import InputError
 from fwclass.graph.stage_work import StageInputs
 from fwclass.model import Model
-from fwclass.store.models import load_model, model_digest
+from fwclass.store.models import load_model, load_same, model_digest
 
 MODEL = "model"
 """Directory of a model in the part that made it."""
@@ -24,14 +23,7 @@ def model_at(path: Path, digest: str, foreign: bool, beside: int = 0) -> Model:
     if key not in _loaded:
         while len(_loaded) > beside:
             del _loaded[next(iter(_loaded))]
-        model = load_model(path)
-        if foreign and model_digest(path) != digest:
-            raise InputError(
-                "the model was changed while the run was under way",
-                where=path,
-                do="run the same again with one of them",
-            )
-        _loaded[key] = model
+        _loaded[key] = load_same(path, digest) if foreign else load_model(path)
     return _loaded[key]
 
 
@@ -44,8 +36,8 @@ def used_model(here: StageInputs, digest: str | None, stage: str = "train", besi
 
 def load_given(path: Path) -> tuple[Model, str]:
     """The model in `path`, and its digest; `InputError` where there is none. It is kept for the parts to come."""
-    model = load_model(path)
     digest = model_digest(path)
+    model = load_same(path, digest)
     _loaded.clear()
     _loaded[str(path), digest] = model
     return model, digest

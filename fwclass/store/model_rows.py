@@ -113,6 +113,8 @@ def _listed(counts: Mapping[str, int]) -> str:
 def rows_digest(directory: Path) -> str:
     """Digest of a model's files and of the rows that it keeps."""
     names = _names(load_model(directory))
+    if not all((directory / ROWS / f"{n}.npy").is_file() for n in names):
+        load_rows(directory)  # tells what is wrong
     return digest_of([model_digest(directory), *(file_digest(directory / ROWS / f"{n}.npy") for n in names)])
 
 

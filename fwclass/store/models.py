@@ -175,6 +175,22 @@ def model_digest(path: Path) -> str:
     return digest_of([[name, file_digest(path / name)] for name in names])
 
 
+def load_same(path: Path, digest: str) -> Model:
+    """The model in `path`, which has this digest before and after it is loaded; `InputError` for another."""
+    check_same(path, model_digest(path), digest)
+    model = load_model(path)
+    check_same(path, model_digest(path), digest)
+    return model
+
+
+def check_same(path: Path, has: str, digest: str) -> None:
+    """`InputError` where a model has another digest than the one that it was taken for."""
+    if has != digest:
+        raise InputError(
+            "the model was changed while the run was under way", where=path, do="run the same again with one of them"
+        )
+
+
 def _files(directory: Path) -> Iterator[str]:
     """Names of the card and the arrays of a model, those of its layers too."""
     yield CARD

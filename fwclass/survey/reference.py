@@ -11,13 +11,13 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.crs import crs_of_wkt
-from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
+from fwclass.formats.echo_labels import FIELD, MOST_BYTES, check_echo_labels, read_echo_labels
 from fwclass.grid import Box, TileGrid, joint_box
 from fwclass.ground.stage import TERRAIN
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
 from fwclass.params import ShapeFileParams
-from fwclass.paths import below
+from fwclass.paths import below, open_sized
 from fwclass.read.polygons import (
     check_field,
     open_polygons,
@@ -195,20 +195,34 @@ def reference_corrections(
     if not places:
         return None
     place = places[0]
-    labels = read_echo_labels(local(place), place).standing()
-    reference_codes(labels.code[labels.code >= 0], config.classes, place)
     if isinstance(place, Path) and isinstance(run, Path):
-        copy = _copied(place, store)
+        data = _bytes_of(place)
+        _check_corrections(data, place, config)
+        copy = _copied(place, data, store)
         return copy, (ExternalFile(place.name, digest_file(copy), copy, looks(copy)),)
+    _check_corrections(local(place), place, config)
     return place, digests.of([local(place)], place)
 
 
-def _copied(path: Path, store: Store) -> Path:
-    """The file, as it is now, where it goes with what else a run leaves behind; itself where nothing is written."""
+def _bytes_of(path: Path) -> bytes:
+    stream, size = open_sized(path)
+    with stream:
+        if size > MOST_BYTES:
+            raise InputError("too large a file of corrections", where=path, expected=f"{MOST_BYTES} bytes", got=size)
+        return stream.read(size)
+
+
+def _check_corrections(source: Path | bytes, place: Location, config: Config) -> None:
+    labels = read_echo_labels(source, place).standing()
+    reference_codes(labels.code[labels.code >= 0], config.classes, place)
+
+
+def _copied(path: Path, data: bytes, store: Store) -> Path:
+    """The bytes of the file where they go with what else a run leaves behind; itself where nothing is written."""
     if store.read_only:
         return path
     copy = below(store.root, "store/staging/read/corrections.parquet")
-    write_bytes(copy, path.read_bytes(), flush=False)
+    write_bytes(copy, data, flush=False)
     return copy
 
 

@@ -14,7 +14,7 @@ from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.model import Contextual, Layered, Model, TwoLayer
 from fwclass.store.installed_models import model_location
 from fwclass.store.model_rows import load_rows, rows_digest
-from fwclass.store.models import load_model, model_digest
+from fwclass.store.models import check_same, load_model, load_same, model_digest
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
 
@@ -62,7 +62,8 @@ def given_model(config: Config) -> tuple[Location, str] | None:
         return None
     location = _location_of_model(config, config.survey.model)
     path = local(location)
-    model = load_model(path)
+    digest = model_digest(path)
+    model = load_same(path, digest)
     check_model(model, config, path)
     cells = config.classify.context.cells
     if cells and cells != "auto" and (not isinstance(model, Contextual) or model.cells != cells):
@@ -86,7 +87,7 @@ def given_model(config: Config) -> tuple[Location, str] | None:
                 got=f"thin.rate {config.thin.rate:g}",
                 do="--set thin.rate=1, or give its first layer alone: the model's directory `coarse`",
             )
-    return location, model_digest(path)
+    return location, digest
 
 
 def base_model(config: Config) -> tuple[Location, str] | None:
@@ -95,7 +96,9 @@ def base_model(config: Config) -> tuple[Location, str] | None:
         return None
     location = _location_of_model(config, config.survey.base_model)
     path = local(location)
+    digest = rows_digest(path)
     model, _ = load_rows(path)
+    check_same(path, rows_digest(path), digest)
     check_computed(model, config.features, path)
     if not (counterparts(model.classes, config.classes) >= 0).any():
         raise ConfigError(
@@ -105,4 +108,4 @@ def base_model(config: Config) -> tuple[Location, str] | None:
             got=", ".join(f"{c.name} ({c.code})" for c in config.classes),
             do="give the classes its codes, or leave survey.classes out",
         )
-    return location, rows_digest(path)
+    return location, digest

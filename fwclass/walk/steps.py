@@ -32,7 +32,7 @@ from fwclass.report.write import write_report
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
-from fwclass.store.models import load_model
+from fwclass.store.models import load_same
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import local
 from fwclass.store.run_store import Store
@@ -54,7 +54,7 @@ def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan
     config = with_model(config)
     check_left(config.classify.leave, config.classes, f"{config.path}: classify.leave")
     model, base = given_model(config), base_model(config)
-    names = load_model(local(model[0])).features if model else config.features_asked
+    names = load_same(local(model[0]), model[1]).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features", stages)
     check_features(config, config.features.also, f"{config.path}: features.also", stages)
     if model is None and config.classify.refine.between:
@@ -75,7 +75,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     survey = gather(config, runner, copied)
     if copied:
         check_class_codes({s.path.name: s.point_format for s in survey.strips}, config)
-    learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
+    learned: Mapping[str, Any] | None = load_same(local(plan.model[0]), plan.model[1]).card if plan.model else None
     quantities = joint_quantities(survey.quantities, plan.names, f"{config.path}: survey.sources")
     notes = check_learned(learned, survey.quantities, config.survey.model) if learned else ()
     for note in (*notes, *mixed_note(survey.quantities), *base_remarks(plan)):
@@ -171,7 +171,7 @@ def until_report(
         tasks = tasks_of(plan, stages)
     runner.do(tasks)
     runner.finish(whole=keys is None)
-    card = load_model(local(plan.model[0])).card if plan.model else None
+    card = load_same(local(plan.model[0]), plan.model[1]).card if plan.model else None
     return runner.carry_out(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph, card))
 
 

@@ -25,7 +25,7 @@ READERS = {
     "points": (POINTS, read_text),
     "trajectory": (TRACK, read_trajectory),
     "waves": (WAVES, open_raw_csv),
-    "frames": (FRAMES, lambda path: CsvRecording(path, Scan())),
+    "frames": (FRAMES, lambda path: CsvRecording(path, Scan(30, -1.0, 0.05, 0.1, 30.0))),
 }
 
 
@@ -43,6 +43,6 @@ def test_a_text_cut_inside_its_last_line_is_refused(tmp_path: Path, name: str) -
 
 def test_lines_of_several_shapes_and_few_lines_tell_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
-    for text in (POINTS + "1 2 3\n" + POINTS[:-3], POINTS[: len(POINTS) // 2 - 3], "1.5 2.5 3", ""):
+    for text in (POINTS + "1 2 3\n" + POINTS[len(POINTS) // 2 : -3], POINTS[: len(POINTS) // 2 - 3], "1.5 2.5 3", ""):
         path.write_text(text)
         check_last_line(path)

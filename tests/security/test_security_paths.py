@@ -390,7 +390,7 @@ def test_nothing_is_written_or_removed_through_a_directory_that_is_a_link(name: 
         lambda: check_writable(root),
         lambda: log_attempt(root, "tile", "1_2", {"status": "done"}),
         lambda: remove_logs(root, [("tile", "1_2")]),
-        lambda: reference._copied(Path(__file__), Store(root)),
+        lambda: reference._copied(Path(__file__), b"", Store(root)),
     ]
     for use in uses:
         with contextlib.suppress(InputError):

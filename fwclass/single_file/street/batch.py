@@ -26,7 +26,7 @@ from fwclass.report.drift import drift
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, require_all
 from fwclass.single_file.street.output import finish
-from fwclass.store.models import load_model, model_digest
+from fwclass.store.models import load_model, load_same, model_digest
 from fwclass.store.unchanged import unchanged
 from fwclass.street.answers import ANSWERS, END, Writer, read_answers
 from fwclass.street.frames import Geometry, Placed, Scan, Track
@@ -49,6 +49,7 @@ class Work:
     model: Path
     params: StreetParams
     trajectory: TrajectoryFiles = NO_TRAJECTORY
+    digest: str = ""
 
 
 def check(work: Work) -> None:
@@ -109,7 +110,7 @@ def _scan(meta: Mapping[str, Any]) -> Scan:
 def chunk(here: StageInputs, work: Work, first: int, last: int) -> Mapping[str, Any]:
     """Answer the frames `first` to `last`, with as many before and after as their answers may reach over."""
     meta = here.inputs.meta(FRAMES, "all")
-    scan, model = _scan(meta), load_model(work.model)
+    scan, model = _scan(meta), load_same(work.model, work.digest)
     around = halo(work.params)
     low, high = max(0, first - around), min(int(meta["frames"]), last + around)
     geometry = Geometry.of(scan, work.params.mounting)
@@ -147,16 +148,8 @@ def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, h
 
 def stages(work: Work, frames: int) -> tuple[Stage, Stage]:
     """Reading the frames, and answering those that are used, `frames` in all, in chunks."""
-    step, digest = work.params.chunk, model_digest(work.model)
-    read_frames = Stage(
-        FRAMES,
-        VERSION,
-        "survey",
-        "part",
-        read,
-        arguments=lambda plan: {"work": work},
-        keyed=lambda plan: {"model": digest},
-    )
+    step = work.params.chunk
+    read_frames = Stage(FRAMES, VERSION, "survey", "part", read, arguments=lambda plan: {"work": work})
     answer_chunk = replace(
         read_frames,
         name=CHUNK,
@@ -172,9 +165,10 @@ def stages(work: Work, frames: int) -> tuple[Stage, Stage]:
 
 def classify(work: Work, target: Path, runner: Runner, config: Config) -> dict[str, Any]:
     """Classify a recording into `target` (see `output`), judged where it has labels; plain data."""
-    model = load_model(work.model)
+    digest = model_digest(work.model)
+    model = load_same(work.model, digest)
     remarks = model_remarks(model, work.params)
-    work = replace(work, params=params_of(model, work.params, work.model))
+    work = replace(work, params=params_of(model, work.params, work.model), digest=digest)
     plan = Plan(config)
     read_frames, _ = stages(work, 0)
     meta = require_all(runner, read_frames.tasks(plan))[FRAMES, "all"].meta
