@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.alternate_heights import alternate_heights
+from fwclass.decompose.alternate_heights import alternate_heights, descriptor_heights
 from fwclass.decompose.beam_lengths import uneven_echoes
 from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, SATURATED
@@ -118,8 +118,13 @@ def measure_placement(
     else:
         placement = _outgoing(sample, fits, params, pulse, from_outgoing)
     recurring = recurring_echoes(fits, pulse.fwhm, params.vendor_tolerance)
-    uneven, alternate = uneven_echoes(sample, fits), alternate_heights(sample, fits)
-    return replace(placement, recurring=recurring, uneven=uneven, alternate=alternate)
+    return replace(
+        placement,
+        recurring=recurring,
+        uneven=uneven_echoes(sample, fits),
+        alternate=alternate_heights(sample, fits),
+        descriptors=descriptor_heights(sample, fits),
+    )
 
 
 def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> tuple[OffsetCurve, ...]:

@@ -68,7 +68,10 @@ class Placement:
     places, ranges : roughness along the line as stored, and less the outgoing pulse's time [m]; None unknown.
     outgoing : pulses of the sample with a recorded outgoing pulse.
     recurring : echoes of the sample that no scene makes.
-    alternate : how many times as high the echoes of odd pulses are as those of even ones; 1 where that is not sure.
+    alternate : how many times as high the echoes of odd pulses are as those of even ones, of the strip or of
+        one quarter of it; 1 where that is not sure.
+    descriptors : waveform descriptors whose echoes are surely higher or lower than those of the commonest one, and how
+        many times as high.
     uneven : echoes of the sample that the length of their beam vector moves (`uneven_echoes`), and all of them.
     """
 
@@ -82,6 +85,7 @@ class Placement:
     recurring: tuple[Recurring, ...] = ()
     uneven: tuple[int, int] = (0, 0)
     alternate: float = 1.0
+    descriptors: tuple[tuple[int, float], ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data that `from_json` reads."""
@@ -96,8 +100,9 @@ class Placement:
         )
         pairs = {name: None if plain[name] is None else tuple(plain[name]) for name in ("places", "ranges")}
         recurring = tuple(Recurring(**one) for one in plain["recurring"])
-        uneven = tuple(plain["uneven"])
-        return cls(**{**plain, **pairs, "curves": curves, "recurring": recurring, "uneven": uneven})
+        uneven, descriptors = tuple(plain["uneven"]), tuple((k, ratio) for k, ratio in plain["descriptors"])
+        more = {"curves": curves, "recurring": recurring, "uneven": uneven, "descriptors": descriptors}
+        return cls(**{**plain, **pairs, **more})
 
 
 AS_STORED = Placement()
@@ -126,7 +131,7 @@ def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], N
 
 def describe_placement(placement: Placement) -> dict[str, Any]:
     """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None,
-    ``recurring`` and ``uneven`` echoes, and `alternate`."""
+    ``recurring`` and ``uneven`` echoes, `alternate`, and `descriptors`."""
     lists = ("heights", "offsets", "receivers")
     channels = [{**asdict(c), **{name: list(getattr(c, name)) for name in lists}} for c in placement.curves]
     recorded = {
@@ -143,4 +148,5 @@ def describe_placement(placement: Placement) -> dict[str, Any]:
         "recurring": [asdict(one) for one in placement.recurring],
         "uneven": list(placement.uneven),
         "alternate": placement.alternate,
+        "descriptors": [list(one) for one in placement.descriptors],
     }

@@ -47,6 +47,7 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
                 "recovery": channel.recovery if channel else 0.0,
                 "recovery_depth": channel.recovery_depth if channel else 0.0,
                 "parity": channel.parity if channel else 0.0,
+                "parity_walk": channel.parity_walk if channel else 0.0,
             }
         )
     return rows

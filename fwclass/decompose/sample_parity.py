@@ -6,6 +6,7 @@ of even number less those of odd number is 0; with unlike gains it is a share of
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +24,10 @@ from fwclass.waveforms import Waveforms
 Floats = NDArray[np.float64]
 
 FEWEST = 200
-"""Bright waveforms whose highest sample has an even number, and an odd one, that tell gains."""
+"""Bright waveforms whose highest sample has an even number, and an odd one, that tell gains, of the whole strip."""
+
+PIECES = 4
+"""Parts along a strip that are asked on their own, as a file may be joined of two receivers'."""
 
 BRIGHT = 10.0
 """Standard deviations of its noise by which the sum of a bright waveform's samples stands out."""
@@ -32,11 +36,14 @@ LEAST, MOST, SURE = 0.0025, 0.2, 5.0
 """Half the difference of both gains that is made good, at least, at most, and in its standard errors: 0.0003 at most on
 three receivers."""
 
-ALIKE = 0.5
-"""Share of it by which what both kinds of waveforms tell may differ. A short pulse at one phase of the samples has
-another sign where its highest sample has another number."""
+ALIKE, CHANCE = 0.5, 3.0
+"""Share of it, or standard errors, by which what both kinds of waveforms tell may differ. A short pulse at one phase of
+the samples has another sign where its highest sample has another number."""
 
 TRIMMED, ROUNDS = 4.0, 3
+
+NONE = (0.0, np.inf)
+"""A parity and its standard error, of which nothing is known."""
 
 
 def estimate_even_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse | None) -> SystemPulse:
@@ -45,12 +52,16 @@ def estimate_even_pulse(waves: Waveforms, params: PulseParams, recorded: SystemP
     Depends on the set of waveforms only.
     """
     pulse = estimate_pulse(waves, params, recorded)
-    parities = {c.key: _parity(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels}
-    if not any(parities.values()):
+    told = {c.key: _told(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels}
+    pulse = _telling(pulse, told)
+    if not any(c.parity for c in pulse.channels):
         return pulse
-    known = replace(pulse, channels=tuple(replace(c, parity=parities[c.key]) for c in pulse.channels))
-    even = estimate_pulse(evened(waves, known), params, recorded)
-    return replace(even, channels=tuple(replace(c, parity=parities.get(c.key, 0.0)) for c in even.channels))
+    return _telling(estimate_pulse(evened(waves, pulse), params, recorded), told)
+
+
+def _telling(pulse: SystemPulse, told: Mapping[tuple[Any, ...], tuple[float, float]]) -> SystemPulse:
+    each = [(c, *told.get(c.key, (0.0, 0.0))) for c in pulse.channels]
+    return replace(pulse, channels=tuple(replace(c, parity=parity, parity_walk=walk) for c, parity, walk in each))
 
 
 def evened(waves: Waveforms, pulse: SystemPulse) -> Waveforms:
@@ -77,12 +88,28 @@ def _signs(waves: Waveforms) -> Floats:
     return 1.0 - 2.0 * (number & 1)
 
 
-def _parity(waves: Waveforms, channel: Channel) -> float:
-    """Gain of a channel's samples of even number over the mean of both, less 1; 0 where that is not sure."""
+def _told(waves: Waveforms, channel: Channel) -> tuple[float, float]:
+    """Gain of a channel's samples of even number over the mean of both, less 1, and by how much it differs between
+    quarters of the strip; each 0 where that is not sure."""
+    quarters = np.array_split(np.argsort(waves.pulses["pulse"], kind="stable"), PIECES)
+    known = [told for q in quarters if (told := _parity(rows_of(waves, q), channel, FEWEST // PIECES))]
+    whole = _sure(*(_parity(waves, channel, FEWEST) or NONE))
+    (low, one), (high, other) = (min(known), max(known)) if known else (NONE, NONE)
+    return whole if abs(whole) <= MOST else 0.0, _sure(high - low, float(np.hypot(one, other)))
+
+
+def _sure(value: float, error: float) -> float:
+    """`value`, or 0 where it is little, or no more than chance."""
+    return value if abs(value) > SURE * error and abs(value) >= LEAST else 0.0
+
+
+def _parity(waves: Waveforms, channel: Channel, least: int) -> tuple[float, float] | None:
+    """Gain of samples of even number over the mean of both, less 1, and its standard error; None where fewer than
+    `least` bright waveforms of either kind tell it, or both kinds tell something else."""
     waves = rows_of(waves, np.flatnonzero(np.diff(waves.offsets) > 1))
     length, first = np.diff(waves.offsets), waves.offsets[:-1]
-    if len(length) < 2 * FEWEST:
-        return 0.0
+    if len(length) < 2 * least:
+        return None
     sign, samples = _signs(waves), waves.samples.astype(np.float64)
     last = np.zeros(len(samples), np.bool_)
     last[waves.offsets[1:] - 1] = (length & 1) == 1  # as many of even number as of odd
@@ -94,8 +121,8 @@ def _parity(waves: Waveforms, channel: Channel) -> float:
     peak = np.maximum.reduceat(np.where(at_highest, sign, -1.0), first)
     some = (number == 1) & (highest < channel.clip) & (sums > BRIGHT * channel.noise * np.sqrt(used))
     sums, turns, used, even = sums[some], turns[some], used[some], peak[some] > 0.0
-    if min(even.sum(), (~even).sum()) < FEWEST:
-        return 0.0
+    if min(even.sum(), (~even).sum()) < least:
+        return None
     known = np.stack([used, np.where(even, sums, 0.0), np.where(even, 0.0, sums)], axis=1)
     kept = np.ones(len(sums), np.bool_)
     for _ in range(ROUNDS):
@@ -104,9 +131,9 @@ def _parity(waves: Waveforms, channel: Channel) -> float:
         sigma = SIGMA_PER_MAD * float(np.median(np.abs(left)))
         kept = np.abs(left) <= TRIMMED * sigma
     _, one, other = answer
-    parity = 0.5 * (one + other)
     spread = np.linalg.pinv(known[kept].T @ known[kept])[1:, 1:] * sigma**2
-    sure = abs(parity) > SURE * 0.5 * np.sqrt(max(float(spread.sum()), 0.0))
-    if not (sure and LEAST <= abs(parity) <= MOST and abs(one - other) < ALIKE * abs(one + other)):
-        return 0.0
-    return float(parity)
+    error = 0.5 * np.sqrt(max(float(spread.sum()), 0.0))
+    alone = np.sqrt(np.maximum(spread.diagonal(), 0.0))
+    if abs(one - other) > max(ALIKE * abs(one + other), CHANCE * float(alone.max())):
+        return None
+    return float(0.5 * (one + other)), float(error)

@@ -45,6 +45,7 @@ class Channel:
     recovery_depth : how far below its level it is right behind them, median [DN].
     recovery_doubt : how far the first samples behind them depart from that, as a share of the depth.
     parity : gain of samples of even number in their record over the mean of all, less 1: two digitisers in turn.
+    parity_walk : by how much that differs between quarters of the strip; 0: not surely.
     receivers : which it has of several that share spacing and saturation, and are not alike; empty: all the others.
     """
 
@@ -65,6 +66,7 @@ class Channel:
     recovery_doubt: float = 0.0
     receivers: tuple[int, ...] = ()
     parity: float = 0.0
+    parity_walk: float = 0.0
 
     @property
     def special(self) -> bool:
@@ -250,6 +252,7 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             recovery_doubt=_number(one, "recovery_doubt", where, 0.0, 1.0),
             receivers=_receivers(one["receivers"], where),
             parity=_number(one, "parity", where, -0.5, 0.5),
+            parity_walk=_number(one, "parity_walk", where, 0.0, 1.0),
         )
         for one in stored
     )

@@ -300,7 +300,16 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"{channel_words(worst)}: locations or samples of some pulses are not where they say, by a sample "
             f"perhaps, and their echoes are off by as much ({names_of(strips_once(s for s, _ in some))})"
         )
-    if in_turn := [s for s in strips if (s["places"] or {}).get("alternate", 1.0) != 1.0]:
+    if unlike := [(s, one) for s in strips for one in (s["places"] or {}).get("descriptors", ())]:
+        _, (kind, ratio) = max(unlike, key=lambda one: abs(one[1][1] - 1.0))
+        lines.append(
+            f"echoes of waveform descriptor {kind} are {ratio:.3f} times as high as those of the commonest one in the "
+            "pulses beside: lasers or receivers that are not alike; their heights do not compare, and their energies "
+            f"only where the descriptors' gains say so ({names_of(strips_once(s for s, _ in unlike))})"
+        )
+    if in_turn := [
+        s for s in strips if (p := s["places"] or {}).get("alternate", 1.0) != 1.0 and not p.get("descriptors")
+    ]:
         worst = max((s["places"]["alternate"] for s in in_turn), key=lambda ratio: abs(ratio - 1.0))
         lines.append(
             f"echoes of every other pulse are {max(worst, 1.0 / worst):.3f} times as high as those between: two "

@@ -27,14 +27,24 @@ def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _parity_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = []
+    walking = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("parity_walk", 0.0)]
+    if walking:
+        _, worst = max(walking, key=lambda one: one[1]["parity_walk"])
+        lines.append(
+            f"gains of samples of even and of odd number are not in one ratio along the strip{channel_words(worst)}: "
+            f"it changes by {2.0 * worst['parity_walk']:.1%}, as in a file joined of two receivers', and makes false "
+            f"echoes; cut the file into parts of one receiver ({names_of(strips_once(s for s, _ in walking))})"
+        )
     some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("parity", 0.0)]
     if not some:
-        return []
+        return lines
     _, worst = max(some, key=lambda one: abs(one[1]["parity"]))
     return [
+        *lines,
         f"samples of even number have {(1.0 + worst['parity']) / (1.0 - worst['parity']):.3f} times the gain of those "
         f"of odd number{channel_words(worst)}, as of two digitisers in turn: that is taken off "
-        f"({names_of(strips_once(s for s, _ in some))})"
+        f"({names_of(strips_once(s for s, _ in some))})",
     ]
 
 

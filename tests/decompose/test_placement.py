@@ -358,14 +358,51 @@ def test_beam_vectors_longer_than_lights_way_are_told(tmp_path, part):
     assert facts["uneven_share"] == 0.0 if part == slice(0) else facts["uneven_share"] > 0.15
 
 
-@pytest.mark.parametrize("gain", [1.0, 1.1])
-def test_pulses_in_turn_whose_heights_differ_are_told(tmp_path, gain):
+def in_turn(samples, gain: float, joined: bool) -> None:
+    """Every other pulse `gain` times as high; from the middle on the others, in a file `joined` of two."""
+    level, half = 12.0, len(samples) // 2
+    samples[1:half:2] = level + gain * (samples[1:half:2] - level)
+    samples[half + (not joined) :: 2] = level + gain * (samples[half + (not joined) :: 2] - level)
+
+
+@pytest.mark.parametrize(("gain", "joined"), [(1.0, False), (1.1, False), (1.2, True)])
+def test_pulses_in_turn_whose_heights_differ_are_told(tmp_path, gain, joined):
     truth = scene(pulses=1500)
-    level = 12.0
-    truth.samples = np.rint(truth.samples.astype(float))
-    truth.samples[1::2] = np.rint(level + gain * (truth.samples[1::2] - level))
-    truth.samples = truth.samples.clip(0, 255).astype(np.uint16)
+    samples = np.rint(truth.samples.astype(float))
+    in_turn(samples, gain, joined)
+    truth.samples = np.rint(samples).clip(0, 255).astype(np.uint16)
     path = write_parquet(tmp_path / "a.parquet", truth.columns(), {"crs": "EPSG:25832", "spacing_ns": "1"})
     words, judged = decompose_file(path, tmp_path / "a.laz", (), True)
     assert ("every other pulse" in words) == (gain != 1.0), words
-    assert judged["plausibility"]["places"]["alternate"] == pytest.approx(gain, abs=0.03)
+    told = judged["plausibility"]["places"]["alternate"]
+    assert max(told, 1.0 / told) == pytest.approx(gain, abs=0.06)
+
+
+@pytest.mark.parametrize("chosen", ["alike", "at random", "by height"])
+def test_descriptors_whose_heights_differ_are_told(tmp_path, chosen):
+    """One receiver of another gain, here and there, but not one that takes over where echoes are high."""
+    rng, n = np.random.default_rng(4), PULSES
+    ground = 90.0 + 30.0 * np.sin(np.arange(n) / 40.0)
+    time = rng.uniform(20.0, 24.0, n)
+    other = ground > 90.0 if chosen == "by height" else rng.random(n) < 0.5
+    height = ground * rng.uniform(0.9, 1.1, n) * np.where(other & (chosen != "alike"), 1.2, 1.0)
+    noise = rng.normal(0.0, 0.7, (n, 60))
+    path = write_las(
+        tmp_path / "a.las",
+        np.c_[500000.0 + 0.5 * (np.arange(n) % 30), 5400000.0 + 0.5 * (np.arange(n) // 30), np.full(n, 200.0)],
+        waveforms=[
+            digitise(gaussian(60, [(a, t, 3.6)], 10.0) + v) for a, t, v in zip(height, time, noise, strict=True)
+        ],
+        pulse=np.arange(n),
+        location=time,
+        gps_time=1000.0 + 1e-5 * np.arange(n),
+        descriptor_of=np.where(other, 2, 1),
+        descriptors={1: _samples(60), 2: _samples(60)},
+    )
+    words, judged = decompose_file(path, tmp_path / "a.laz", (), True)
+    assert ("of waveform descriptor" in words) == (chosen == "at random"), words
+    told = judged["plausibility"]["places"]["descriptors"]
+    if chosen == "at random":
+        assert max(told[0][1], 1.0 / told[0][1]) == pytest.approx(1.2, abs=0.02)
+    else:
+        assert told == []

@@ -36,6 +36,19 @@ def test_gains_of_two_digitisers_in_turn_are_taken_off(tmp_path, gain):
     assert parity == pytest.approx((1.0 - gain) / (1.0 + gain), abs=0.004)
 
 
+@pytest.mark.parametrize(("first", "second"), [(1.1, 0.9), (1.1, 1.0), (1.0, 1.0)])
+def test_gains_that_change_along_the_strip_are_told(tmp_path, first, second):
+    """As in a file joined of two receivers': one ratio for all of it is none, and makes false echoes."""
+
+    def change(samples):
+        gain = np.repeat([first, second], [PULSES // 2, PULSES - PULSES // 2])[:, None]
+        samples[:, 1::2] = LEVEL + gain * (samples[:, 1::2] - LEVEL)
+        return samples
+
+    *_, words = decomposed(tmp_path, change)
+    assert ("joined of two receivers'" in words) == (first != second), words
+
+
 def test_gains_that_change_sides_from_pulse_to_pulse_are_not(tmp_path):
     """Nothing tells then which sample is whose: they stay as they are."""
 
