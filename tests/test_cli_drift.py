@@ -78,6 +78,24 @@ def test_a_card_has_the_density_and_sparser_data_is_told(place):
     assert json.loads((place / "cut" / "card.json").read_text())["density"] == card["density"], "tiles cut squares"
 
 
+def test_training_areas_as_narrow_as_a_corridor_teach_no_other_density(place):
+    """They were counted by their own echoes, the survey by the area that its echoes cover: two measures."""
+    x0, y0, x1, y1 = _bounds(place)
+    strips = [[x, y0, x + 0.3, y1] for x in np.arange(x0 + 1, x0 + 0.6 * (x1 - x0), 1.0).tolist()]
+    areas = f"areas.train={strips}"
+    ended = fwclass("run", "s.yaml", "--out", "narrow", "--workers", 0, "--set", FEATURES, "--set", areas, cwd=place)
+    assert ended.returncode == 0, ended.stderr
+    drift = json.loads((place / "narrow" / "report.json").read_text())["drift"]
+    wide = json.loads((place / "r" / "report.json").read_text())["drift"]
+    assert drift["density"]["here"] == wide["density"]["here"] == pytest.approx(drift["density"]["learned"], rel=0.2)
+    assert "echoes per m²" not in ended.stderr
+
+
+def _bounds(place):
+    las = laspy.read(place / "a.las")
+    return float(las.x.min()), float(las.y.min()), float(las.x.max()), float(las.y.max())
+
+
 def test_a_model_of_before_says_nothing(place):
     """Its card does not hold what it has seen."""
     import shutil

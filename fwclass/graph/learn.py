@@ -26,7 +26,7 @@ from fwclass.graph.training_rows import (
     trains,
 )
 from fwclass.model import ClassDef, Model, Tree, assemble
-from fwclass.model.density import DENSITY
+from fwclass.model.density import BETWEEN, DENSITY
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import save_model
@@ -157,8 +157,11 @@ def with_feature_parameters(model: Any, computed: Mapping[str, Any]) -> Any:
 
 def _with_data(here: StageInputs, model: Any, computed: Mapping[str, Any]) -> Any:
     """Likewise, and with how dense the echoes of the training areas are."""
-    model, density = with_feature_parameters(model, computed), here.inputs.meta("training", "all").get(DENSITY)
-    return model if density is None else replace(model, card={**model.card, DENSITY: density})
+    model, densities = with_feature_parameters(model, computed), here.inputs.meta("training", "all").get(DENSITY)
+    if densities is None:
+        return model
+    low, middle, high = densities
+    return replace(model, card={**model.card, DENSITY: middle, BETWEEN: [low, high]})
 
 
 def forest_learns(plan: Plan) -> bool:

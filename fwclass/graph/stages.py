@@ -28,6 +28,7 @@ from fwclass.graph.context_folds import SHARE_FOLDS, TRAIN_FOLDS
 from fwclass.graph.context_training import DRAW_CONTEXT, MERGE_CONTEXT, TRAIN_CONTEXT, TRY_CONTEXT
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
+from fwclass.graph.density import COUNT_ECHOES, COUNT_TRAINING_ECHOES
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.ground_auto import CHOOSE_PARAMETERS
@@ -122,6 +123,8 @@ TO_LABELS = (
 OF_NOISE = (FILTER_NOISE, GATHER_NOISE)
 OF_QUALITY = (MEASURE_QUALITY, MEASURE_CHECK_POINTS)
 LEARNING = (
+    COUNT_ECHOES,
+    COUNT_TRAINING_ECHOES,
     DRAW_SAMPLE,
     MERGE_SAMPLE,
     CHOOSE_BASE_ROWS,

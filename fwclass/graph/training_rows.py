@@ -14,13 +14,14 @@ from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corrections_here, corrections_of, reach_here
+from fwclass.graph.density import COUNT_TRAINING_ECHOES, SQUARES, told_densities
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
 from fwclass.label.offset import measure_offset
 from fwclass.model import ClassDef, sample_matrix
-from fwclass.model.density import DENSITY, count_in_squares, density_of
+from fwclass.model.density import DENSITY
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -49,7 +50,6 @@ def draw_tile(
     """Which rows of a tile may train: those in training areas, and those that are corrected, wherever they lie."""
     table = here.rows()
     inside, corrected = within(table, areas), taught_rows(here, table, judging, reach)
-    write_arrays(here.directory / DENSITY, {DENSITY: count_in_squares(*places(table)[inside].T)})
     inside |= corrected
     if "sampled" in table:  # a thinned run
         inside &= table["sampled"]
@@ -96,7 +96,8 @@ def merge_samples(
         review(sample, classes)
     write_arrays(here.directory / SAMPLE, sample.arrays())
     facts: dict[str, Any] = {"rows": sample.rows, "counts": sample.counts.tolist()}
-    facts[DENSITY] = density_of(here.inputs.arrays(TRAIN_SAMPLE.name, tile, DENSITY)[0][DENSITY] for tile in tiles)
+    counted = COUNT_TRAINING_ECHOES.name
+    facts[DENSITY] = told_densities(here.inputs.meta(counted, block)[SQUARES] for block in here.parts(counted))
     if by_place:
         offset = measure_offset(sample.X, sample.y, sample.place, len(classes))
         facts["offset"] = None if offset is None else asdict(offset)
@@ -222,6 +223,9 @@ MERGE_SAMPLE = Stage(
     silent=NOT_OF_THE_SAMPLE,
     reads=lambda plan: ("x", "y", *plan.config.features_asked),
     tiles=training_tiles,
-    after=("sample",),
-    needs=lambda plan, part: [(TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)],
+    after=("sample", COUNT_TRAINING_ECHOES.name),
+    needs=lambda plan, part: [
+        *((TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)),
+        *((COUNT_TRAINING_ECHOES.name, b.key) for b in COUNT_TRAINING_ECHOES.all_parts(plan)),
+    ],
 )

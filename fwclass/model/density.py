@@ -1,35 +1,60 @@
-"""How dense the echoes are that a model learned from, and those that it answers for."""
+"""How dense the echoes are that a model learned from, and those that it answers for: one measure of both."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-DENSITY = "density"
-"""Key of a model's card: echoes per m² of its training areas."""
+DENSITY, BETWEEN = "density", "densities"
+"""Keys of a model's card: `Densities` of its training areas, the middle one, and low and high."""
 
-_EDGE = 4000
-"""mm, squares of the global grid that echoes are counted in: at 0.3/m² five lie in one."""
-
-
-def count_in_squares(x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.int64]:
-    """int64 (squares, 3): column and row on the global grid of every square that holds an echo, and how many it holds;
-    `x` and `y` (rows,) in mm."""
-    column, row = x // _EDGE, y // _EDGE
-    low = int(row.min(initial=0))
-    width = int(row.max(initial=0)) - low + 1
-    square, counts = np.unique(column * width + row - low, return_counts=True)  # rows of numbers take ten times as long
-    return np.stack([square // width, square % width + low, counts], axis=1)
+EDGE = 4.0
+"""m, squares of the global grid that echoes are counted in: at 0.3/m² five lie in one."""
 
 
-def density_of(counted: Iterable[NDArray[np.int64]]) -> float | None:
-    """Echoes per m², the median over all squares that hold one; None without any. `counted`: of parts that share no
-    echo, as `count_in_squares` gives them; squares may be cut by their borders."""
-    parts = [*counted]
-    if not sum(map(len, parts)):
+def squares_by_count(
+    x: NDArray[np.int64], y: NDArray[np.int64], some: NDArray[np.bool_] | None = None
+) -> dict[int, int]:
+    """How many squares hold each number of echoes, those without any left out; `x` and `y` (echoes,) in mm. Of `some`
+    (echoes,): the squares that hold one of these, with all of their echoes.
+
+    So what is kept of n echoes has at most (2 n)^(1/2) numbers, and of parts that cut no square it adds up.
+    """
+    if not len(x):
+        return {}
+    mm = round(1000 * EDGE)
+    column, row = x // mm, y // mm
+    low = int(row.min())
+    _, square, counts = np.unique(
+        column * (int(row.max()) - low + 1) + row - low, return_inverse=True, return_counts=True
+    )
+    if some is not None:
+        counts = counts[np.unique(square[some])]
+    number, squares = np.unique(counts, return_counts=True)
+    return dict(zip(number.tolist(), squares.tolist(), strict=True))
+
+
+class Densities(NamedTuple):
+    """Echoes per m² in the squares that echoes lie in: a tenth of the echoes has at most `low`, half at most `middle`,
+    nine tenths at most `high`."""
+
+    low: float
+    middle: float
+    high: float
+
+
+def densities_of(parts: Iterable[Mapping[int, int]]) -> Densities | None:
+    """How dense the echoes of all squares are that count; None without any. `parts`: of `squares_by_count`."""
+    squares: Counter[int] = Counter()
+    for part in parts:
+        squares.update(part)
+    if not squares:
         return None
-    every = np.concatenate(parts)
-    _, at = np.unique(every[:, :2], axis=0, return_inverse=True)
-    return float(np.median(np.bincount(at.reshape(-1), every[:, 2]))) / (_EDGE * 0.001) ** 2
+    numbers = sorted(squares)
+    below = np.cumsum([n * squares[n] for n in numbers])
+    at = [int(np.searchsorted(below, share * below[-1])) for share in (0.1, 0.5, 0.9)]
+    return Densities(*(numbers[k] / EDGE**2 for k in at))

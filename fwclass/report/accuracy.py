@@ -8,10 +8,11 @@ from typing import Any
 from fwclass.assess.intervals import caution
 from fwclass.conf import Config
 from fwclass.graph.classify import OUTSIDE
+from fwclass.graph.density import COUNT_ECHOES, SQUARES, told_densities
 from fwclass.graph.ground_auto import AUTO, auto_facts
 from fwclass.model.ranges import RANGES
 from fwclass.report.drift import drift
-from fwclass.report.facts import receipts_of_run
+from fwclass.report.facts import metas_of_run, receipts_of_run
 from fwclass.report.ground import ground_remarks, hall_facts
 from fwclass.run.runner import Runner
 
@@ -81,9 +82,9 @@ def training_facts(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | N
     }
 
 
-def drift_of_run(runner: Runner, given: Mapping[str, Any] | None, density: float | None) -> dict[str, Any] | None:
+def drift_of_run(runner: Runner, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """How much lies outside of what the model has seen; None where nothing was classified, or it does not say. `given`:
-    the card of a model that the run did not learn itself; `density`: echoes per m² of the survey."""
+    the card of a model that the run did not learn itself."""
     counts = [
         r.meta[OUTSIDE]
         for stage in ("coarse", "first-shares", "model-shares", "classify")
@@ -93,7 +94,8 @@ def drift_of_run(runner: Runner, given: Mapping[str, Any] | None, density: float
     if not counts:
         return None
     cards = [r.meta["card"] for stage in ("train-coarse", "train") for r in receipts_of_run(runner, stage)]
-    return drift(cards[0] if cards else {RANGES: {}} | dict(given or {}), counts, density)
+    here = told_densities(metas_of_run(runner, COUNT_ECHOES.name, SQUARES))
+    return drift(cards[0] if cards else {RANGES: {}} | dict(given or {}), counts, here)
 
 
 def ground_facts(runner: Runner, config: Config, withheld: int) -> dict[str, Any]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.classify.params import ClassifyParams
 from fwclass.errors import QualityError, visible
-from fwclass.model.density import DENSITY
+from fwclass.model.density import BETWEEN, DENSITY, Densities
 from fwclass.model.ranges import RANGES, shares
 
 SAID_FROM = 0.1
@@ -17,21 +16,20 @@ SAID_FROM = 0.1
 WORST = 3
 """Features that are named."""
 
-DENSER = 2.0
-"""Times the density of what was learned, up or down, from which it is said: at half the density, one strip in place of
-two, nearly all values of the worst feature lie outside."""
+DENSER, OF_ONE = 1.5, 4 / 3
+"""Times what nine tenths of what was learned have at most, or one tenth, from which another density is said; and what
+these are to the median of a card without them. At half the density, one strip in place of two, nearly all values of the
+worst feature lie outside."""
 
 
 def drift(
-    card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]], density: float | None = None
+    card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]], dense: Densities | None = None
 ) -> dict[str, Any] | None:
     """``outside``: the share of every feature's values outside of what the model has seen, the largest first;
-    ``density``, where both are known: ``learned`` and ``here``, echoes per m²; and ``remarks``. None where its card
-    does not say. `counts`: of all parts, as `RangeCounter.counts` gives them; `density`: of the echoes."""
+    ``density``, where both are known: ``learned``, ``between`` and ``here``, echoes per m²; and ``remarks``. None where
+    its card does not say. `counts`: of all parts, as `RangeCounter.counts` gives them; `dense`: how the echoes lie."""
     if RANGES not in card:
         return None
-    known = card.get(DENSITY)
-    learned = float(known) if isinstance(known, int | float) and 0 < known < math.inf else None
     outside = shares(counts)
     worst = [(name, share) for name, share in outside.items() if share >= SAID_FROM]
     remarks = []
@@ -39,13 +37,30 @@ def drift(
         listed = ", ".join(f"{_percent(s)} of {visible(n)}{_learned_range(card, n)}" for n, s in worst[:WORST])
         more = f", and {len(worst) - WORST} more features from {_percent(SAID_FROM)} on" if len(worst) > WORST else ""
         remarks = [f"the model has not seen such data: outside of what it learned from lie {listed}{more}"]
-    if learned and density and not learned / DENSER < density < learned * DENSER:
+    density = _density(card, dense)
+    if density and not density["between"][0] / DENSER <= density["here"] <= density["between"][1] * DENSER:
+        low, high = density["between"]
         remarks.append(
-            f"the model learned from {learned:.2g} echoes per m², here are {density:.2g}: shapes and heights of few "
-            "neighbours differ from those of many, even in features that keep their range"
+            f"the model learned from {density['learned']:.2g} echoes per m² ({low:.2g} to {high:.2g}), here are "
+            f"{density['here']:.2g}: shapes and heights of few neighbours differ from those of many, even in features "
+            "that keep their range"
         )
-    densities = {DENSITY: {"learned": learned, "here": density}} if learned and density else {}
-    return {"outside": outside, **densities, "remarks": remarks}
+    return {"outside": outside, **({DENSITY: density} if density else {}), "remarks": remarks}
+
+
+def _density(card: Mapping[str, Any], dense: Densities | None) -> dict[str, Any] | None:
+    """What a model learned from, the median and between what, and what is here; None where one of them is unknown."""
+    learned: Any = card.get(DENSITY)
+    if dense is None or not _is_density(learned):
+        return None
+    between = card.get(BETWEEN)
+    if not (isinstance(between, list) and len(between) == 2 and all(map(_is_density, between))):  # a card of before
+        between = [learned / OF_ONE, learned * OF_ONE]
+    return {"learned": learned, "between": between, "here": dense.middle}
+
+
+def _is_density(value: Any) -> bool:
+    return isinstance(value, int | float) and 0 < value < 1e9
 
 
 def _learned_range(card: Mapping[str, Any], name: str) -> str:

@@ -100,9 +100,7 @@ def write_report(
     report = {
         **_of_the_run(config, runner, graph, names),
         **described,
-        **_of_the_classes(
-            config, runner, survey, names, tiles, source, card, (described["place"] or {}).get("density")
-        ),
+        **_of_the_classes(config, runner, survey, names, tiles, source, card),
     }
     if (accuracy := report["accuracy"]) is not None:
         echoes, cells = report["counts"]["echoes_in_tiles"], (report["training"] or {}).get("in_context") or ()
@@ -207,9 +205,8 @@ def _of_the_classes(
     tiles: Sequence[Receipt],
     source: Mapping[int, int],
     card: Mapping[str, Any] | None,
-    density: float | None,
 ) -> dict[str, Any]:
-    """The labels, what was learned of them, and how good and how sure the classes are. `density`: echoes per m²."""
+    """The labels, what was learned of them, and how good and how sure the classes are."""
     classified = "classify" in runner.tallies
     classes = _classes(config, source) if classified else []
     counted = sampling(
@@ -236,7 +233,7 @@ def _of_the_classes(
         "reliability": next(iter(metas_of_run(runner, "assess", "reliability")), None),
         "distribution": feature_distribution(runner),
         "sureness": sureness(tiles, classes),
-        "drift": drift_of_run(runner, card, density),
+        "drift": drift_of_run(runner, card),
         "unsure": unsure_of_run(tiles, config, card) if classified else None,
     }
 

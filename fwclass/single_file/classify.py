@@ -33,7 +33,7 @@ from fwclass.graph.regularize import CLASSIFY_REGULARIZED, SHARE_ECHOES, SHARE_I
 from fwclass.graph.stage import Stage
 from fwclass.grid import millimetres
 from fwclass.model import Contextual, Layered, Model, TwoLayer, sample_matrix
-from fwclass.model.density import count_in_squares, density_of
+from fwclass.model.density import densities_of, squares_by_count
 from fwclass.publish.strips import LEGACY_MAX, check_records, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
@@ -111,7 +111,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     results = tiles.columns(walk[-1], walk[-1].columns(tiles.plan))  # tiles are walked here; their facts are there then
     first = model.coarse if isinstance(model, Layered) else model
     facts = {stage: tiles.facts(stage) for stage in walk}
-    dense = density_of([count_in_squares(*(millimetres(echoes.table[n]) for n in ("x", "y")))])
+    dense = densities_of([squares_by_count(millimetres(echoes.table["x"]), millimetres(echoes.table["y"]))])
     drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one], dense)
     crowd = None
     if any(is_feature(n) for n in first.features):

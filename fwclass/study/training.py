@@ -13,6 +13,7 @@ from fwclass.classify.unsure import MEASURED_BELOW, share_below
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.context_training import MERGED, NEAR
+from fwclass.graph.density import COUNT_TRAINING_ECHOES
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING
 from fwclass.graph.training_rows import DRAW_SAMPLE, MERGE_SAMPLE, SAMPLE
@@ -120,7 +121,7 @@ def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict
     plan, tasks = _begin(config, runner)
     config = plan.config
     layout, names = tested_layout(plan.layout), config.features_asked
-    sample = tasks_of(plan, (DRAW_SAMPLE, MERGE_SAMPLE))
+    sample = tasks_of(plan, (COUNT_TRAINING_ECHOES, DRAW_SAMPLE, MERGE_SAMPLE))
     columns = {*layout.columns(names).values(), "label", "tile"}
     wanted = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
     require_all(runner, ancestors([*tasks, *sample], wanted))

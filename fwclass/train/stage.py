@@ -168,7 +168,7 @@ def train(
     return assemble(trees, facts)
 
 
-TRAIN_SAMPLE = Computation(name="sample", version=6)
+TRAIN_SAMPLE = Computation(name="sample", version=7)
 TRAIN_TREES = Computation(name="trees", version=1)
 TRAIN_IMPORTANCE = Computation(name="importance", version=1)
 TRAIN = Computation(name="train", version=5)
