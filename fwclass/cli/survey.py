@@ -81,7 +81,7 @@ def _check_apart(root: str, config: Any) -> None:
 
 
 def _run(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
-    from fwclass.operate.clean import clean
+    from fwclass.operate.clean import clean, make_lean
     from fwclass.operate.whole_run import run_survey
     from fwclass.report.judge import judge_report
 
@@ -100,6 +100,9 @@ def _run(config: Any, request: Any, root: Any, how: How, performance: Path | Non
         tell_failures(done.failures, request)
         sys.exit(PARTIAL)
     judge_report(done.report, config, done.superseded is not None)
+    if config.run.keep_intermediate == "lean" and done.generation.whole:
+        parts, size = make_lean(entry.location, lambda text: click.echo(text, err=True))
+        click.echo(f"store       {parts:,} parts emptied (run.keep_intermediate), {size / 1e6:,.1f} MB", err=True)
     if not config.run.keep_intermediate and done.generation.whole:
         gone = clean(entry.location, "deliveries", lambda text: click.echo(text, err=True))
         click.echo(f"store       {gone.parts:,} parts removed (run.keep_intermediate), {gone.freed}", err=True)

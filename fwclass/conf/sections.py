@@ -198,7 +198,8 @@ class RunSection(Section):
     `seam_check_echoes`: so many echoes are filtered once more in windows that lie elsewhere, to tell in the
     report what the seams between blocks changed; 0 leaves the check out. `keep_generations`: whole deliveries that
     stay.
-    `keep_intermediate`: parts stay after a whole delivery; without them every run makes all anew.
+    `keep_intermediate`: parts stay after a whole delivery; without them every run makes all anew. ``lean``: the bulky
+    ones that are made quickly go (`Stage.bulky`), and are made anew where one that reads them has to be.
     `window`: parts that the scheduler knows at a time. `retries`: times that a part whose worker was lost is tried
     again among others, and then alone, in `split` × `split` pieces of a tile where the stage can. `part_hours`: a
     part that takes longer has failed, and its worker is ended; the plain loop only says so. `accept_libraries`:
@@ -212,7 +213,7 @@ class RunSection(Section):
     part_hours: float = Field(gt=0, le=10_000)
     split: int = Field(ge=1, le=100)
     keep_generations: int = Field(ge=1, le=100_000)
-    keep_intermediate: bool
+    keep_intermediate: bool | Literal["lean"]
     seam_check_echoes: int = Field(ge=0, le=1_000_000_000)
     accept_libraries: bool
 

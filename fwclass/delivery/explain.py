@@ -150,7 +150,8 @@ def tile_features(
     `delivered` tile, where they are rounded (`publish.parquet_bits`)."""
     known: dict[str, Any] = {}
     for stage, part in store.parts():
-        if part != tile or not (path := store.path(stage, part, TABLE)).is_file():
+        receipt = store.receipt(stage, part) if part == tile else None
+        if receipt is None or receipt.emptied or not (path := store.path(stage, part, TABLE)).is_file():
             continue
         mine = [n for n in open_parquet(path).schema_arrow.names if n in names and n not in known]
         if mine:

@@ -53,4 +53,5 @@ COMPUTE_FEATURES = Stage(
     writes=lambda plan: (*neighbourhood_features(plan).names, *NORMAL),
     halo=lambda plan: neighbourhood_features(plan).halo(plan.config.features),
     row_digests=True,
+    bulky=True,
 )

@@ -135,6 +135,7 @@ class Stage:
         (`store.row_digests.digests_by_name`).
     declares : columns among those it writes that the program does not know.
     row_digests : its rows are digested by square, as others read them in a halo.
+    bulky : its files take much room for the time that they took: they go first (``run.keep_intermediate: lean``).
     check : it only judges: a delivery is whole though it failed.
     place : "store"; "deliver" for what the user gets; "run" for files of the run directory itself.
     """
@@ -168,6 +169,7 @@ class Stage:
     named: bool = False
     declares: tuple[Column, ...] = ()
     row_digests: bool = False
+    bulky: bool = False
     check: bool | Callable[[Plan], bool] = False
     place: Literal["store", "deliver", "run"] = "store"
 

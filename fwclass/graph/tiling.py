@@ -194,6 +194,7 @@ SPLIT_ECHOES = Stage(
     arguments=_tile_settings,
     after=("decompose",),
     needs=lambda plan, part: ((DECOMPOSE.name, part.key),),
+    bulky=True,
 )
 SPLIT_REFERENCE = Stage(
     "reference-split",

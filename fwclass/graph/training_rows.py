@@ -228,4 +228,5 @@ MERGE_SAMPLE = Stage(
         *((TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)),
         *((COUNT_TRAINING_ECHOES.name, b.key) for b in COUNT_TRAINING_ECHOES.all_parts(plan)),
     ],
+    bulky=True,
 )

@@ -7,11 +7,23 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fwclass.errors import ConfigError
+from fwclass.graph.stages import STAGES
 from fwclass.operate.sizes import sizes_of
 from fwclass.run.logs import remove_logs
 from fwclass.store.run_location import RunLocation, locked, open_store
 
 Keep = Literal["delivery", "deliveries", "latest"]
+
+
+def make_lean(location: RunLocation, tell: Callable[[str], None]) -> tuple[int, int]:
+    """Remove the files of parts of bulky stages (`Stage.bulky`), and keep what is known of them; how many parts that
+    are, and the bytes."""
+    bulky = {stage.name for stage in STAGES if stage.bulky}
+    with locked(location, tell) as (own, _):
+        store = open_store(own)
+        before = sizes_of(own, None).total
+        count = store.empty(name for name in store.parts() if name[0] in bulky)
+        return count, before - sizes_of(own, None).total
 
 
 @dataclass(frozen=True)

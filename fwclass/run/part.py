@@ -114,6 +114,14 @@ def already_done(task: Task, store: Store) -> bool:
     return key is not None and holds(task, store, key)
 
 
+def emptied(task: Task, store: Store) -> bool:
+    """As `already_done`, but that its files were removed to save room."""
+    receipt = store.receipt(*task.name)
+    if receipt is None or not receipt.emptied or receipt.key != key_now(task, store):
+        return False
+    return task.any_libraries or not stale_by(store.libraries(receipt))
+
+
 def holds(task: Task, store: Store, key: str) -> bool:
     """The part is there under this key, and was made with the libraries of here, or such as do not matter."""
     receipt = store.done(task.stage, task.part, key)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from fwclass.errors import FwclassError, InputError, PartialError, StoreError, several
-from fwclass.run.part import Name, Outcome, Task, already_done, key_now
+from fwclass.run.part import Name, Outcome, Task, already_done, emptied, key_now
 from fwclass.run.progress import Display
 from fwclass.run.tasks import Tasks
 from fwclass.store.failures import Failure
@@ -72,10 +72,12 @@ class Runner:
     """Walks batches of tasks; each batch may need parts of earlier ones.
 
     With `fail_fast` the first part that fails ends the walk by a `PartialError`; with `accept_libraries` parts made
-    with other libraries are done; with `verify` the generation that is there is read before it is taken for what this
-    run delivers. `delivering_stages` and `judging_stages`: those met so far whose parts are delivered, or only judge
-    (`Task.check`). `store` remembers receipts; two runners of one run share it (`seen`). `held` raises `StoreError`
-    when the run's lock is lost; it is asked before a failure is believed and before anything is delivered.
+    with other libraries are done; with `verify` the generation that is there is read before it is taken for what
+    this run delivers; `lean`, a part whose files were removed to save room is done, and made anew before one that
+    reads it is made: only where all that is read of parts is read by tasks. `delivering_stages` and
+    `judging_stages`: those met so far whose parts are delivered, or only judge (`Task.check`). `store` remembers
+    receipts; two runners of one run share it (`seen`). `held` raises `StoreError` when the run's lock is lost; it
+    is asked before a failure is believed and before anything is delivered.
     """
 
     location: RunLocation
@@ -87,6 +89,7 @@ class Runner:
     fail_fast: bool = False
     accept_libraries: bool = False
     verify: bool = False
+    lean: bool = False
     whole: bool = False
     delivering_stages: set[str] = field(default_factory=set)
     judging_stages: set[str] = field(default_factory=set)
@@ -96,6 +99,9 @@ class Runner:
     def __post_init__(self, seen: Store | None) -> None:
         self.store = seen or open_store(self.location, lists=True)
         self._under_way: dict[Name, Task] = {}
+        self._emptied: dict[Name, Task] = {}
+        self._refilled: set[Name] = set()
+        self._refilling: set[str] = set()
 
     @property
     def root(self) -> Path:
@@ -136,23 +142,50 @@ class Runner:
                 self.delivering_stages.add(task.stage)
             if task.check:
                 self.judging_stages.add(task.stage)
-            bad = [self.outcomes[n] for n in task.needs if n in self.outcomes and not self.outcomes[n].ok]
-            if bad:
-                self._take(Outcome(*task.name, "blocked", message=f"{bad[0].stage}/{bad[0].part} {bad[0].status}"))
-            elif self._under_way.keys().isdisjoint(task.needs) and already_done(task, self.store):
+            if self._is_blocked(task):
+                continue
+            if self._under_way.keys().isdisjoint(task.needs) and already_done(task, self.store):
+                self._take(Outcome(*task.name, "skipped"))
+            elif self.lean and self._under_way.keys().isdisjoint(task.needs) and emptied(task, self.store):
+                self._emptied[task.name] = task
                 self._take(Outcome(*task.name, "skipped"))
             else:
-                self._under_way[task.name] = task
-                yield task
+                yield from self._with_refills(task)
+
+    def _with_refills(self, task: Task) -> Iterator[Task]:
+        """What `task` reads of parts that were emptied, each after what it reads itself; then `task`."""
+        for name in task.needs:
+            if name in self._emptied:
+                if name[0] not in self._refilling:
+                    self.display.say(f"{name[0]:<16} made anew where it is read: its files were removed to save room")
+                self._refilling.add(name[0])
+                self._refilled.add(name)
+                yield from self._with_refills(self._emptied.pop(name))
+        if not self._is_blocked(task):
+            self._under_way[task.name] = task
+            yield task
+
+    def _is_blocked(self, task: Task) -> bool:
+        """A part that `task` needs is known not to be done; this is its outcome then."""
+        bad = [self.outcomes[n] for n in task.needs if n in self.outcomes and not self.outcomes[n].ok]
+        if bad:
+            self._take(Outcome(*task.name, "blocked", message=f"{bad[0].stage}/{bad[0].part} {bad[0].status}"))
+        return bool(bad)
 
     def _take(self, outcome: Outcome) -> None:
-        self.outcomes[(outcome.stage, outcome.part)] = outcome
-        tally = self.tallies[outcome.stage]
-        tally.parts += 1
+        tally, name = self.tallies[outcome.stage], (outcome.stage, outcome.part)
+        again = name in self._refilled  # it was told, as skipped
+        self._refilled.discard(name)
+        self.outcomes[name] = outcome
+        tally.parts += not again
+        tally.skipped -= again
         tally.computed += outcome.status == "computed"
         tally.skipped += outcome.status == "skipped"
         tally.failed += outcome.status in ("failed", "blocked")
         tally.ended = time.perf_counter()
+        if again and outcome.ok:
+            return
+        self.display.expect({outcome.stage: int(again)})
         self.display.ended(outcome)
 
     def _failed(self, task: Task, outcome: Outcome) -> None:

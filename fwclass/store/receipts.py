@@ -12,7 +12,7 @@ from fwclass.paths import name_fault, relative_fault
 from fwclass.store.atomic import digest_of
 from fwclass.store.metas import is_told, misfit_of
 from fwclass.store.seal import seal, unseal
-from fwclass.store.shapes import COUNT, NUMBER, TEXT, Maybe, misfit, pattern
+from fwclass.store.shapes import COUNT, FLAG, NUMBER, TEXT, Maybe, misfit, pattern
 
 FORMAT = 1
 
@@ -28,6 +28,7 @@ _SHAPE = {
     "meta": {},
     "cost": {TEXT: NUMBER},
     "version": Maybe(COUNT),
+    "emptied": FLAG,
     **dict.fromkeys(("seconds", "peak_mib", "keeping"), NUMBER),
 }
 _LINE = json.JSONEncoder(sort_keys=True, allow_nan=False)
@@ -52,6 +53,7 @@ class Receipt:
     version : of the stage's code; None in receipts of before it was recorded.
     params : digest of the parameters, which lie in ``store/params/<digest>.json``; empty in receipts of before that.
     libraries : digest of what it was made with, in ``store/libraries/<digest>.json``; empty in receipts of before that.
+    emptied : its files were removed to save room: what it says of them holds, and they are made anew to be read.
     """
 
     stage: str
@@ -69,6 +71,7 @@ class Receipt:
     version: int | None = None
     params: str = ""
     libraries: str = ""
+    emptied: bool = False
     format: int = FORMAT
 
     def files(self, name: str) -> Mapping[str, Mapping[str, Any]]:
@@ -81,6 +84,8 @@ class Receipt:
     def to_text(self) -> str:
         """JSON, a field a line, with a digest of itself."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)} | {"meta": dict(self.meta)}
+        if not self.emptied:  # the others are as they were before any could be
+            del plain["emptied"]
         lines = seal(plain)
         return "{\n" + ",\n".join(f'"{name}": {_LINE.encode(lines[name])}' for name in sorted(lines)) + "\n}\n"
 

@@ -113,7 +113,7 @@ class Store:
     def done(self, stage: str, part: str, key: str) -> Receipt | None:
         """The receipt if the part is done under this key and all its files are there."""
         receipt = self.receipt(stage, part)
-        if receipt is None or receipt.key != key:
+        if receipt is None or receipt.key != key or receipt.emptied:
             return None
         sizes = self._lookup.sizes(receipt)
         whole = all(sizes.get(name) == facts["bytes"] for name, facts in receipt.outputs.items())
@@ -124,7 +124,10 @@ class Store:
         return self._lookup.sizes(receipt).get(name)
 
     def damaged(self, receipt: Receipt) -> list[str]:
-        """Files of a part that are gone or whose bytes are not those that were written: all of them are read."""
+        """Files of a part that are gone or whose bytes are not those that were written: all of them are read. None of
+        one that was emptied."""
+        if receipt.emptied:
+            return []
         unit = self._files.unit(receipt)
         keys = {name: f"{unit}/{name}" if unit else name for name in receipt.outputs}
         sizes = self._lookup.sizes(receipt)
@@ -147,6 +150,12 @@ class Store:
                 "a part that others need is not done",
                 where=f"{stage}/{part} in {self.where}",
                 do="run again; the missing parts are made",
+            )
+        if receipt.emptied:
+            raise StoreError(
+                "the files of a part were removed to save room",
+                where=f"{stage}/{part} in {self.where}",
+                do="run again with --set run.keep_intermediate=true: they are made anew",
             )
         unit = self._files.unit(receipt)
         self._files.fetch(unit, {f"{name}{rest}": f for rest, f in receipt.files(name).items()})
@@ -313,6 +322,19 @@ class Store:
             self.remove(stage, part)
         for stage in sorted({stage for stage, _ in gone}):
             self._files.flush(f"store/{stage}")
+
+    def empty(self, names: Iterable[Name]) -> int:
+        """Remove the files of parts and keep their receipts, which say so from before the first is gone; how many."""
+        count = 0
+        for name in names:
+            known = self._lookup.receipt(name)
+            if known is None or known[0] is None or known[0].emptied or known[0].place != "store":
+                continue
+            receipt = replace(known[0], emptied=True)
+            self._put_receipt(receipt, known[1])
+            self._files.delete_below(self._files.unit(receipt), RECEIPT)
+            count += 1
+        return count
 
     def forget_others(self, stage: str, parts: Iterable[str]) -> list[str]:
         """All `parts` of `stage` are done: remove others, with what they delivered, and what any said when it failed;

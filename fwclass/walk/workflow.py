@@ -55,6 +55,7 @@ class Workflow:
         """Make all parts and write the report; return it. `tiles`: only these, and what they need."""
         if self.walk is not None:
             return self.walk(config, runner, tiles)
+        runner.lean = config.run.keep_intermediate == "lean"
         plan = until_tiles(self.begin(config), runner, self.stages, delivers=True)
         return until_report(plan, runner, after_tiles(self.stages), tiles)
 

@@ -12,7 +12,7 @@ from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.grid import Box, TileGrid
 from fwclass.operate.status.why import Reason, new_files, reasons, same, waiting
 from fwclass.run.local import Loop
-from fwclass.run.part import Name, Outcome, Task, holds, input_digests
+from fwclass.run.part import Name, Outcome, Task, emptied, holds, input_digests
 from fwclass.run.progress import Display
 from fwclass.run.runner import Done, Lacking, Runner
 from fwclass.store.atomic import digest_of
@@ -129,7 +129,7 @@ class StatusWalk(Runner):
         inputs = None if late else input_digests(task, self.store)
         key = "" if inputs is None else content_key(task.stage, task.version, task.params, inputs)
         come = self._come(task)
-        if key and not come and holds(task, self.store, key):
+        if key and not come and (holds(task, self.store, key) or (self.lean and emptied(task, self.store))):
             return PartState(*task.name, "done")
         failure, failed_at = self._failures.get(task.name, (None, 0.0))
         if self._begun.get(task.name, 0.0) > failed_at:

@@ -180,6 +180,8 @@ def _files_below(name: Name, store: Store, steps: int = 4) -> set[str]:
 
 
 def _of_outputs(receipt: Receipt, store: Store) -> list[Reason]:
+    if receipt.emptied:
+        return [same("its files were removed to save room (run.keep_intermediate: lean)")]
     why = []
     for name, facts in receipt.outputs.items():
         size = store.size_of(receipt, name)
