@@ -22,7 +22,14 @@ LARGEST_RADIUS = 1.2
 """m; the squares of `RUN` offsets fit into 31 bits."""
 
 RUN = 1024
-"""Beams whose sums are taken in 32 bits."""
+"""Returns whose sums are taken in 32 bits."""
+
+_PANEL = 10
+"""Frames that are laid side by side, about: their returns are one run for a beam's window, and windows of frames aside
+are narrower."""
+
+_LANES = 16
+"""Returns that are summed at a time: a run of whole ones has no rest that goes one by one."""
 
 _EDGE = 2047
 """units that an offset is cut to: more than the largest radius, and two squares of it add up in 32 bits."""
@@ -39,24 +46,28 @@ LEVELS = 1024
 
 
 @vectorised
-def _flat_run(Y, Z, light, first, last, y0, z0, rest, out):  # type: ignore[no-untyped-def]
-    """Count, sums and extremes of y and z offsets of the beams `first` to `last` of one frame; sums of `light`."""
-    n = sy = sz = syy = szz = syz = si = sii = np.int32(0)
+def _add_run(X, Y, Z, light, x0, y0, z0, most, sums):  # type: ignore[no-untyped-def]
+    """Add count, sums and extremes of the offsets of up to `RUN` returns from the centre, and sums of `light`."""
+    n = sx = sy = sz = sxx = syy = szz = sxy = sxz = syz = si = sii = np.int32(0)
     yl = yh = zl = zh = np.int32(0)
     edge, low = np.int32(_EDGE), np.int32(-_EDGE)
-    for s in range(first, last):
-        dy = np.int32(Y[s] - y0)
-        dz = np.int32(Z[s] - z0)
-        dy = min(max(dy, low), edge)
-        dz = min(max(dz, low), edge)
-        inside = np.int32(np.int32(dy * dy) + np.int32(dz * dz)) <= rest
+    for s in range(len(Y)):  # from 0: an index that may be negative for all numba knows is looked up one by one
+        dx = min(max(np.int32(X[s] - x0), low), edge)
+        dy = min(max(np.int32(Y[s] - y0), low), edge)
+        dz = min(max(np.int32(Z[s] - z0), low), edge)
+        inside = np.int32(np.int32(np.int32(dx * dx) + np.int32(dy * dy)) + np.int32(dz * dz)) <= most
+        dx = dx if inside else np.int32(0)
         dy = dy if inside else np.int32(0)
         dz = dz if inside else np.int32(0)
         n = np.int32(n + np.int32(inside))
+        sx = np.int32(sx + dx)
         sy = np.int32(sy + dy)
         sz = np.int32(sz + dz)
+        sxx = np.int32(sxx + np.int32(dx * dx))
         syy = np.int32(syy + np.int32(dy * dy))
         szz = np.int32(szz + np.int32(dz * dz))
+        sxy = np.int32(sxy + np.int32(dx * dy))
+        sxz = np.int32(sxz + np.int32(dx * dz))
         syz = np.int32(syz + np.int32(dy * dz))
         if light is not None:
             level = light[s]  # read in any case: a read that depends on another value is not vectorised
@@ -65,52 +76,29 @@ def _flat_run(Y, Z, light, first, last, y0, z0, rest, out):  # type: ignore[no-u
             sii = np.int32(sii + np.int32(level * level))
         yl, yh = min(yl, dy), max(yh, dy)  # the centre is a member: the zeros of others change nothing
         zl, zh = min(zl, dz), max(zh, dz)
-    out[0], out[1], out[2], out[3], out[4], out[5] = n, sy, sz, syy, szz, syz
-    out[6], out[7], out[8], out[9], out[10], out[11] = yl, yh, zl, zh, si, sii
+    sums[0] += n
+    sums[1] += sx
+    sums[2] += sy
+    sums[3] += sz
+    sums[4] += sxx
+    sums[5] += syy
+    sums[6] += szz
+    sums[7] += sxy
+    sums[8] += sxz
+    sums[9] += syz
+    sums[10], sums[11] = min(sums[10], yl), max(sums[11], yh)
+    sums[12], sums[13] = min(sums[12], zl), max(sums[13], zh)
+    sums[14] += si
+    sums[15] += sii
 
 
 @kernel
-def _add_flat(Y, Z, light, first, last, y0, z0, dx, rest, part, sums):  # type: ignore[no-untyped-def]
+def _add(X, Y, Z, light, first, last, x0, y0, z0, most, sums):  # type: ignore[no-untyped-def]
+    """Add the returns `first` to `last` of a panel, those of them that are in the sphere."""
     for begin in range(first, last, RUN):
-        _flat_run(Y, Z, light, begin, min(begin + RUN, last), y0, z0, rest, part)
-        n = np.int64(part[0])
-        sums[0] += n
-        sums[1] += dx * n
-        sums[2] += part[1]
-        sums[3] += part[2]
-        sums[4] += dx * dx * n
-        sums[5] += part[3]
-        sums[6] += part[4]
-        sums[7] += dx * part[1]
-        sums[8] += dx * part[2]
-        sums[9] += part[5]
-        sums[10], sums[11] = min(sums[10], part[6]), max(sums[11], part[7])
-        sums[12], sums[13] = min(sums[12], part[8]), max(sums[13], part[9])
-        sums[14] += part[10]
-        sums[15] += part[11]
-
-
-@kernel
-def _add_tilted(X, Y, Z, light, first, last, x0, y0, z0, most, sums):  # type: ignore[no-untyped-def]
-    """As `_add_flat` where the scan plane leans along the road: every return has its own x."""
-    for s in range(first, last):
-        dx, dy, dz = np.int64(X[s]) - x0, np.int64(Y[s]) - y0, np.int64(Z[s]) - z0
-        if dx * dx + dy * dy + dz * dz <= most:
-            sums[0] += 1
-            sums[1] += dx
-            sums[2] += dy
-            sums[3] += dz
-            sums[4] += dx * dx
-            sums[5] += dy * dy
-            sums[6] += dz * dz
-            sums[7] += dx * dy
-            sums[8] += dx * dz
-            sums[9] += dy * dz
-            sums[10], sums[11] = min(sums[10], dy), max(sums[11], dy)
-            sums[12], sums[13] = min(sums[12], dz), max(sums[13], dz)
-            if light is not None:
-                sums[14] += light[s]
-                sums[15] += np.int64(light[s]) * light[s]
+        end = min(begin + RUN, last)
+        lit = None if light is None else light[begin:end]
+        _add_run(X[begin:end], Y[begin:end], Z[begin:end], lit, x0, y0, z0, most, sums)
 
 
 @kernel
@@ -132,53 +120,63 @@ def frame_sums(X, Y, Z, light, R, place, rows, middle, radius, step, lean, wraps
     """
     beams = Y.shape[1]
     reach = radius / UNIT
-    most = np.int64(math.floor(reach * reach))
-    part = np.empty(12, np.int32)
+    most = np.int32(math.floor(reach * reach))
     tilted = len(X) > 0
-    share = np.empty(len(rows))
-    for q in range(len(rows)):
-        along = abs(place[rows[q]] - place[middle])
-        inner = math.sqrt(max(reach * reach - (along * along if not tilted else 0), 0.0))
-        share[q] = (inner + _ROUNDING) / (reach + _ROUNDING)
+    near = np.empty(len(rows), np.int64)
+    frames = 0
+    for k in rows:
+        if tilted or (place[k] - place[middle]) ** 2 <= most:
+            near[frames] = k
+            frames += 1
+    # Frames side by side in panels, beam by beam; y beyond every sphere where a panel is not full, and behind it.
+    panels = max(1, round(frames / _PANEL))
+    width = (frames + panels - 1) // panels
+    length = beams * width
+    x, z = np.zeros((panels, length + _LANES), np.int32), np.zeros((panels, length + _LANES), np.int32)
+    y = np.full((panels, length + _LANES), FAR, np.int32)
+    lit = None if light is None else np.zeros((panels, length + _LANES), np.int32)
+    wide = np.zeros(panels)
+    for q in range(frames):
+        k, p, column = near[q], q // width, q % width
+        dx = place[k] - place[middle]
+        inner = math.sqrt(max(reach * reach - (dx * dx if not tilted else 0), 0.0))
+        wide[p] = max(wide[p], inner + _ROUNDING + abs(dx) * lean)
+        for j in range(beams):
+            s = j * width + column
+            x[p, s] = X[k, j] + dx if tilted else dx
+            y[p, s], z[p, s] = Y[k, j], Z[k, j]
+            if light is not None and lit is not None:
+                lit[p, s] = light[k, j]
+    widest = wide.max()
     for j in range(beams):
         sums[j, :] = 0
         r = np.float64(R[middle, j])
         if not r > 0:
             continue
+        x0 = X[middle, j] if tilted else np.int32(0)
         y0, z0 = Y[middle, j], Z[middle, j]
-        for q in range(len(rows)):
-            k = rows[q]
-            dx = place[k] - place[middle]
-            if not tilted and dx * dx > most:
-                continue
-            wide = radius + _ROUNDING * UNIT + abs(dx) * lean * UNIT
-            if narrow:
-                half = int(radius / (r * step)) if r > radius else beams
-            elif r <= wide:
+        around = r <= (radius if narrow else widest * UNIT)
+        angle = 0.0 if around or narrow else math.asin(widest * UNIT / r)
+        for p in range(panels):
+            if around:
                 half = beams
-            else:  # asin(t s) <= t asin(s): the circle in which the sphere cuts a frame aside is smaller
-                half = int(share[q] * math.asin(wide / r) / step) + 1
-            half = min(half, beams)
-            lit = None if light is None else light[k]
+            elif narrow:
+                half = min(int(radius / (r * step)), beams)
+            else:  # asin(t s) <= t asin(s): the circle in which the sphere cuts frames aside is smaller
+                half = min(int(wide[p] / widest * angle / step) + 1, beams)
             first, last = j - half, j + half + 1
             if wraps and last - first >= beams:
                 first, last = 0, beams
-            before, after = max(-first, 0), max(last - beams, 0)
-            first, last = max(first, 0), min(last, beams)
-            if tilted:
-                x0 = np.int64(X[middle, j]) - dx
-                _add_tilted(X[k], Y[k], Z[k], lit, first, last, x0, y0, z0, most, sums[j])
-                if wraps and before:
-                    _add_tilted(X[k], Y[k], Z[k], lit, beams - before, beams, x0, y0, z0, most, sums[j])
-                if wraps and after:
-                    _add_tilted(X[k], Y[k], Z[k], lit, 0, after, x0, y0, z0, most, sums[j])
-            else:
-                rest = np.int32(most - dx * dx)
-                _add_flat(Y[k], Z[k], lit, first, last, y0, z0, dx, rest, part, sums[j])
-                if wraps and before:
-                    _add_flat(Y[k], Z[k], lit, beams - before, beams, y0, z0, dx, rest, part, sums[j])
-                if wraps and after:
-                    _add_flat(Y[k], Z[k], lit, 0, after, y0, z0, dx, rest, part, sums[j])
+            before, after = (max(-first, 0), max(last - beams, 0)) if wraps else (0, 0)
+            first, last = max(first, 0) * width, min(last, beams) * width
+            if not narrow and before + after == 0:  # what is beyond the window is in no sphere
+                last = first + (last - first + _LANES - 1) // _LANES * _LANES
+            shone = None if lit is None else lit[p]
+            _add(x[p], y[p], z[p], shone, first, last, x0, y0, z0, most, sums[j])
+            if before:
+                _add(x[p], y[p], z[p], shone, length - before * width, length, x0, y0, z0, most, sums[j])
+            if after:
+                _add(x[p], y[p], z[p], shone, 0, after * width, x0, y0, z0, most, sums[j])
 
 
 @inlined
