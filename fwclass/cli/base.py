@@ -47,11 +47,13 @@ def little_garbage() -> None:
 
 
 def work_here() -> None:
-    """For commands that compute on one file and end: as `little_garbage`, and memory of arrays is kept for others."""
-    from fwclass.memory import keep_freed  # not for --help
+    """For commands that compute on one file and end: as `little_garbage`, memory of arrays is kept for others, and
+    nothing else has the cores."""
+    from fwclass import cores, memory  # not for --help
 
     little_garbage()
-    keep_freed()
+    memory.keep_freed()
+    cores.use_all()
 
 
 def _is_utf8(path: Path) -> bool:

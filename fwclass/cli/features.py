@@ -71,7 +71,7 @@ def features(
     if options["own_ground"] and any(options[n] for n in ("method", "preset", "assignments", "auto")):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
     from fwclass import conf
-    from fwclass.report.judge import judge_echoes
+    from fwclass.report.judge_echoes import judge_echoes
     from fwclass.single_file.features.file import FeaturesJob, features_file
     from fwclass.single_file.features.listing import describe
     from fwclass.single_file.ground.steps import StepDisplay

@@ -131,7 +131,7 @@ def decompose(
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     work_here()
     from fwclass import conf
-    from fwclass.report.judge import judge_echoes
+    from fwclass.report.judge_echoes import judge_echoes
     from fwclass.single_file.decompose import decompose_file
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()

@@ -71,7 +71,7 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
     work_here()
     from fwclass import conf
     from fwclass.report.ground import judge_ground
-    from fwclass.report.judge import judge_echoes
+    from fwclass.report.judge_echoes import judge_echoes
     from fwclass.single_file.ground.file import GroundJob, ground_file
     from fwclass.single_file.ground.steps import StepDisplay
     from fwclass.single_file.ground.text import describe
@@ -156,7 +156,7 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
     """
     work_here()
     from fwclass import conf
-    from fwclass.report.judge import judge_echoes
+    from fwclass.report.judge_echoes import judge_echoes
     from fwclass.single_file.ground.normalize import NormalizeJob, normalize_file
     from fwclass.single_file.ground.steps import StepDisplay
     from fwclass.single_file.ground.text import describe_heights

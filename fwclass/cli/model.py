@@ -219,7 +219,7 @@ def classify(
     from fwclass import conf
     from fwclass.classify.unsure import judge_unsure
     from fwclass.report.drift import judge_drift
-    from fwclass.report.judge import judge_echoes
+    from fwclass.report.judge_echoes import judge_echoes
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
     from fwclass.single_file.ground.steps import StepDisplay
 

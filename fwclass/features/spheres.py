@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.cores import share_out
 from fwclass.features.attributes import Attributes
 from fwclass.features.eigen import SHAPES
 from fwclass.features.gather import LANES, Points, most_in_window, slices, window
@@ -99,8 +100,8 @@ def _run(
     chunk: Chunk, radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], optimal: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """float32 (jobs, core rows) of the jobs (radius number, measure), and the optimal radii [m]."""
-    out = np.full((len(jobs), len(chunk.core)), np.nan, np.float32)
-    chosen = np.full(len(chunk.core) if optimal else 0, np.nan, np.float32)
+    out = np.empty((len(jobs), len(chunk.core)), np.float32)  # all of it is written: every core row has its jobs
+    chosen = np.empty(len(chunk.core) if optimal else 0, np.float32)
     if len(chunk.core) == 0:
         return out, chosen
     asked = _request(radii, kind, jobs, optimal)
@@ -113,11 +114,14 @@ def _run(
         points.x, points.y, points.z, points.start, points.ncols, points.nrows, points.cell, half, wanted[points.order]
     )
     values = Attributes.of(chunk.table, needs(base for _, base in jobs)).take(points.order)
-    scratch = Scratch.of(most, asked, BUCKETS, values)
-    batch = _batch(asked, max(2 * most, POOL) + 2 * LANES, values)
     cuts = slices(points.start, points.ncols, points.nrows, half, AT_A_TIME)
-    for begin, end in pairwise(cuts.tolist()):
-        measure_around(grid, values, asked, scratch, batch, begin, end, out, chosen)
+
+    def with_room() -> Callable[[tuple[int, int]], None]:
+        scratch = Scratch.of(most, asked, BUCKETS, values)
+        batch = _batch(asked, max(2 * most, POOL) + 2 * LANES, values)
+        return lambda span: measure_around(grid, values, asked, scratch, batch, *span, out, chosen)
+
+    share_out(list(pairwise(cuts.tolist())), with_room)
     return out, chosen
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from fwclass.classify.unsure import unsure_facts
 from fwclass.conf import Config
-from fwclass.errors import refuse_unsound
 from fwclass.formats.area_of_use import dates, kind_faults, place_facts, time_faults
 from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
@@ -77,19 +76,6 @@ def place_of(
         "remarks": [*place["remarks"], *untimely],
         "elsewhere": place["elsewhere"],
     }
-
-
-def judge_place(place: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
-    """`QualityError` where no echo can lie where the survey says; nothing where the user accepts it."""
-    refuse_unsound(
-        place["remarks"] if place and place.get("elsewhere") else [],
-        accepted,
-        "the echoes do not lie where their coordinate system is",
-        where,
-        expected="places in the area that the system is used in, at heights where land is",
-        do="name the right system (--crs, survey.crs), or mend the files' coordinates; --accept-implausible "
-        "(plausibility.accept=true) takes them as they are",
-    )
 
 
 def legacy_codes(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:

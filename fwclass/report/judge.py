@@ -9,37 +9,18 @@ from fwclass.assess.remarks import judge_chance
 from fwclass.assess.stage import judge
 from fwclass.classify.unsure import judge_unsure
 from fwclass.conf import Config
-from fwclass.decompose.params import PlausibilityParams
 from fwclass.quality.judge import judge_check_points, judge_quality
 from fwclass.quality.steps import judge_steps
 from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
-from fwclass.report.facts import judge_place
-from fwclass.report.ground import judge_ground, judge_halls, judge_sunken
+from fwclass.report.ground import judge_ground
 from fwclass.report.labels import judge_labels
-from fwclass.report.places import judge_file_places
+from fwclass.report.places import judge_file_places, judge_place
 from fwclass.report.plausibility import judge_plausibility
 from fwclass.report.radiometry import judge_radiometry
 from fwclass.report.repeated import judge_repeated
 from fwclass.report.returns import judge_returns
-
-
-def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
-    """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
-    ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``halls``, ``radiometry``,
-    ``strips``, each where it is known."""
-    if judged.get("plausibility"):
-        judge_plausibility([judged["plausibility"]], bounds)
-    judge_place(judged.get("place"), bounds.accept, where)
-    judge_repeated(judged.get("repeated"), bounds)
-    judge_returns(judged.get("returns"), bounds, where)
-    judge_sunken(judged.get("ground", ()), bounds, where)
-    judge_halls(judged.get("halls"), bounds, where)
-    judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
-    if judged.get("strips"):
-        judge_strips(judged["strips"], bounds.accept, where)
-        judge_steps(judged["strips"], bounds.max_height_step, bounds.accept, where)
 
 
 def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.decompose.params import PlausibilityParams
-from fwclass.errors import first_few, refuse_named, several, visible
+from fwclass.errors import first_few, refuse_named, refuse_unsound, several, visible
 from fwclass.formats.area_of_use import away_from_area, elsewhere, outside_of_area, overruled, place_faults
 from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.sources import strip_of
@@ -195,3 +195,16 @@ def _gaps(box: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.f
     """Distance of a box (4,) from each of `others` (n, 4) [m], 0 where they touch."""
     beside = np.maximum(others[:, :2] - box[2:], box[:2] - others[:, 2:])
     return np.hypot(*np.maximum(beside, 0.0).T)
+
+
+def judge_place(place: Mapping[str, Any] | None, accepted: bool, where: object) -> None:
+    """`QualityError` where no echo can lie where the survey says; nothing where the user accepts it."""
+    refuse_unsound(
+        place["remarks"] if place and place.get("elsewhere") else [],
+        accepted,
+        "the echoes do not lie where their coordinate system is",
+        where,
+        expected="places in the area that the system is used in, at heights where land is",
+        do="name the right system (--crs, survey.crs), or mend the files' coordinates; --accept-implausible "
+        "(plausibility.accept=true) takes them as they are",
+    )

@@ -19,7 +19,7 @@ from fwclass.schema import Table
 
 def lines_of(table: Table, path: Path, settings: tuple[str, ...]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """How the lines of the echoes in `table` (columns `READS`) lie, and how smooth the smoothest places are, as a run's
-    quality tells it (``strips`` of `report.judge.judge_echoes`), and what is to be said of them, from the same bounds
+    quality tells it (``strips`` of `report.judge_echoes`), and what is to be said of them, from the same bounds
     on. Without times all is one line; nothing where a column is lacking."""
     if not all(name in table for name in READS):
         return {}, ()

@@ -62,7 +62,7 @@ class FileEchoes:
     table : in canonical order; columns that the file cannot give are left out.
     crs : `pyproj.CRS` or None.
     notes : what is to be said of them.
-    judged : what `report.judge.judge_echoes` judges of them.
+    judged : what `report.judge_echoes` judges of them.
     links : pulse and echo number of the echo of every point, in the file's order; None for a text.
     """
 

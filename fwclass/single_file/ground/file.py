@@ -258,8 +258,8 @@ def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
 def judged_of_cloud(
     cloud: PointCloud, noise: NDArray[np.bool_], settings: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], list[str]]:
-    """What `report.judge.judge_echoes` judges of the points of a file, and all that is to be said of them; `noise` (n,)
-    is no surface."""
+    """What `report.judge_echoes` judges of the points of a file, and all that is to be said of them; `noise` (n,) is no
+    surface."""
     name, rows = cloud.path.name, np.flatnonzero(cloud.usable)
     table = Table({axis: getattr(cloud, axis)[rows] for axis in "xyz"})
     returns = places_facts([table[axis] for axis in "xyz"], cloud.beams, name, conf.section("plausibility"))

@@ -1,0 +1,33 @@
+"""What no sound echoes of one file show: a command on them ends by it, or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fwclass.decompose.params import PlausibilityParams
+from fwclass.quality.steps import judge_steps
+from fwclass.quality.strips import judge_strips
+from fwclass.report.ground import judge_halls, judge_sunken
+from fwclass.report.places import judge_place
+from fwclass.report.plausibility import judge_plausibility
+from fwclass.report.radiometry import judge_radiometry
+from fwclass.report.repeated import judge_repeated
+from fwclass.report.returns import judge_returns
+
+
+def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
+    """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
+    ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``halls``, ``radiometry``,
+    ``strips``, each where it is known."""
+    if judged.get("plausibility"):
+        judge_plausibility([judged["plausibility"]], bounds)
+    judge_place(judged.get("place"), bounds.accept, where)
+    judge_repeated(judged.get("repeated"), bounds)
+    judge_returns(judged.get("returns"), bounds, where)
+    judge_sunken(judged.get("ground", ()), bounds, where)
+    judge_halls(judged.get("halls"), bounds, where)
+    judge_radiometry(judged.get("radiometry") or (), bounds.accept, where)
+    if judged.get("strips"):
+        judge_strips(judged["strips"], bounds.accept, where)
+        judge_steps(judged["strips"], bounds.max_height_step, bounds.accept, where)
