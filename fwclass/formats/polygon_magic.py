@@ -7,6 +7,7 @@ import json
 import os
 import re
 import sqlite3
+import struct
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -172,20 +173,37 @@ def _members(path: Path, text: str) -> list[tuple[str, str]]:
 
 def _check_beside(path: Path) -> None:
     """`InputError` where the coordinate system beside a Shapefile names a file by its path, which GDAL would open, or
-    its index leads to more than there is."""
+    its index leads to more than there is, or index and attributes are of another number of records than it."""
+    counts = {}
     for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):
         if beside.suffix.lower() == ".shx":
-            _check_index(path, beside)
+            counts[beside.name] = _check_index(path, beside)
+        if beside.suffix.lower() == ".dbf":
+            with open_regular(beside) as file:
+                counts[beside.name] = int.from_bytes(file.read(8)[4:], "little")
         if beside.suffix.lower() == ".prj":
             with open_regular(beside) as file:
                 text = file.read(HEAD + 1)
             if len(text) > HEAD:
                 raise _other(path, f"a coordinate system of more than {HEAD} bytes, {beside.name}")
             _refuse_file(path, next(iter(paths_named(text.decode("utf-8", "replace"))), ""))
+    if len(set(counts.values())) > 1:
+        raise _other_records(path, " and ".join(f"{n} in {name}" for name, n in sorted(counts.items())))
 
 
-def _check_index(path: Path, index: Path) -> None:
-    """`InputError` where the index of a Shapefile leads to its records over and over: each would be held as often."""
+def _other_records(path: Path, got: str) -> InputError:
+    return InputError(
+        "the parts of the Shapefile do not belong together",
+        where=path,
+        expected="as many records in .shp, .shx and .dbf",
+        got=got,
+        do="copy all of its files again, or export the polygons again",
+    )
+
+
+def _check_index(path: Path, index: Path) -> int:
+    """Records of the index of a Shapefile; `InputError` where it leads to them over and over, as each would be held as
+    often, or where another record follows the last that it leads to."""
     with open_regular(index) as file:
         entries = file.read()[100:]
     places = 2 * np.frombuffer(entries, ">i4", len(entries) // 8 * 2)[::2].astype(np.int64)
@@ -196,6 +214,14 @@ def _check_index(path: Path, index: Path) -> None:
     total = int(2 * words.clip(0).sum()) + 8 * len(inside)
     if total > size:
         raise _other(path, f"an index of {total} bytes of records, {index.name}", "export the polygons again")
+    count = len(places)
+    end = int((inside + 8 + 2 * words.clip(0)).max(initial=100))
+    if end + 12 <= size:
+        following = read_extents(path, np.array([end]), np.array([end + 12]), size).data.tobytes()
+        number, length, _ = struct.unpack(">iii", following)
+        if number == count + 1 and length >= 2 and end + 8 + 2 * length <= size:
+            raise _other_records(path, f"{count} in {index.name}, and more behind them in {path.name}")
+    return count
 
 
 def _refuse_file(path: Path, named: str) -> None:

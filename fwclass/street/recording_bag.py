@@ -137,7 +137,7 @@ class BagRecording:
                     WORK.take(len(raw))
                     message = read(raw, connection.msgtype)
                 except StopIteration:
-                    return
+                    break
                 except Exception as fault:
                     raise self._damaged(fault, at) from None
                 if connection.msgtype == ODOMETRY:
@@ -145,6 +145,8 @@ class BagRecording:
                     continue
                 yield self._frame(message, at, speed if when - speed_at <= STALE else math.nan)
                 at += 1
+        if at < self.about["rows"]:
+            raise self._damaged(ValueError(f"its metadata counts {self.about['rows']} messages of {self.topic}"), at)
 
     def _frame(self, message: Any, at: int, speed: float) -> Frame:
         stamp = message.header.stamp

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pyogrio.raw
 import pytest
 import shapely
 from commandline import fwclass
@@ -321,6 +322,24 @@ def test_an_index_that_leads_to_one_record_over_and_over_is_refused(lengths: str
     with pytest.raises(InputError, match="not what its name says") as told:
         read_polygons(open_polygons(sound / "good.shp"), None)
     assert "an index of" in str(told.value)
+
+
+@pytest.mark.parametrize("part", ["shx", "dbf"])
+def test_a_shapefile_whose_parts_count_fewer_records_is_refused(part: str, tmp_path: Path) -> None:
+    """The index or the attributes of an older state: the other polygons would be left out without a word."""
+    square, path = shapely.to_wkb(shapely.box(500000, 5400000, 500010, 5400010)), tmp_path / "six.shp"
+    about: dict[str, Any] = {"geometry_type": "Polygon", "crs": "EPSG:32633", "driver": "ESRI Shapefile"}
+    pyogrio.raw.write(path, np.array([square] * 6, object), [np.arange(6)], ["code"], **about)
+    assert open_polygons(path).features == 6
+    raw = bytearray(path.with_suffix(f".{part}").read_bytes())
+    if part == "shx":
+        raw = raw[: 100 + 4 * 8]
+        struct.pack_into(">i", raw, 24, len(raw) // 2)
+    else:
+        struct.pack_into("<I", raw, 4, 4)
+    path.with_suffix(f".{part}").write_bytes(raw)
+    with pytest.raises(InputError, match="do not belong together"):
+        open_polygons(path)
 
 
 @pytest.mark.parametrize(

@@ -332,6 +332,22 @@ def test_a_decompression_bomb_is_refused_before_memory_is_taken(tmp_path, monkey
     assert len(list(open_recording(bag, SCAN).frames())) == 300
 
 
+def test_a_bag_that_holds_fewer_frames_than_it_counts_is_told(tmp_path):
+    """A database that was cut between two writes is a whole one: what its metadata counts tells."""
+    import sqlite3
+
+    from bagmaker import write_bag2
+
+    write_bag2(tmp_path / "bag", drive()[:6], "sqlite3", None)
+    assert list(open_recording(tmp_path / "bag", SCAN).frames())
+    (database,) = (tmp_path / "bag").glob("*.db3")
+    with sqlite3.connect(database) as opened:
+        opened.execute("DELETE FROM messages WHERE id > (SELECT max(id) - 2 FROM messages)")
+    opened.close()
+    with pytest.raises(InputError, match="metadata counts"):
+        list(open_recording(tmp_path / "bag", SCAN).frames())
+
+
 def test_a_database_that_computes_is_refused(tmp_path):
     import sqlite3
 
