@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
+from types import SimpleNamespace
 
 import laspy
 import numpy as np
@@ -14,8 +15,12 @@ from commandline import fwclass
 from smallsurvey import small_survey
 
 from fwclass.delivery.viewed_colours import compare_classes
+from fwclass.graph.assess import BLOCKS
+from fwclass.operate.assess_runs import counts_in
 from fwclass.operate.difference.deliveries import _echo_lines, _height_lines, describe
 from fwclass.operate.difference.rasters import raster_changes
+from fwclass.report.write import _keep_counts
+from fwclass.store.arrays import arrays_at, write_arrays
 
 OTHER = "survey.features=[amplitude]"
 
@@ -30,6 +35,25 @@ def runs(tmp_path_factory):
         ended = fwclass("run", "s.yaml", "--out", out, "--workers", 0, *more, cwd=place)
         assert ended.returncode == 0, ended.stderr
     return place
+
+
+def test_a_survey_of_very_many_blocks_delivers_its_counts_too(tmp_path, monkeypatch):
+    """They lie as a directory then, and were left out: a difference had no intervals."""
+    counts = {"place": np.arange(6).reshape(3, 2), "blocks": np.arange(18).reshape(3, 2, 3) * 20}
+    monkeypatch.setattr("fwclass.store.arrays.SMALL", 0)
+    write_arrays(tmp_path / "counts", counts)
+    store = SimpleNamespace(arrays_path=lambda *of: arrays_at(tmp_path / "counts"))
+    _keep_counts({"accuracy": {}}, SimpleNamespace(store=store, pending=tmp_path))
+    kept = counts_in(tmp_path / BLOCKS)
+    assert (kept.place == counts["place"]).all() and (kept.counts == counts["blocks"]).all()
+    assert kept.counts.dtype == np.int64
+
+
+def test_why_there_are_no_intervals_names_the_delivery(runs, tmp_path):
+    shutil.copytree(runs / "r", tmp_path / "r", symlinks=True)
+    (tmp_path / "r" / "generations" / "0001" / BLOCKS).unlink()
+    shown = fwclass("diff", "r", cwd=tmp_path).stdout
+    assert "no intervals: r 0001 keeps no counts by block" in shown, shown
 
 
 def classes_of(place, name):

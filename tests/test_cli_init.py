@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import unicodedata
+from dataclasses import replace
 
 import lasmaker
 import numpy as np
@@ -19,6 +20,7 @@ from fwclass.grid import Box
 from fwclass.operate.draft import areas, survey
 from fwclass.operate.draft.areas import ClassPlaces, best_split
 from fwclass.survey.files import find_files
+from fwclass.survey.gather import directory_of
 
 CODES = np.array([2, 5, 6])
 
@@ -105,6 +107,12 @@ def test_names_with_umlauts_are_found_however_they_are_written(here, there, tmp_
     assert len(find_files([pattern], tmp_path, "", tmp_path, conf.load("demo").store)) == 1
     drafted = yaml.safe_load(fwclass("init", folder, cwd=tmp_path).stdout)
     assert drafted["survey"]["name"] == "Los Süd", "no letter is lost"
+    config = conf.load("p1")
+    survey = config.survey.model_copy(update={"directory": pattern.split("/")[0]})
+    config = replace(config, path=tmp_path / "s.yaml", survey=survey)
+    assert directory_of(config, tmp_path) == folder
+    (tmp_path / survey.directory).mkdir()
+    assert directory_of(config, tmp_path) != folder, "what is named is there"
 
 
 def test_all_files_that_cannot_be_read_are_told_at_once(tmp_path):

@@ -94,7 +94,7 @@ def _blocks(run: Path) -> tuple[tuple[str, ...], BlockCounts]:
 def counts_in(path: Path) -> BlockCounts:
     """The counts by block that assessment left at `path`."""
     arrays, _ = read_arrays(path)
-    return BlockCounts(arrays["place"], arrays["blocks"])
+    return BlockCounts(arrays["place"], arrays["blocks"].astype(np.int64, copy=False))
 
 
 def _keys(blocks: BlockCounts) -> NDArray[np.int64]:

@@ -6,6 +6,8 @@ import shutil
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from fwclass import __version__
 from fwclass.classify.kept import Kept
 from fwclass.classify.params import RegularizeParams
@@ -61,6 +63,7 @@ from fwclass.report.waveforms import plausibility_of_run, radiometry_of_run, som
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner
+from fwclass.store.arrays import read_arrays, write_one_file
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.libraries import fingerprint
 from fwclass.store.links import link
@@ -119,8 +122,12 @@ def _keep_counts(report: Mapping[str, Any], runner: Runner) -> None:
     if report.get("accuracy") is None:
         return
     counts = runner.store.arrays_path(ASSESS.name, "all", COUNTS)
-    if counts.is_file():  # those of a million blocks are a directory
+    if counts.is_file():
         shutil.copyfile(counts, runner.pending / BLOCKS)
+    else:  # those of hundreds of thousands of blocks, the report's map holds them too
+        arrays, about = read_arrays(counts)
+        smallest = np.min_scalar_type(arrays["blocks"].max(initial=0))
+        write_one_file(runner.pending / BLOCKS, arrays | {"blocks": arrays["blocks"].astype(smallest)}, about)
 
 
 def _of_the_run(

@@ -68,14 +68,14 @@ def write_arrays(base: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
     one Parquet file, or one Zarr group."""
     about = dict(attributes or {})
     if sum(a.nbytes for a in arrays.values()) <= SMALL:
-        _write_small(base.with_name(base.name + PARQUET), arrays, about)
+        write_one_file(base.with_name(base.name + PARQUET), arrays, about)
     else:
         _write_group(base.with_name(base.name + ZARR), arrays, about)
 
 
-def _write_small(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any]) -> None:
-    """One row: of each array its bytes, with type and shape beside them. As lists of numbers they would take Parquet
-    three to ten times as long."""
+def write_one_file(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any]) -> None:
+    """One Parquet file, whatever they take; each may have 2 GiB. One row: of each array its bytes, with type and
+    shape beside them. As lists of numbers they would take Parquet three to ten times as long."""
     fields = [
         pa.field(name, pa.large_binary(), metadata={_SHAPE: json.dumps(array.shape), _DTYPE: array.dtype.str})
         for name, array in arrays.items()

@@ -73,6 +73,23 @@ def _in_any_form(pattern: str, directory: Path) -> list[Path]:
     return next((files for form in forms if (files := matching_files(form, directory))), [])
 
 
+def in_any_form(path: Path) -> Path:
+    """`path`, or what differs from it in nothing but how its letters are written (see `_in_any_form`), where that is
+    there alone; each directory on the way by itself."""
+    there = Path(path.anchor)
+    for name in path.parts[len(there.parts) :]:
+        if not os.path.lexists(there / name):
+            wanted = unicodedata.normalize("NFC", name)
+            readable = there.is_dir() and os.access(there, os.R_OK)
+            entries = there.iterdir() if readable else ()
+            alike = [p.name for p in entries if unicodedata.normalize("NFC", p.name) == wanted]
+            if len(alike) != 1:
+                return path
+            name = alike[0]
+        there /= name
+    return there
+
+
 def matching_files(pattern: str, directory: Path) -> list[Path]:
     """As `matching_paths`, files alone; `InputError` for a pipe, a device or a socket."""
     return _files(matching_paths(pattern, directory))

@@ -26,7 +26,7 @@ from fwclass.store.url import Url, is_url, url_of
 from fwclass.survey.bounds import flat_bounds
 from fwclass.survey.check_point_file import check_point_file
 from fwclass.survey.file_digests import Digests
-from fwclass.survey.files import box_text, find_files, joint_bounds, without
+from fwclass.survey.files import box_text, find_files, in_any_form, joint_bounds, without
 from fwclass.survey.layout import FileDigests, Strip, Survey
 from fwclass.survey.numbering import assign_numbers
 from fwclass.survey.reference import (
@@ -56,7 +56,7 @@ def directory_of(config: Config, root: Path) -> Path | Url:
     if named.startswith(PUBLIC):
         return public_data(named, config.path, config.survey.origin)
     path = Path(named)
-    return path if path.is_absolute() else (config.path.parent / path).resolve()
+    return in_any_form(path if path.is_absolute() else (config.path.parent / path).resolve())
 
 
 def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:

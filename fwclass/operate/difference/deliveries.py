@@ -244,8 +244,11 @@ def _tested(delivery: ComparedDelivery) -> int:
 def _paired(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[str, Any] | None, str | None]:
     """Differences with intervals, and why there are none, as of deliveries of earlier versions."""
     both = [(delivery, delivery.generation.path / BLOCKS) for delivery in (first, second)]
-    if not all(path.is_file() for _, path in both):
-        return None, "a delivery keeps no counts by block: no accuracy, a very large survey, or an earlier version"
+    for delivery, path in both:
+        if delivery.report.get("accuracy") is None:
+            return None, f"{delivery.name} was tested on nothing"
+        if not path.is_file():
+            return None, f"{delivery.name} keeps no counts by block, as none did before; the same run again leaves them"
     a, b = ((tuple((d.report.get("accuracy") or {}).get("classes", ())), counts_in(path)) for d, path in both)
     try:
         return compare(a, b, f"{first.name}, {second.name}"), None

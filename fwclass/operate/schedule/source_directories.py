@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.paths import WAVEFORM_ENDINGS, path_matches
-from fwclass.survey.files import matching_files
+from fwclass.survey.files import in_any_form, matching_files
 
 REPLACED = "replaced"
 """Directory in the inbox where older versions of files that came again are kept, each in one named by the time."""
@@ -75,7 +75,7 @@ def source_directories_of(config: Config, inbox: Path) -> SourceDirectories:
             got=named or "none: the survey is simulated",
             do="leave the inbox out, or name a directory",
         )
-    directory = (config.path.parent / named).resolve()
+    directory = in_any_form((config.path.parent / named).resolve())
     patterns, left_out = (
         tuple(str(Path(glob.escape(str(directory))) / p) for p in some)
         for some in (config.survey.sources, config.survey.exclude)
