@@ -185,7 +185,8 @@ class Runner:
         tally.ended = time.perf_counter()
         if again and outcome.ok:
             return
-        self.display.expect({outcome.stage: int(again)})
+        if again:
+            self.display.expect({outcome.stage: 1})
         self.display.ended(outcome)
 
     def _failed(self, task: Task, outcome: Outcome) -> None:
