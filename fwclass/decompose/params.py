@@ -73,7 +73,8 @@ class DecomposeParams(Params):
     tail_share, tail_reach : an echo lower than this share of an earlier one, up to this long after it [ns], is the
         receiver's ringing and is left out; a share of 0 keeps all.
     recovery : ``auto``: where saturated waveforms show that a receiver swings below its level behind them and comes
-        back exponentially, that is taken off; ``keep``: samples are taken as stored.
+        back exponentially, that is taken off, and so is what is recorded of every echo once more; ``keep``: samples
+        are taken as stored.
     envelope_cell, envelope_margin : an echo that no return explains is implausible this far below [m] the lowest return
         in the 3 x 3 cells of this edge [m] around it, or outside of the heights of the strip's returns by as much.
     white_noise : correlation of neighbouring quiet samples up to which noise counts as white; above it the last echoes

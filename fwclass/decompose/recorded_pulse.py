@@ -25,7 +25,8 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
     `receivers` that it has of several that share these, its noise [DN], the width of its pulse [ns], how many echoes or
     outgoing pulses it stands on, how wide the outgoing pulse was recorded, what bright single echoes leave over the
     noise (`Channel.misfit`), the share of the threshold that is therefore asked of further echoes, whether its noise is
-    correlated, the step of its samples [DN], its `recovery` [ns, DN], and `parity`."""
+    correlated, the step of its samples [DN], its `recovery` [ns, DN], `copies` [ns, share], and
+    `parity`."""
     known = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
     rows = []
     for channel in pulse.channels or (None,):
@@ -47,6 +48,7 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
                 "recovery": channel.recovery if channel else 0.0,
                 "recovery_depth": channel.recovery_depth if channel else 0.0,
                 "parity": channel.parity if channel else 0.0,
+                "copies": channel.copy_delays if channel else [],
                 "parity_walk": channel.parity_walk if channel else 0.0,
             }
         )

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.channel_rows import channel_rows
+from fwclass.decompose.copies import without_copies
 from fwclass.decompose.fitting import fit_waveforms, sample_limits, signal_of
 from fwclass.decompose.floor import at_floor, floor_doubt
 from fwclass.decompose.params import DecomposeParams
@@ -90,7 +91,7 @@ def with_recovery(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams)
     """
     if params.recovery == "keep":
         return pulse
-    waves = evened(waves, pulse)
+    waves, _ = without_copies(evened(waves, pulse), pulse, params)
     return replace(pulse, channels=tuple(_measure(c, pulse, waves, params) for c in pulse.channels))
 
 
@@ -99,8 +100,8 @@ def recovered(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> 
     whole steps, and what variance every sample has beside the noise's for it, and at the digitiser's floor [DN^2],
     (samples,); `waves` itself where no channel needs either, and an empty array where no sample is doubted. Every
     waveform is corrected alone."""
-    waves = evened(waves, pulse)
-    cut = floor_doubt(waves, pulse)
+    waves, later = without_copies(evened(waves, pulse), pulse, params)
+    cut = _summed(floor_doubt(waves, pulse), later)
     if not any(c.recovery > 0.0 for c in pulse.channels):
         return waves, cut
     known = _saturated(waves, pulse)
@@ -117,7 +118,12 @@ def recovered(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> 
     length = np.diff(waves.offsets)[rows]
     at = np.arange(len(part.row)) + np.repeat(waves.offsets[rows] - part.waves.offsets[:-1], length)
     samples[at], doubts[at] = _raised(part, lower), doubt
-    return replace(waves, samples=samples), doubts + cut if len(cut) else doubts
+    return replace(waves, samples=samples), _summed(doubts, cut)
+
+
+def _summed(one: Floats, other: Floats) -> Floats:
+    """Variances of samples, (samples,) or empty, together."""
+    return one + other if len(one) and len(other) else one if len(one) else other
 
 
 def _measure(channel: Channel, pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> Channel:

@@ -17,7 +17,7 @@ from fwclass.units import FWHM_PER_SIGMA
 DISAGREE = 1.15
 """From this ratio of two widths on, either way, one of the two is not the system's pulse."""
 
-MOST_VALUES, MOST_CHANNELS, MOST_ORDER, MOST_RECEIVER = 100_000, 64, 64, 255
+MOST_VALUES, MOST_CHANNELS, MOST_ORDER, MOST_RECEIVER, MOST_COPIES = 100_000, 64, 64, 255, 4096
 """Limits of a stored pulse."""
 
 
@@ -45,6 +45,7 @@ class Channel:
     recovery_depth : how far below its level it is right behind them, median [DN].
     recovery_doubt : how far the first samples behind them depart from that, as a share of the depth.
     parity : gain of samples of even number in their record over the mean of all, less 1: two digitisers in turn.
+    copies : what it records of every echo once more: samples later, and share (`copies`).
     parity_walk : by how much that differs between quarters of the strip; 0: not surely.
     receivers : which it has of several that share spacing and saturation, and are not alike; empty: all the others.
     """
@@ -67,6 +68,7 @@ class Channel:
     receivers: tuple[int, ...] = ()
     parity: float = 0.0
     parity_walk: float = 0.0
+    copies: tuple[tuple[int, float], ...] = ()
 
     @property
     def special(self) -> bool:
@@ -83,6 +85,19 @@ class Channel:
     def key(self) -> tuple[float, float, tuple[int, ...]]:
         """Sample spacing [ns], saturation [DN] and receivers, which tell channels apart."""
         return self.sample_spacing, self.saturation, self.receivers
+
+    @property
+    def copy_delays(self) -> list[list[float]]:
+        """How long behind every echo it is recorded once more [ns], and what share of its height; one for neighbouring
+        samples."""
+        groups: list[list[tuple[int, float]]] = []
+        for lag, share in self.copies:
+            if groups and lag == groups[-1][-1][0] + 1:
+                groups[-1].append((lag, share))
+            else:
+                groups.append([(lag, share)])
+        sums = [(sum(share for _, share in g), sum(lag * share for lag, share in g)) for g in groups]
+        return [[self.sample_spacing * moment / share, share] for share, moment in sums if share]
 
     @property
     def autoregression(self) -> Autoregression:
@@ -253,6 +268,7 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             receivers=_receivers(one["receivers"], where),
             parity=_number(one, "parity", where, -0.5, 0.5),
             parity_walk=_number(one, "parity_walk", where, 0.0, 1.0),
+            copies=_copies(one["copies"], where),
         )
         for one in stored
     )
@@ -261,7 +277,13 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
 def _channel_json(channel: Channel) -> dict[str, Any]:
     plain = {f.name: getattr(channel, f.name) for f in fields(channel)}
     own = channel.pulse and channel.pulse.to_json()
-    return {**plain, "phi": list(channel.phi), "receivers": list(channel.receivers), "pulse": own}
+    return {
+        **plain,
+        "phi": list(channel.phi),
+        "receivers": list(channel.receivers),
+        "copies": list(channel.copies),
+        "pulse": own,
+    }
 
 
 def _own_pulse(stored: object, where: object) -> SystemPulse | None:
@@ -276,6 +298,19 @@ def _receivers(stored: object, where: object) -> tuple[int, ...]:
     if not isinstance(stored, list | tuple) or len(stored) > MOST_RECEIVER or not all(type(v) is int for v in stored):
         raise _refusal("receivers of another kind", where, f"at most {MOST_RECEIVER} whole numbers", stored)
     return tuple(stored)
+
+
+def _copies(stored: object, where: object) -> tuple[tuple[int, float], ...]:
+    if not isinstance(stored, list | tuple) or len(stored) > MOST_COPIES or not all(map(_is_copy, stored)):
+        raise _refusal("copies of another kind", where, "pairs of samples later and a share", stored)
+    return tuple((lag, share) for lag, share in stored)
+
+
+def _is_copy(one: object) -> bool:
+    if not isinstance(one, list | tuple) or len(one) != 2:
+        return False
+    lag, share = one
+    return type(lag) is int and lag > 0 and type(share) is float and abs(share) < 1.0
 
 
 def _coefficients(stored: object, where: object) -> tuple[float, ...]:

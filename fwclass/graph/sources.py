@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.decompose.copies import estimate_single_pulse, of_sure_copies
 from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import BathymetryParams, DecomposeParams, PulseParams
 from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
@@ -18,7 +19,7 @@ from fwclass.decompose.pulse_sample import join_samples, outgoing_of, sample_pul
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.recovery import recovered, with_recovery
-from fwclass.decompose.sample_parity import estimate_even_pulse, evened
+from fwclass.decompose.sample_parity import evened
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, LINK_COLUMNS, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
@@ -182,8 +183,8 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
     if samples:
         sample = join_samples(samples)
         recorded = recorded_pulse(join_samples(outgoing), params)
-        pulse = with_recovery(estimate_even_pulse(sample, params, recorded), sample, fit)
-        level, _ = recovered(sample, fit, pulse)
+        pulse = with_recovery(estimate_single_pulse(sample, params, fit, recorded), sample, fit)
+        level, _ = recovered(of_sure_copies(sample, pulse), fit, pulse)
         pulse = with_correlated_noise(pulse, level, fit)
         pulse = with_misfit(with_signal_noise(pulse, level, fit), level, fit)
     write_json(directory / PULSE_FILE, pulse.to_json())

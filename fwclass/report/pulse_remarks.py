@@ -26,6 +26,18 @@ def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def _copy_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("copies")]
+    if not some:
+        return []
+    _, worst = max(some, key=lambda one: max(share for _, share in one[1]["copies"]))
+    copies = " and ".join(f"{delay:.1f} ns later, {share:.2g} times as high" for delay, share in worst["copies"])
+    return [
+        f"every echo is recorded once more {copies}{channel_words(worst)}, as by after-pulses of a detector or a "
+        f"reflection inside of the instrument: that is taken off ({names_of(strips_once(s for s, _ in some))})"
+    ]
+
+
 def _parity_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     lines = []
     walking = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("parity_walk", 0.0)]
@@ -71,7 +83,7 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
         )
     lines += _drift_remarks(strips)
     lines += _receiver_remarks(strips)
-    lines += _recovery_remarks(strips)
+    lines += [*_recovery_remarks(strips), *_copy_remarks(strips)]
     lines += _parity_remarks(strips)
     some = [(s, c) for s, c in known if c["outgoing"]]
     if some:
