@@ -131,7 +131,8 @@ def test_nothing_to_judge_by_misses_its_threshold(survey: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x,y,z\n5400010,500010,3\n", "no check point lies in the survey"),
+        ("x,y,z\n5400010,500010,3\n", "x and y are exchanged"),
+        ("x,y,z\n5400010,5400010,3\n", "no check point lies in the survey"),
         ("x,y,z\n500010,5400010,\n", "lacks a coordinate"),
         ("x,y\n500010,5400010\n", "z"),
         ("", "no points"),

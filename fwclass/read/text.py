@@ -22,7 +22,7 @@ from fwclass.errors import InputError
 from fwclass.formats.last_line import check_last_line
 from fwclass.paths import open_regular
 from fwclass.read.text_kernels import tidy
-from fwclass.read.text_layout import NULLS, SHOWN, Layout, is_number, layout_of, refusal, shown, words_of
+from fwclass.read.text_layout import NULLS, SHOWN, Layout, decoded, is_number, layout_of, refusal, shown, words_of
 
 SUFFIXES = (".txt", ".xyz", ".csv", ".asc", ".tsv")
 """Names of text files end so."""
@@ -164,9 +164,7 @@ def _parse_columns(
         raise _explain(path, body, layout, str(fault)) from fault
     missing = pa.scalar(float("nan"))
     values = {c: table[c].combine_chunks().fill_null(missing).to_numpy(zero_copy_only=False) for c in wanted}
-    return values, tuple(
-        (w or b"").decode(errors="replace").strip() for w in table[names].to_pylist()
-    ) if names else None
+    return values, tuple(decoded(w or b"").strip() for w in table[names].to_pylist()) if names else None
 
 
 def _explain(path: Path, body: bytes, layout: Layout, reason: str) -> InputError:

@@ -11,8 +11,8 @@ from fwclass.errors import InputError
 from fwclass.units import number_of
 
 _NAMES = {
-    "x": ("x", "easting", "east", "e", "rechtswert", "ostwert"),
-    "y": ("y", "northing", "north", "n", "hochwert", "nordwert"),
+    "x": ("x", "easting", "east", "e", "rechtswert", "ostwert", "ost"),
+    "y": ("y", "northing", "north", "n", "hochwert", "nordwert", "nord"),
     "z": ("z", "height", "elevation", "altitude", "h", "höhe", "hoehe"),
     "label": ("label", "labels", "reference"),
     "code": ("classification", "class", "code", "class_code"),
@@ -106,9 +106,17 @@ def _lacking(words: list[str], decimal: str, names: list[str] | None) -> str:
 
 def words_of(line: bytes, delimiter: str) -> list[str]:
     """The columns of a line, without quotes and blanks around them."""
-    text = line.decode("utf-8", "replace")
+    text = decoded(line)
     words = text.split() if delimiter == " " else text.split(delimiter)
     return [w.strip().strip('"').strip() for w in words]
+
+
+def decoded(line: bytes) -> str:
+    """Text of UTF-8, or as programs under Windows write their letters."""
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("cp1252", "replace")
 
 
 def is_number(word: str, decimal: str = ".") -> bool:
@@ -176,4 +184,4 @@ def refusal(path: Path, what: str, expected: object, got: object, do: str, line:
 
 def shown(line: bytes) -> str:
     """The start of a line, for a message."""
-    return repr(line.decode("utf-8", "replace")[:SHOWN])
+    return repr(decoded(line)[:SHOWN])

@@ -27,7 +27,7 @@ MOST = 100_000
 FAR = 1e9
 """m; larger numbers are no coordinates."""
 
-NAMES = ("name", "id", "point", "point_id", "point_name", "pt", "nr", "no", "number")
+NAMES = ("name", "id", "point", "point_id", "point_name", "pt", "nr", "no", "number", "punkt", "punktnr", "punktnummer")
 """What the column of points' names is called."""
 
 
@@ -57,12 +57,15 @@ def check_point_file(
     path, own = local(places[0]), user_crs.to_wkt() if user_crs is not None else None
     x, y = read_check_points(path, own, crs)[:2]
     if not box.contains(x, y).any():
+        turned = box.contains(y, x).any()
         raise InputError(
             "no check point lies in the survey",
             where=path,
             expected=f"points in {box_text(box)}",
             got=box_text(Box(float(x.min()), float(y.min()), float(x.max()), float(y.max()))),
-            do=f"check the file, the order of its columns, and its coordinate system ({SETTING}.crs)",
+            do="name the columns easting and northing: x and y are exchanged"
+            if turned
+            else f"check the file, the order of its columns, and its coordinate system ({SETTING}.crs)",
         )
     return PolygonFile(places[0], digests.of([path], places[0]), "", own)
 

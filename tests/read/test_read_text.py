@@ -155,5 +155,8 @@ def test_a_german_list_of_points_is_read(tmp_path):
     rows = "Punkt Nr.\tRechtswert [m]\tHochwert [m]\tHöhe\nP 1\t1,5\t2\t3\nP 2\t4\t5\t6,25\n"
     cloud = read_text(text(tmp_path / "a.txt", rows))
     assert cloud.x.tolist() == [1.5, 4.0] and cloud.y.tolist() == [2.0, 5.0] and cloud.z.tolist() == [3.0, 6.25]
+    (tmp_path / "c.csv").write_bytes("Punktnr;Ost;Nord;Höhe;Code\nSüd 1;1,5;2;3,25;BP\n".encode("cp1252"))
+    cloud = read_text(tmp_path / "c.csv", ignored=("code",), named=("punktnr",))
+    assert (cloud.x[0], cloud.y[0], cloud.z[0], cloud.names) == (1.5, 2.0, 3.25, ("Süd 1",))
     cloud = read_text(text(tmp_path / "b.txt", "Name\tEasting [m]\tNorthing [m]\tHeight\nP1\t1.5\t2\t3\n"))
     assert cloud.x.tolist() == [1.5] and cloud.z.tolist() == [3.0]

@@ -280,7 +280,8 @@ def _system_lines(holdings: Holdings) -> list[str]:
     if len(systems) == 1 and "none" not in systems:
         return [f"  crs: null    # all files: {next(iter(systems))}"]
     words = ", ".join(f"{name} ({several(count, 'file')})" for name, count in systems.items())
-    return [f"  crs: null    # TO DO: give one for all, e.g. EPSG:25832; the files name: {words}"]
+    example = next((name for name in systems if name.startswith("EPSG:")), "EPSG:25832")
+    return [f"  crs: null    # TO DO: give one for all, e.g. {example}; the files name: {words}"]
 
 
 def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[str, str]) -> list[str]:
