@@ -25,6 +25,17 @@ def confusion(
     return np.bincount(index[both].astype(np.int64) * n + answer[both], minlength=n * n).reshape(n, n)
 
 
+def confusion_by_square(
+    square: NDArray[np.int64], truth: NDArray, answer: NDArray, classes: int, counted: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The squares that occur among those of all rows, int64 (squares, 2), sorted; and in each the counts, int64
+    (squares, classes, classes), of the rows' classes `truth` and `answer`, by index; of the rows `counted` alone."""
+    squares, at = np.unique(square, axis=0, return_inverse=True)
+    cell = (at.reshape(-1) * classes + truth.astype(np.int64)) * classes + answer
+    cell = cell if counted is None else cell[counted]
+    return squares, np.bincount(cell, minlength=len(squares) * classes**2).reshape(len(squares), classes, classes)
+
+
 def unclassified(
     reference: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: Sequence[ClassDef]
 ) -> NDArray[np.int64]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.assess.confusion import confusion_by_square
 from fwclass.assess.intervals import FIGURES, LEAST, class_gains, difference, scores
 
 MOST_SQUARES = 1000
@@ -46,13 +47,8 @@ class LayerTrial:
     @classmethod
     def of(cls, square: NDArray[np.int64], truth: NDArray, first: NDArray, both: NDArray, classes: int) -> LayerTrial:
         """The trial of rows, each with its `square` (rows, 2), class and answers (rows,)."""
-        squares, at = np.unique(square, axis=0, return_inverse=True)
-        pair = (at.reshape(-1) * classes + truth) * classes
-        shape = (len(squares), classes, classes)
-        counts = (
-            np.bincount(pair + layer, minlength=len(squares) * classes**2).reshape(shape) for layer in (first, both)
-        )
-        return cls(squares, *counts)
+        squares, of_first = confusion_by_square(square, truth, first, classes)
+        return cls(squares, of_first, confusion_by_square(square, truth, both, classes)[1])
 
     @classmethod
     def joined(cls, trials: Iterable[LayerTrial], classes: int) -> LayerTrial:

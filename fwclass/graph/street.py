@@ -20,7 +20,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_answers import Answering
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory
 from fwclass.hashing import hash_keys
-from fwclass.model import ClassDef, Model, assemble, class_index
+from fwclass.model import ClassDef, Model, class_index
 from fwclass.schema import Table
 from fwclass.street.answers import Answer
 from fwclass.street.frames import Geometry, Placed, Track
@@ -29,10 +29,9 @@ from fwclass.street.ring import Ring, Seen, feature_names
 from fwclass.street.sphere_kernels import UNIT
 from fwclass.survey.files import matching_paths
 from fwclass.train.baselines.params import CompareParams
-from fwclass.train.baselines.stage import train_other
+from fwclass.train.baselines.stage import fit_classifier
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, draw, join
-from fwclass.train.stage import card, grow_trees
 
 Tell = Callable[[Path, list[str]], None]
 
@@ -302,10 +301,7 @@ def fit_model(
     sample: Sample, params: StreetParams, train: TrainParams, compare: CompareParams, classes: Sequence[ClassDef]
 ) -> Model:
     """A model of the method that `train` names, whose card says how its features were computed."""
-    if train.method == "forest":
-        model: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
-    else:
-        model = train_other(sample, train, compare, classes, train.method)
+    model: Any = fit_classifier(sample, train, compare, classes, judged=False)
     return replace(model, card={**model.card, "computed": feature_parameters(params)})
 
 

@@ -19,38 +19,19 @@ from fwclass.graph.corrections import corrections_in
 from fwclass.graph.corrections import untaught_rows as judged_rows
 from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.training_rows import survey_sample
-from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
+from fwclass.model import Model, class_index, sample_matrix
 from fwclass.report.accuracy_remarks import accuracy_remarks
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import IDENTITY
 from fwclass.store.run_store import Store
 from fwclass.survey.layout import Layout
-from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
-from fwclass.train.baselines.search import BY_PULSES, Places
-from fwclass.train.baselines.stage import train_other
-from fwclass.train.params import TrainParams
-from fwclass.train.sample import Sample
-from fwclass.train.stage import card, grow_trees
+from fwclass.train.baselines.stage import fit_classifier
 
 WARM_ROWS = 200
 """Rows that every classifier is trained on once before the clock runs, so that it measures no compilation."""
 
 _PLACE = dict.fromkeys((*IDENTITY, "x", "y", "z"), "tile")
-
-
-def fit(
-    method: str,
-    sample: Sample,
-    params: TrainParams,
-    compare: CompareParams,
-    classes: Sequence[ClassDef],
-    places: Places = BY_PULSES,
-) -> Model:
-    """A classifier of any kind; the forest without what is measured besides (out-of-bag accuracy, importance)."""
-    if method == "forest":
-        return assemble(grow_trees(sample, classes, 0, params.trees, params), card(sample, classes, params))
-    return train_other(sample, params, compare, classes, method, places)
 
 
 def cpu_time(work: Callable[[], Any]) -> tuple[float, Any]:
@@ -73,9 +54,10 @@ def compare_methods(
     spent: dict[str, list[float]] = {}
     for method in methods:
         say(f"training     {method}")
-        warm = fit(method, fewer(sample, WARM_ROWS), config.train, config.compare, classes)
+        params = config.train.model_copy(update={"method": method})
+        warm = fit_classifier(fewer(sample, WARM_ROWS), params, config.compare, classes, judged=False)
         answer(sample.X[:64], warm)
-        work = partial(fit, method, sample, config.train, config.compare, classes, places)
+        work = partial(fit_classifier, sample, params, config.compare, classes, places, judged=False)
         seconds, models[method] = cpu_time(work)
         spent[method] = [seconds, 0.0]
     matrices = {m: np.zeros((len(classes), len(classes)), np.int64) for m in methods}

@@ -18,10 +18,10 @@ from fwclass.model import ClassDef
 from fwclass.store.arrays import read_arrays
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
-from fwclass.study.compare import cpu_time, fit
+from fwclass.study.compare import cpu_time
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
-from fwclass.train.baselines.stage import METHODS
+from fwclass.train.baselines.stage import METHODS, fit_classifier
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 
@@ -78,19 +78,20 @@ def peer_time(method, learn, fresh, params, compare):
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--run", type=Path, help="run directory")
-    asked.add_argument("--rows", type=int, default=20_000)
-    asked.add_argument("--repeat", type=int, default=3)
-    given = asked.parse_args()
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--run", type=Path, help="run directory")
+    words.add_argument("--rows", type=int, default=20_000)
+    words.add_argument("--repeat", type=int, default=3)
+    given = words.parse_args()
     whole, classes = of_run(given.run) if given.run else synthetic(2 * given.rows)
     learn, fresh = whole.take(np.arange(0, whole.rows, 2)), whole.take(np.arange(1, whole.rows, 2))
     params, compare = TrainParams(**BASE["train"]), CompareParams(**BASE["compare"])
     print(f"{learn.rows:,} rows train, {fresh.rows:,} are judged, {len(learn.features)} features; CPU seconds")
     print(f"{'':16}{'accuracy %':>11}{'training':>10}{'predict':>9}{'sklearn':>9}{'ratio':>7}")
     for method in METHODS:
-        answer(fresh.X[:64], fit(method, fewer(learn, 200), params, compare, classes))  # compile
-        train, model = cpu_time(lambda m=method: fit(m, learn, params, compare, classes))
+        asked = params.model_copy(update={"method": method})
+        answer(fresh.X[:64], fit_classifier(fewer(learn, 200), asked, compare, classes, judged=False))  # compile
+        train, model = cpu_time(lambda p=asked: fit_classifier(learn, p, compare, classes, judged=False))
         ratios, ours, theirs = [], [], []
         for _ in range(given.repeat):
             seconds, (winner, _) = cpu_time(lambda model=model: answer(fresh.X, model))

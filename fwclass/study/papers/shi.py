@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.confusion import figures
+from fwclass.assess.confusion import confusion_by_square, figures
 from fwclass.assess.intervals import caution, class_gains, difference, intervals
 from fwclass.classes import GROUND
 from fwclass.conf import Config
@@ -128,21 +128,15 @@ def count_layers(
     rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0))
     of_code = np.zeros(256, np.int64)
     of_code[[c.code for c in classes]] = np.arange(len(classes))
-    mm, n = whole_millimetres(edge, "papers.block"), len(classes)
-    square = np.stack([millimetres(table[c][rows]) // mm for c in ("x", "y")], axis=1)
-    squares, place = np.unique(square, axis=0, return_inverse=True)
-    at = table["boundary"][rows]
-
-    def counted(column: str, some: NDArray[np.bool_]) -> list[Any]:
-        said = of_code[table[column][rows]]
-        cell = ((place.ravel() * n + index[rows]) * n + said)[some]
-        return np.bincount(cell, minlength=len(squares) * n * n).reshape(len(squares), n, n).tolist()
-
-    every = np.ones(len(rows), bool)
-    answers = (("coarse_class", every), ("classification", every), ("coarse_class", at), ("classification", at))
+    square = np.stack([millimetres(table[c][rows]) for c in ("x", "y")], axis=1) // whole_millimetres(
+        edge, "papers.block"
+    )
+    answers = [of_code[table[column][rows]] for column in ("coarse_class", "classification")]
+    cases = ((answer, some) for some in (None, table["boundary"][rows]) for answer in answers)
+    counts = [confusion_by_square(square, index[rows], answer, len(classes), some) for answer, some in cases]
     return {
-        "squares": squares.astype(int).tolist(),
-        **{name: counted(*of) for name, of in zip(LAYERS, answers, strict=True)},
+        "squares": counts[0][0].astype(int).tolist(),
+        **{name: of_layer.tolist() for name, (_, of_layer) in zip(LAYERS, counts, strict=True)},
     }
 
 

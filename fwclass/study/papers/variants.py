@@ -216,7 +216,7 @@ class Comparison:
         return measure, gather
 
     def _each(self, plan: Plan, one: Variant) -> Mapping[str, Any]:
-        return {"one": one, "compare": None if one.train.method == "forest" else self.compare(plan, one)}
+        return {"one": one, "compare": self.compare(plan, one)}
 
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:

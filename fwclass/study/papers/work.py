@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.assess.confusion import confusion_by_square
 from fwclass.assess.intervals import FIGURES, class_gains, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
@@ -27,11 +28,11 @@ from fwclass.store.models import load_model, save_model
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.search import BY_PULSES
-from fwclass.train.baselines.stage import train_other
+from fwclass.train.baselines.stage import fit_classifier
 from fwclass.train.importance import drops, summary
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
-from fwclass.train.stage import grow_trees, train
+from fwclass.train.stage import grow_trees
 
 TEST, MODEL, DROPS, ANSWERS = "test", "model", "drops", "answers"
 DRAWN, TRAINING, TESTED = "paper-sample", "paper-training", "paper-tested"
@@ -136,22 +137,14 @@ def _known(one: Variant) -> NDArray[np.int64]:
     return np.array([k for k in range(one.classes) if k != one.filtered], np.int64)
 
 
-def fit_variant(sample: Sample, one: Variant, compare: CompareParams | None, classes: tuple[ClassDef, ...]) -> Model:
-    """A variant's classifier, trained on `sample`; `classes` are all, also those that it does not know. A forest needs
-    no `compare`."""
-    known, params = tuple(classes[k] for k in _known(one)), one.train
-    if compare is None:
-        return train(sample, grow_trees(sample, known, 0, params.trees, params), params, known)
+def fit_variant(sample: Sample, one: Variant, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Model:
+    """A variant's classifier, trained on `sample`; `classes` are all, also those that it does not know."""
     places = folds_of_squares(*one.squares) if one.squares else BY_PULSES
-    return train_other(sample, params, compare, known, params.method, places)
+    return fit_classifier(sample, one.train, compare, tuple(classes[k] for k in _known(one)), places)
 
 
 def learn(
-    here: StageInputs,
-    one: Variant,
-    names: tuple[str, ...],
-    compare: CompareParams | None,
-    classes: tuple[ClassDef, ...],
+    here: StageInputs, one: Variant, names: tuple[str, ...], compare: CompareParams, classes: tuple[ClassDef, ...]
 ) -> dict[str, Any]:
     """A variant's model."""
     model = fit_variant(sample_for(here.inputs, names, one), one, compare, classes)
@@ -198,11 +191,8 @@ def by_block(test: Mapping[str, NDArray], answers: NDArray[np.int64], known: int
     """int64 (blocks, known, known): the confusion in every square of `edge` [m] of the global grid that has a test echo
     of one of the first `known` classes."""
     scored = test["y"] < known
-    mm = whole_millimetres(edge, "papers.block")
-    square = np.stack([test["east"][scored] // mm, test["north"][scored] // mm], axis=1)
-    blocks, place = np.unique(square, axis=0, return_inverse=True)
-    cell = (place.reshape(-1) * known + test["y"][scored].astype(np.int64)) * known + answers[scored]
-    return np.bincount(cell, minlength=len(blocks) * known * known).reshape(len(blocks), known, known)
+    square = np.stack([test[n][scored] for n in ("east", "north")], axis=1) // whole_millimetres(edge, "papers.block")
+    return confusion_by_square(square, test["y"][scored], answers[scored], known)[1]
 
 
 def spans(change: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
@@ -228,11 +218,7 @@ def compare(here: StageInputs, name: str, other: str, known: int, edge: float) -
 
 
 def time_variant(
-    here: StageInputs,
-    one: Variant,
-    names: tuple[str, ...],
-    compare: CompareParams | None,
-    classes: tuple[ClassDef, ...],
+    here: StageInputs, one: Variant, names: tuple[str, ...], compare: CompareParams, classes: tuple[ClassDef, ...]
 ) -> dict[str, Any]:
     """Processor seconds of training and of answering, without reading, writing and loading of compiled code."""
     sample, params = sample_for(here.inputs, names, one), one.train

@@ -28,6 +28,7 @@ from fwclass.train.baselines.prepare import fewer, preparation
 from fwclass.train.baselines.search import BY_PULSES, Places, search, search_rows
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, review
+from fwclass.train.stage import card, grow_trees, train
 from fwclass.train.trim import trim_rows
 from fwclass.train.weights import whole_weights
 
@@ -70,6 +71,22 @@ def train_other(
     return {"linear-svm": _linear, "sklearn-forest": _forest, "boosting": _boosting}[method](
         sample, params, compare, classes, _card(sample, params, classes, method, notes)
     )
+
+
+def fit_classifier(
+    sample: Sample,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: Sequence[ClassDef],
+    places: Places = BY_PULSES,
+    judged: bool = True,
+) -> Model:
+    """A classifier of the kind that `params` names, forests too; of these the card has the accuracy out of bag where it
+    is `judged`. `places` as in `train_other`."""
+    if params.method != "forest":
+        return train_other(sample, params, compare, classes, params.method, places)
+    trees = grow_trees(sample, classes, 0, params.trees, params)
+    return train(sample, trees, params, classes) if judged else assemble(trees, card(sample, classes, params))
 
 
 def _card(
