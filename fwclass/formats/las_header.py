@@ -37,6 +37,9 @@ MAX_EVLR_BODY = 1 << 22
 SEEN_BEHIND = 100
 """Records behind the points that are looked at: most are points, or none is."""
 
+NEAR = 100_000.0
+"""No strip is longer than this [m]."""
+
 
 @dataclass(frozen=True)
 class Record:
@@ -146,7 +149,7 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
     vlrs = _vlrs(stream, path, header_size, n_vlrs, points_start)
     points_end = points_start + (0 if compressed else n_points * record_length)
     evlrs = _evlrs(stream, first_evlr, n_evlrs, points_end, size, faults)
-    if not compressed and n_points:
+    if not compressed:
         behind = min([at for at in (wave_start, first_evlr) if points_end <= at <= size], default=size)
         _check_count(stream, path, points_end, behind, record_length, n_points, (scales, offsets, b))
     return Header(
@@ -258,7 +261,8 @@ def _check_count(
     places: tuple[tuple[float, ...], ...],
 ) -> None:
     """`InputError` where bytes `start` to `end`, behind the points that the header counts, read as more of them:
-    whose writer was cut off, or to which points were added. Zeros and what lies elsewhere are none."""
+    whose writer was cut off, or to which points were added. Zeros and what lies elsewhere are none: outside of the
+    header's bounds, or, as a header that counts none has none, beyond `NEAR` of the first of them."""
     room = max(0, min(end - start, SEEN_BEHIND * record_length)) // record_length
     stream.seek(start)
     records = np.frombuffer(stream.read(room * record_length), np.uint8).reshape(-1, record_length)
@@ -266,6 +270,8 @@ def _check_count(
     with np.errstate(all="ignore"):  # of a damaged header
         place = records[:, :12].copy().view("<i4") * np.array(scales) + np.array(offsets)
         high, low = np.array(bounds[::2]), np.array(bounds[1::2])
+        if not count:
+            high, low = place[:1] + NEAR / 2, place[:1] - NEAR / 2
         near = (place >= low - (high - low)) & (place <= high + (high - low))
     if room and 2 * (near.all(axis=1) & records.any(axis=1)).sum() > room:
         more = (end - start) // record_length

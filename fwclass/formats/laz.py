@@ -73,6 +73,7 @@ def check_laz(header: Header) -> None:
     body = _laz_record(header)
     items = _items(header, body)
     if header.n_points == 0:
+        _check_empty(header)
         return
     if header.n_points > POINTS_PER_BYTE * header.size:
         raise InputError(
@@ -210,6 +211,17 @@ def _chunk_table(header: Header, stream: BinaryIO, body: bytes, table_at: int) -
         chunks.append((int(count), at, int(bytes_)))
         at += bytes_
     return chunks
+
+
+def _check_empty(header: Header) -> None:
+    """`InputError` where a header counts no points and chunks hold some, or what they hold was never finished."""
+    behind = [r.start for r in header.evlrs] + [at for at in (header.wave_start,) if at > header.points_start]
+    if min([header.size, *behind]) < header.points_start + 8 + header.record_length:
+        return
+    with header.path.open("rb") as stream:
+        _, chunks = _chunk_table_place(header, stream)
+    if chunks:
+        raise counts_fewer(header.path, 0, "points", f"{chunks} chunks of compressed ones")
 
 
 def _check_surplus(header: Header, stream: BinaryIO, body: bytes, chunks: list[tuple[int, int, int]]) -> None:

@@ -19,7 +19,7 @@ from fwclass.errors import InputError
 from fwclass.formats.checks import counts_fewer
 from fwclass.formats.crs import crs_of
 from fwclass.formats.extents import read_extent
-from fwclass.formats.las_header import SEEN_BEHIND
+from fwclass.formats.las_header import NEAR, SEEN_BEHIND
 from fwclass.paths import WAVEFORM_ENDINGS, file_beside, open_regular
 from fwclass.read.base import Source, WaveStore
 from fwclass.read.pls_header import SIGNATURE, SPEC, PulseHeader, read_pulse_header
@@ -36,9 +36,6 @@ FLUCTUATES = -0x70000001
 
 DESCRIPTOR_BYTE = 44
 """Of a pulse."""
-
-NEAR = 100_000.0
-"""No strip has pulses whose sensor was farther away than this from that of the last one [m]."""
 
 MIN_UNIT, MAX_UNIT = 0.001, 100.0
 """No laser scanner samples faster or slower than this [ns]; the first is the least that a LAS file can say."""
@@ -156,7 +153,7 @@ def open_pls(path: Path) -> PulseSource:
     if header.n_pulses == 0:
         faults.append("the file has no pulses")
     descriptors = _descriptors(header, faults)
-    if header.chunks is None and header.n_pulses:
+    if header.chunks is None:
         _check_count(path, header, descriptors)
     waves, packed = _find_waves(path, header.chunks is not None, faults)
     return PulseSource(
@@ -196,15 +193,19 @@ def _descriptors(header: PulseHeader, faults: list[str]) -> dict[int, PulseDescr
 
 def _check_count(path: Path, header: PulseHeader, descriptors: Mapping[int, PulseDescriptor]) -> None:
     """`InputError` where bytes between the pulses that the header counts and the appended records read as more pulses:
-    of a descriptor that the file has, within `NEAR` of the last pulse that is counted."""
+    of a descriptor that the file has, within `NEAR` of the last pulse that is counted, or of the first without one."""
     end = header.pulses_start + header.n_pulses * header.pulse_size
     behind = min([r.start - r.length for r in header.avlrs], default=header.size)
     room = max(0, behind - end) // header.pulse_size
-    raw = read_extent(path, end - header.pulse_size, end + min(room, SEEN_BEHIND) * header.pulse_size, header.size)
+    begin = end - header.pulse_size if header.n_pulses else end
+    raw = read_extent(path, begin, end + min(room, SEEN_BEHIND) * header.pulse_size, header.size)
     rows = raw.reshape(-1, header.pulse_size)
+    if not len(rows):
+        return
     places = rows[:, 16:28].copy().view("<i4") * np.array(header.scales)
     near = (np.abs(places - places[0]) < NEAR).all(axis=1) & np.isin(rows[:, DESCRIPTOR_BYTE], list(descriptors))
-    if room and 2 * near[1:].sum() > len(near) - 1:
+    near = near[1:] if header.n_pulses else near
+    if 2 * near.sum() > len(near):
         raise counts_fewer(path, header.n_pulses, "pulses", f"room for {room} more, which read as pulses")
 
 

@@ -304,14 +304,15 @@ def test_points_behind_those_that_the_header_counts_are_refused_and_other_bytes_
     for behind in (bytes(3000), bytes(range(256)) * 12, b"x"):
         path.write_bytes(raw + behind)
         open_source(path)
-    struct.pack_into("<I", raw, 107, 80)
-    path.write_bytes(raw)
-    with pytest.raises(InputError, match="fewer points than the file holds") as error:
-        open_source(path)
-    assert "room for 20 more" in str(error.value)
+    for count in (80, 0):
+        struct.pack_into("<I", raw, 107, count)
+        path.write_bytes(raw)
+        with pytest.raises(InputError, match="fewer points than the file holds") as error:
+            open_source(path)
+        assert f"room for {100 - count} more" in str(error.value)
 
 
-@pytest.mark.parametrize("fewer", [3, 300])
+@pytest.mark.parametrize("fewer", [3, 300, 700])
 @pytest.mark.parametrize("point_format", [1, 6])
 def test_compressed_points_behind_those_that_the_header_counts_are_refused(tmp_path, point_format, fewer):
     xyz = np.random.default_rng(0).integers(0, 100_000, (700, 3))
