@@ -62,6 +62,16 @@ def test_files_and_polygons_train_where_boxes_would(place: Path) -> None:
     assert 500_000 <= xmin < 500_000.5 and 500_029.5 < xmax <= 500_030.01
     for words in (("status", place / "polygon"), ("status", place / "file")):
         assert "parts are done" in fwclass(*words).stdout
+    # what reads a delivery takes areas of every kind
+    for out in ("polygon", "file"):
+        run = place / out
+        for words in (
+            ("diff", run, place / "box"),
+            ("suggest", run, place / f"{out}-places.gpkg"),
+            ("label", "checkout", run, place / f"{out}-mend", "--least-sure", "1"),
+        ):
+            ended = fwclass(*words)
+            assert ended.returncode == 0, ended.stderr
     again = fwclass(
         "run", place / "s.yaml", "--out", place / "file", "--workers", "0", "--set", "areas.train={files: [w*.las]}"
     )

@@ -77,9 +77,9 @@ def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool
 def _settled(delivery: Delivery, size: float) -> Callable[[SuggestedPlace], bool]:
     """Whether labels of a place would teach nothing: it meets an area that is tested or trains already, or half of its
     echoes are corrected."""
-    config = delivery.report["config"]
-    areas, survey = config["areas"], config["survey"]
-    boxes = [Box(*b).grown(float(areas["gap"])) for b in areas["test"]]
+    config, areas = delivery.report["config"], delivery.report["areas"]  # as they were looked up: files, polygons, all
+    survey = config["survey"]
+    boxes = [Box(*b).grown(float(config["areas"]["gap"])) for b in areas["test"]]
     if survey["model"] is None:
         boxes += [Box(*b) for b in areas["train"]]
     stands = read_corrections(delivery.root).standing()

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import refuse_unsound
+from fwclass.errors import first_few, refuse_unsound
 from fwclass.hashing import hash_keys
 from fwclass.quality.adjust import Adjusted, Pairs, adjust
 from fwclass.quality.offsets import Offsets, SlopePairs
@@ -17,6 +17,9 @@ from fwclass.quality.params import PlaneParams
 from fwclass.quality.pieces import Pieces, PlacedStrip, groups_of, lines
 from fwclass.quality.planes import PlanePairs
 from fwclass.units import finite_or_none
+
+NAMED = 5
+"""Strips that are named."""
 
 By = Literal["files", "times"]
 
@@ -319,9 +322,13 @@ def strip_remarks(facts: Mapping[str, Any]) -> list[str]:
     if any(s["times"] is None for s in strips):
         out.append("some echoes have no GPS time: of their strips roll and pitch have no sign that the flight gives")
     out += offset_remarks(facts)
-    alone = sum(1 for s in strips if not s["pairs"])
+    alone = [s["name"] for s in strips if not s["pairs"]]
     if alone:
-        out.append(f"{alone} of {len(strips)} strips have no flat surface in common with another, and no figures")
+        have = "has" if len(alone) == 1 else "have"
+        out.append(
+            f"{len(alone)} of {len(strips)} strips {have} no flat surface in common with another, and no figures: "
+            f"{first_few(alone, NAMED)}"
+        )
     groups = len({s["group"] for s in strips if s["pairs"]})
     if groups > 1:
         out.append(f"the strips hang together in {groups} groups: heights tell nothing from one group to another")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -65,12 +66,13 @@ def open_polygons(path: Path, layer: str | None = None, setting: str = "survey.r
         The layer is not there, or has to be named.
     """
     if not is_polygon_file(path):
+        gpkg, own = (shlex.quote(name) for name in (f"{path.stem}.gpkg", path.name))
         raise InputError(
-            "this is no polygon file",
+            "this is no file of polygons or lines that is read",
             where=path,
             expected="GeoParquet, GeoPackage, GeoJSON or Shapefile (.shp)",
             got=path.suffix or "no ending",
-            do="convert it, for example with ogr2ogr",
+            do=f"save it from QGIS as GeoPackage, or ogr2ogr -dim XYZ -a_srs EPSG:<code> {gpkg} {own}",
         )
     if path.suffix.lower() in PARQUET:
         return PolygonLayer(path, **geoparquet.header(path))

@@ -41,10 +41,11 @@ REPORT: Shape = {
     "libraries": {"here": {TEXT: ANY}},
     "accuracy?": Maybe({"confusion": square(), "overall_accuracy": _SHARE, "kappa": _SHARE, "mean_iou": _SHARE}),
     "sureness?": Maybe({"tiles": [{"tile": TILE}]}),
+    "areas": {"test": [_BOX], "train": [_BOX]},
     "config": {
         "tile": {"size": POSITIVE},
         "label": {"max_move": NUMBER},
-        "areas": {"gap": NUMBER, "test": [_BOX], "train": [_BOX]},
+        "areas": {"gap": NUMBER},
         "survey": {"model": Maybe(TEXT), "classes": _CLASSES, "reference": {"kind": TEXT, "corrections?": ANY}},
         "decompose": {TEXT: ANY},
     },

@@ -84,7 +84,8 @@ FIGURES: dict[str, Callable[[Any], object]] = {
     "files without path": within("input", "files", value=[{"strip": 1}]),
     "libraries that are none": within("libraries", "here", value=7),
     "a model of nothing": within("model", value=[]),
-    "areas of text": within("config", "areas", "test", value="all"),
+    "areas of text": within("areas", "test", value="all"),
+    "a gap of text": within("config", "areas", "gap", value="wide"),
     "a reference of nothing": within("config", "survey", "reference", value=None),
 }
 """Each but the last ended a command with a traceback."""
