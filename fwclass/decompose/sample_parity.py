@@ -52,15 +52,17 @@ def estimate_even_pulse(waves: Waveforms, params: PulseParams, recorded: SystemP
     Depends on the set of waveforms only.
     """
     pulse = estimate_pulse(waves, params, recorded)
-    told = {c.key: _told(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels}
-    pulse = _telling(pulse, told)
+    parities = {
+        c.key: _parity_and_walk(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels
+    }
+    pulse = _with_parities(pulse, parities)
     if not any(c.parity for c in pulse.channels):
         return pulse
-    return _telling(estimate_pulse(evened(waves, pulse), params, recorded), told)
+    return _with_parities(estimate_pulse(evened(waves, pulse), params, recorded), parities)
 
 
-def _telling(pulse: SystemPulse, told: Mapping[tuple[Any, ...], tuple[float, float]]) -> SystemPulse:
-    each = [(c, *told.get(c.key, (0.0, 0.0))) for c in pulse.channels]
+def _with_parities(pulse: SystemPulse, parities: Mapping[tuple[Any, ...], tuple[float, float]]) -> SystemPulse:
+    each = [(c, *parities.get(c.key, (0.0, 0.0))) for c in pulse.channels]
     return replace(pulse, channels=tuple(replace(c, parity=parity, parity_walk=walk) for c, parity, walk in each))
 
 
@@ -88,11 +90,11 @@ def _signs(waves: Waveforms) -> Floats:
     return 1.0 - 2.0 * (number & 1)
 
 
-def _told(waves: Waveforms, channel: Channel) -> tuple[float, float]:
+def _parity_and_walk(waves: Waveforms, channel: Channel) -> tuple[float, float]:
     """Gain of a channel's samples of even number over the mean of both, less 1, and by how much it differs between
     quarters of the strip; each 0 where that is not sure."""
     quarters = np.array_split(np.argsort(waves.pulses["pulse"], kind="stable"), PIECES)
-    known = [told for q in quarters if (told := _parity(rows_of(waves, q), channel, FEWEST // PIECES))]
+    known = [parity for q in quarters if (parity := _parity(rows_of(waves, q), channel, FEWEST // PIECES))]
     whole = _sure(*(_parity(waves, channel, FEWEST) or NONE))
     (low, one), (high, other) = (min(known), max(known)) if known else (NONE, NONE)
     return whole if abs(whole) <= MOST else 0.0, _sure(high - low, float(np.hypot(one, other)))
