@@ -17,7 +17,7 @@ from fwclass.graph.training_rows import BASE_ROWS, OF_TREES, SAMPLE, learning_ar
 from fwclass.model import ClassDef, Contextual
 from fwclass.store.arrays import write_arrays
 from fwclass.store.external_file import ExternalFile
-from fwclass.store.model_rows import load_rows
+from fwclass.store.model_rows import load_same_rows
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import kept_sample
 from fwclass.train.stage import TRAIN_SAMPLE
@@ -25,7 +25,12 @@ from fwclass.train.stage import TRAIN_SAMPLE
 
 def _arguments(plan: Plan) -> Mapping[str, Any]:
     more = {"layer": context_layer(plan)} if base_has_context(plan) else {}
-    return {**learning_arguments(plan), "remarks": tuple(base_remarks(plan)), **more}
+    return {
+        **learning_arguments(plan),
+        "remarks": tuple(base_remarks(plan)),
+        "base": plan.base[1] if plan.base else "",
+        **more,
+    }
 
 
 def choose_base_rows(
@@ -34,11 +39,12 @@ def choose_base_rows(
     params: TrainParams,
     classes: tuple[ClassDef, ...],
     remarks: tuple[str, ...],
+    base: str,
     layer: ContextLayer | None = None,
 ) -> Result:
     """Of every class as many of the base model's rows as the survey has, `base_rows` at least, by the smallest hash;
-    with their context where the run's second `layer` has the same."""
-    model, rows_kept = load_rows(here.file())
+    with their context where the run's second `layer` has the same. `base`: digest of the model and its rows."""
+    model, rows_kept = load_same_rows(here.file(), base)
     X, there, theirs = rows_kept.X, model.features, base_layer(model, classes, layer)
     if isinstance(model, Contextual):
         X, there = with_context(X, rows_kept.context), model.deciding

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.model import Contextual, Model
 from fwclass.store.atomic import digest_of, file_digest
-from fwclass.store.models import load_array, load_model, model_digest
+from fwclass.store.models import check_same, load_array, load_model, model_digest
 
 ROWS, ROWS_DIGEST = "rows", "rows_digest"
 _VALUES, _CODES, _CONTEXT = "X", "codes", "context"
@@ -104,6 +104,14 @@ def load_rows(directory: Path) -> tuple[Model, ModelRows]:
             do="copy the whole model directory, or train it again",
         )
     return model, rows
+
+
+def load_same_rows(directory: Path, digest: str) -> tuple[Model, ModelRows]:
+    """As `load_rows`, of a model that has this `rows_digest` before and after; `InputError` for another."""
+    check_same(directory, rows_digest(directory), digest)
+    loaded = load_rows(directory)
+    check_same(directory, rows_digest(directory), digest)
+    return loaded
 
 
 def _listed(counts: Mapping[str, int]) -> str:

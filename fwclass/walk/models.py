@@ -13,8 +13,8 @@ from fwclass.errors import ConfigError
 from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.model import Contextual, Layered, Model, TwoLayer
 from fwclass.store.installed_models import model_location
-from fwclass.store.model_rows import load_rows, rows_digest
-from fwclass.store.models import check_same, load_model, load_same, model_digest
+from fwclass.store.model_rows import load_same_rows, rows_digest
+from fwclass.store.models import load_model, load_same, model_digest
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
 
@@ -97,8 +97,7 @@ def base_model(config: Config) -> tuple[Location, str] | None:
     location = _location_of_model(config, config.survey.base_model)
     path = local(location)
     digest = rows_digest(path)
-    model, _ = load_rows(path)
-    check_same(path, rows_digest(path), digest)
+    model, _ = load_same_rows(path, digest)
     check_computed(model, config.features, path)
     if not (counterparts(model.classes, config.classes) >= 0).any():
         raise ConfigError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.formats.echo_labels import EchoLabels, echo_labels_bytes
 from fwclass.graph import loaded_models
-from fwclass.store import models
+from fwclass.store import model_rows, models
 from fwclass.store.run_store import Store
 from fwclass.survey import reference
 from fwclass.survey.file_digests import Digests
@@ -63,3 +64,17 @@ def test_a_model_that_is_exchanged_while_it_is_loaded_is_refused(
         monkeypatch.setattr(module, "model_digest", exchanging)
     with pytest.raises(InputError, match="changed while the run was under way"):
         loaded_models.load_given(place)
+
+
+def test_rows_of_a_base_model_that_are_exchanged_are_refused(tmp_path: Path) -> None:
+    """A part that chooses among them has the digest that the run was planned with."""
+    place, (name, kept) = tmp_path / "model", ("forest", np.zeros((3, 2), np.float32))
+    rows = model_rows.ModelRows(kept, np.full(3, 2, np.uint8), np.empty((3, 0), np.uint8))
+    model = modelmaker.models()[name]
+    models.save_model(place, replace(model, card={**model.card, **model_rows.rows_facts(rows)}))
+    model_rows.save_rows(place, rows)
+    digest = model_rows.rows_digest(place)
+    assert model_rows.load_same_rows(place, digest)[1].X.shape == (3, 2)
+    np.save(place / "rows" / "X.npy", kept + 1)
+    with pytest.raises(InputError, match="changed while the run was under way"):
+        model_rows.load_same_rows(place, digest)
