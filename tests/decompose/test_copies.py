@@ -7,13 +7,20 @@ from dataclasses import replace
 import laspy
 import numpy as np
 import pytest
+from defaults import BASE
 from rawmaker import SIGMA, scene, write_parquet
+from wavemaker import waves_of
 
+from fwclass.decompose.channel_rows import channel_rows
+from fwclass.decompose.copies import without_copies
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.errors import InputError
 from fwclass.single_file.decompose import decompose_file
 
 PULSES, SAMPLES, LEVEL = 1500, 120, 12.0
+FIT = DecomposeParams(**BASE["decompose"])
 
 
 def recorded(delay, share, highest=230.0, scatter=0.0, seed=3):
@@ -65,6 +72,22 @@ def test_they_are_kept_where_samples_are_to_be_as_they_are(tmp_path):
 @pytest.mark.parametrize("scatter", [0.2, 0.4])
 def test_layers_of_a_crop_are_the_scenes(tmp_path, scatter):
     assert decomposed(tmp_path, *recorded(40.0, 0.12, scatter=scatter))[2] == []
+
+
+def test_every_waveform_is_corrected_alone():
+    samples, *_ = recorded(45.6, 0.05, 2000.0)
+    waves = waves_of(list(samples[:60].astype(np.uint8)))
+    copies = tuple((lag, 0.01) for lag in range(43, 48))
+    channel = Channel(1.0, 255.0, LEVEL, 0.1, 0.8, 10.0, 255.0, copies=copies)
+    pulse = replace(SystemPulse.gaussian(4.0), channels=(channel,))
+    assert channel_rows(pulse.channels, waves.pulses).max() == 0, "the channel is theirs"
+    whole, doubt = without_copies(waves, pulse, FIT)
+    assert (doubt > 0.0).any() and (whole.samples != waves.samples).any(), "some are saturated, and all are changed"
+    for rows in (np.arange(17), np.arange(17, 60)):
+        part, unsure = without_copies(rows_of(waves, rows), pulse, FIT)
+        at = slice(waves.offsets[rows[0]], waves.offsets[rows[-1] + 1])
+        np.testing.assert_array_equal(part.samples, whole.samples[at])
+        np.testing.assert_array_equal(unsure if len(unsure) else np.zeros(len(part.samples)), doubt[at])
 
 
 def test_pulses_remember_them():
