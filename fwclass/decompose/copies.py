@@ -201,10 +201,10 @@ def _delay(
     samples = waves.samples.astype(np.float64)
     value = samples[first] * (1.0 - part) + samples[np.minimum(first + 1, len(samples) - 1)] * part
     share = np.where(inside, (value - level[:, None]) / height[:, None], np.nan)
-    measured = inside.sum(axis=0) >= FEWEST
-    if not measured.any():
+    enough = inside.sum(axis=0) >= FEWEST
+    if not enough.any():
         return 0.0
-    delays, share = delays[measured], share[:, measured]
+    delays, share = delays[enough], share[:, enough]
     middle = np.nanmedian(share, axis=0)
     spread = SIGMA_PER_MAD * np.nanmedian(np.abs(share - middle), axis=0)
     aside = round(BESIDE * width / 0.5)
@@ -212,7 +212,7 @@ def _delay(
     beside = np.maximum(padded[: len(middle)], padded[2 * aside :])
     above = middle - beside
     best = int(np.argmax(above))
-    error = ERROR_OF_MEDIAN * spread[best] / np.sqrt(inside[:, measured][:, best].sum())
+    error = ERROR_OF_MEDIAN * spread[best] / np.sqrt(inside[:, enough][:, best].sum())
     own = np.sqrt(max(spread[best] ** 2 - float(np.median((channel.noise / height) ** 2)), 0.0))
     sure = above[best] > max(LEAST, SURE * error) and own < ALIKE * middle[best]
     return float(delays[best]) if sure else 0.0

@@ -52,17 +52,15 @@ def estimate_even_pulse(waves: Waveforms, params: PulseParams, recorded: SystemP
     Depends on the set of waveforms only.
     """
     pulse = estimate_pulse(waves, params, recorded)
-    parities = {
-        c.key: _parity_and_walk(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels
-    }
-    pulse = _with_parities(pulse, parities)
+    gains = {c.key: _gains(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels}
+    pulse = _with_gains(pulse, gains)
     if not any(c.parity for c in pulse.channels):
         return pulse
-    return _with_parities(estimate_pulse(evened(waves, pulse), params, recorded), parities)
+    return _with_gains(estimate_pulse(evened(waves, pulse), params, recorded), gains)
 
 
-def _with_parities(pulse: SystemPulse, parities: Mapping[tuple[Any, ...], tuple[float, float]]) -> SystemPulse:
-    each = [(c, *parities.get(c.key, (0.0, 0.0))) for c in pulse.channels]
+def _with_gains(pulse: SystemPulse, gains: Mapping[tuple[Any, ...], tuple[float, float]]) -> SystemPulse:
+    each = [(c, *gains.get(c.key, (0.0, 0.0))) for c in pulse.channels]
     return replace(pulse, channels=tuple(replace(c, parity=parity, parity_walk=walk) for c, parity, walk in each))
 
 
@@ -90,14 +88,14 @@ def _signs(waves: Waveforms) -> Floats:
     return 1.0 - 2.0 * (number & 1)
 
 
-def _parity_and_walk(waves: Waveforms, channel: Channel) -> tuple[float, float]:
+def _gains(waves: Waveforms, channel: Channel) -> tuple[float, float]:
     """Gain of a channel's samples of even number over the mean of both, less 1, and by how much it differs between
     quarters of the strip; each 0 where that is not sure."""
     quarters = np.array_split(np.argsort(waves.pulses["pulse"], kind="stable"), PIECES)
-    known = [parity for q in quarters if (parity := _parity(rows_of(waves, q), channel, FEWEST // PIECES))]
+    known = [one for q in quarters if (one := _parity(rows_of(waves, q), channel, FEWEST // PIECES))]
     whole = _sure(*(_parity(waves, channel, FEWEST) or NONE))
-    (low, one), (high, other) = (min(known), max(known)) if known else (NONE, NONE)
-    return whole if abs(whole) <= MOST else 0.0, _sure(high - low, float(np.hypot(one, other)))
+    (low, doubt), (high, doubt_too) = (min(known), max(known)) if known else (NONE, NONE)
+    return whole if abs(whole) <= MOST else 0.0, _sure(high - low, float(np.hypot(doubt, doubt_too)))
 
 
 def _sure(value: float, error: float) -> float:
