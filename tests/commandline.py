@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from fwclass import cores
 from fwclass.cli import main
 from fwclass.errors import INTERRUPTS
 
@@ -32,6 +33,7 @@ def fwclass(*words: object, cwd: Path | None = None) -> Ended:
     before = {number: signal.getsignal(number) for number in INTERRUPTS}
     with (
         coarse(),
+        mock.patch.object(cores, "_cores", 1),
         contextlib.chdir(cwd or Path.cwd()),
         mock.patch.object(sys, "argv", line),
         contextlib.redirect_stdout(io.StringIO()) as out,

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from browser import seen
+from defaults import BASE
 from pagedriver import driven
 
 from fwclass import conf
@@ -18,7 +20,7 @@ from fwclass.grid import Window
 from fwclass.publish.drawing import COORDINATE, DPI
 from fwclass.publish.figures import SURE, class_map, share_map
 from fwclass.publish.params import PublishParams
-from fwclass.publish.report import render_report
+from fwclass.publish.report import _as_yaml, render_report
 from fwclass.publish.sections import measure, number, percent, quantity, seconds
 
 PNG = b"\x89PNG\r\n\x1a\n-not-really"
@@ -232,6 +234,13 @@ def test_every_density_says_what_it_is_of(tmp_path: Path) -> None:
     report["config"] = {"publish": {"class_cell": 0.5}}
     said = rendered(report, tmp_path)[1].text
     assert "0.020 km², by cells of 0.5 m" in said and "4.2 echoes per m² of this area, noise among them" in said
+
+
+@pytest.mark.parametrize("name", ["Straße 😀 " * 20, "x" * 300, "on", "1.0", "a: b # c", "two\nlines\n", None, 1e300])
+def test_the_configuration_is_shown_as_python_writes_it(name: Any) -> None:
+    """libyaml escapes a 😀."""
+    config = {"survey": {"name": name, "classes": [{"name": name, "codes": [[1, 2], []]}]}, "z": {}, "a": BASE}
+    assert _as_yaml(config) == yaml.safe_dump(config, sort_keys=False, allow_unicode=True, width=100)
 
 
 def test_counts_have_their_number(tmp_path: Path) -> None:

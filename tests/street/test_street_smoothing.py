@@ -75,11 +75,18 @@ def smoothed_online(tmp_path, settings):
     return online.run(asked, config(*settings).street, print), (tmp_path / "on" / ANSWERS).read_bytes()
 
 
-@pytest.mark.parametrize("turned", [{}, TURNED])
-def test_online_and_whole_give_the_same_bytes(tmp_path, turned):
+WAYS = [
+    ({}, ((400, 0), (50, 0))),
+    (TURNED, ((37, 0),)),
+    pytest.param({}, ((50, 2),), marks=pytest.mark.slow),  # workers give the same bytes: `test_street_online.py`
+]
+
+
+@pytest.mark.parametrize(("turned", "ways"), WAYS)
+def test_online_and_whole_give_the_same_bytes(tmp_path, turned, ways):
     settings = (*SMOOTH, "street.most_frames=20", *(f"street.{k}={v}" for k, v in turned.items()))
     told, there = smoothed_online(tmp_path, settings)
-    for chunk, workers in ((37, 0),) if turned else ((400, 0), (50, 2)):
+    for chunk, workers in ways:
         made, target = config(*settings, f"street.chunk={chunk}"), tmp_path / f"c{chunk}"
         target.mkdir()
         with open_runner(tmp_path / f".c{chunk}", workers, None, made.run) as runner:
