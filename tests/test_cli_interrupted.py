@@ -77,6 +77,21 @@ def test_a_second_signal_while_workers_end_changes_nothing(tmp_path: Path) -> No
     assert "Traceback" not in told and "Exception" not in told
 
 
+def test_a_signal_while_text_is_executed_ends_by_the_same_code(tmp_path: Path) -> None:
+    """As classes of data are made, on the way in; it ended by SIGINT after the words."""
+    (tmp_path / "early.py").write_text(
+        "import fwclass.cli as c\nc.cli = lambda **_: exec('raise KeyboardInterrupt')\nc.main()\n"
+    )
+    told = subprocess.run(
+        [sys.executable, "-m", "early"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+    )
+    assert told.returncode == 130 and "interrupted" in told.stderr
+
+
 def test_numba_s_own_settings_do_not_end_a_command(tmp_path: Path) -> None:
     small_survey(tmp_path)
     words = [sys.executable, "-m", "fwclass", "ground", str(tmp_path / "a.las"), str(tmp_path / "b.las")]
