@@ -66,6 +66,8 @@ def feature_parameters(params: StreetParams) -> dict[str, Any]:
             "features": params.features,
             "window": params.window,
             "most_frames": params.most_frames,
+            "spacing": params.spacing,
+            "stood": params.stood,
             **({} if params.intensity is None else {"intensity": params.intensity}),
         },
         "mounting": params.mounting.model_dump(mode="json"),

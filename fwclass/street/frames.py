@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -104,7 +104,8 @@ class Placed:
     ----------
     place : along the road [units]. road : height of the road above the scanner [m]; measured where features count from
         it, else the mounting's.
-    repeats : the vehicle stood for `street.stood` frames before: it is not to be a part of any sphere, nor answered.
+    repeats : the vehicle hardly moved and enough frames were taken there: this one is not to be a part of any sphere,
+        nor answered.
     x : int32 (beams,), or (0,) where the scan plane is at right angles to the road. y, z : int32 (beams,).
     r : float32 (beams,) [m], NaN without a return.
     light : int32 (beams,), intensities [levels]; (0,) where `street.intensity` asks for none.
@@ -191,8 +192,8 @@ NEARLY = 0.2
 STILL = 0.0005
 """m between frames, up to which a vehicle stands."""
 
-CREEP = 0.01
-"""m in `street.stood` frames, below which a vehicle stands: wheels and trajectories creep."""
+WANDER = 0.2
+"""m, over which places of a vehicle that stands may wander: no way."""
 
 FAULTS = (
     "out of order",
@@ -204,7 +205,7 @@ FAULTS = (
     "dropped before",
     "reversing",
     "standing",
-    "stood longer",
+    "hardly moved",
     "no speed",
     "impossible speed or place",
 )
@@ -251,11 +252,12 @@ class Track:
     _steps: list[float] = field(default_factory=list)
     _road: float = math.nan
     _moved: bool = False
-    _kept: deque[float] = field(init=False)
+    _been: tuple[float, float] = (math.nan, math.nan)
+    _due: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.sound = Soundness(self.params)
-        self._kept = deque(maxlen=self.params.stood)
+        self._due = self.params.stood
 
     def take(self, frame: Frame) -> Placed | None:
         """The frame with its coordinates, or None if it is left out."""
@@ -395,13 +397,21 @@ class Track:
         return Placed(frame.number, frame.time, place, self._road, x, y, z, r, light, frame.labels, self._repeats())
 
     def _repeats(self) -> bool:
-        """Whether the vehicle has stood for as many frames as are of use, which is counted."""
-        stood = len(self._kept) == self.params.stood and abs(self._along - self._kept[0]) < CREEP
-        if stood:
-            self.faults["stood longer"] += 1
-        else:
-            self._kept.append(self._along)
-        return stood
+        """Whether enough frames were taken of the road that the vehicle went, which is counted.
+
+        One is in `street.spacing` metres of new road, and `street.stood` may be saved up; what lies within `WANDER` of
+        where the vehicle was is not new.
+        """
+        along = self._along
+        low, high = self._been if self.used > 1 else (along, along)
+        new = max(low - along, along - high, 0.0)
+        self._been = (min(max(low, along - WANDER), along), max(min(high, along + WANDER), along))
+        self._due = min(self.params.stood, self._due + new / self.params.spacing)
+        if self._due < 1.0:
+            self.faults["hardly moved"] += 1
+            return True
+        self._due -= 1.0
+        return False
 
     def counts(self) -> dict[str, Any]:
         """Counts by cause, plain data."""

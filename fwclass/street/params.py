@@ -142,8 +142,9 @@ class StreetParams(Params):
     speed : of the vehicle [m/s], where the recording has none; null: it must have one, or positions.
     topic : of the laser scans in a bag with several.
     odometry : topic of the vehicle's speed in a bag with several of `nav_msgs/Odometry`.
-    radii : of the spheres [m]. most_frames : of the neighbourhood before and after a frame. stood : frames that a
-    vehicle that stands adds; later ones are left out until it moves on.
+    radii : of the spheres [m]. most_frames : of the neighbourhood before and after a frame. spacing : of new
+    road to each frame [m], nearer ones are left out; stood : frames that are taken nearer to each other than that,
+    where the vehicle stops or begins to creep.
     window : `exact`, or the `paper`'s, which loses members near the scanner.
     features : `scanner`, heights count from the scanner (Li 2018); `height`, from the road beside the vehicle.
     intensity : the strongest that the scanner tells, full scale: mean and deviation of a sphere's intensities, as
@@ -164,6 +165,7 @@ class StreetParams(Params):
     odometry: str | None
     radii: tuple[Annotated[float, Field(ge=0.02, le=LARGEST_RADIUS)], ...] = Field(min_length=1, max_length=8)
     most_frames: int = Field(ge=1, le=1000)
+    spacing: float = Field(ge=0.0001, le=1)
     stood: int = Field(ge=1, le=1_000_000)
     window: Literal["exact", "paper"]
     features: Literal["scanner", "height"]

@@ -99,7 +99,7 @@ def _remarks(summary: dict[str, Any], params: StreetParams) -> list[str]:
     if not summary["moves"]:
         said.append("nothing tells how the vehicle moved: give street.speed")
     for cause, count in summary["faults"].items():
-        if cause not in ("standing", "stood longer") and not (cause == "no speed" and not summary["moves"]):
+        if cause not in ("standing", "hardly moved") and not (cause == "no speed" and not summary["moves"]):
             said.append(f"{count} frames: {cause}")
     if summary["speed"] and summary["period_ms"] and summary["speed"][1] > 0:
         step = summary["speed"][1] * summary["period_ms"][1] / 1000
