@@ -88,8 +88,8 @@ def meant(name: str, others: Iterable[str] = ()) -> str:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a list of feature names asks for.
+class FeatureRequest:
+    """What is to be computed for a list of feature names.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Asked:
     plain: tuple[str, ...]
 
     @classmethod
-    def of(cls, names: Iterable[str]) -> Asked:
+    def of(cls, names: Iterable[str]) -> FeatureRequest:
         """`KeyError` for a name that is no feature."""
         once = tuple(dict.fromkeys(names))
         scales: dict[Scale, list[str]] = {}

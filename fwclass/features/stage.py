@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fwclass.features.cells import cells, height_in_cell
 from fwclass.features.dense import thin_dense
-from fwclass.features.names import ORIENTED, Asked
+from fwclass.features.names import ORIENTED, FeatureRequest
 from fwclass.features.nearest import nearest_echoes
 from fwclass.features.orientation import sides
 from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, FeaturesParams
@@ -42,7 +42,7 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
 
     Source: the columns' own; the shape of a neighbourhood is the same for every kind of it.
     """
-    request = Asked.of(names)
+    request = FeatureRequest.of(names)
     require(chunk.table, request.columns(params), chunk.tile.key)
     sound = without_noise(chunk, params)
     of_sound = _features(sound, request, params)
@@ -72,7 +72,7 @@ def without_noise(chunk: Chunk, params: FeaturesParams) -> Chunk:
     return Chunk(chunk.table.take(sound), core, chunk.tile)
 
 
-def _features(chunk: Chunk, request: Asked, params: FeaturesParams) -> Table:
+def _features(chunk: Chunk, request: FeatureRequest, params: FeaturesParams) -> Table:
     """As `features`, whoever is noise."""
     thin = thin_dense(chunk, params)
     columns = _of_neighbours(thin.chunk if thin else chunk, request, params)
@@ -89,7 +89,7 @@ def _features(chunk: Chunk, request: Asked, params: FeaturesParams) -> Table:
     return Table({name: columns[name] for name in (*request.names, *NORMAL)})
 
 
-def _of_neighbours(chunk: Chunk, request: Asked, params: FeaturesParams) -> dict[str, NDArray]:
+def _of_neighbours(chunk: Chunk, request: FeatureRequest, params: FeaturesParams) -> dict[str, NDArray]:
     """What is asked of spheres, cylinders and nearest echoes, of the core rows."""
     columns: dict[str, NDArray] = dict(spheres(chunk, without(request.of_kind("rc"), ORIENTED), params))
     for scale, bases in request.of_kind("r").items():
@@ -112,7 +112,7 @@ def oriented_inclination(chunk: Chunk, scale: Scale, params: FeaturesParams) -> 
     round edges, where normals turn gradually, and no further than a radius per round. What is not reached points up.
 
     Every row of the chunk takes part; those of the core are right where the halo holds the rounds and one radius more
-    (`Asked.reach`).
+    (`FeatureRequest.reach`).
 
     Source: Fan 2013, 2.2; rounds in place of a spanning tree give it a bounded support.
     """
@@ -137,4 +137,4 @@ def name_features(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDA
 
 
 FEATURE_COMPUTATION = Computation(name="features", version=9, writes=NORMAL)
-"""It reads and writes what a list of names asks for: `Asked.columns`, within `Asked.halo`."""
+"""It reads and writes what a list of names asks for: `FeatureRequest.columns`, within `FeatureRequest.halo`."""

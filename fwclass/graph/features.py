@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.dense import Crowd, crowd_facts
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features, without_noise
 from fwclass.graph.stage import Plan, Stage
@@ -15,9 +15,9 @@ from fwclass.graph.thin import features_of_some, sampled_columns
 from fwclass.schema import Table
 
 
-def neighbourhood_features(plan: Plan) -> Asked:
+def neighbourhood_features(plan: Plan) -> FeatureRequest:
     """The features of a neighbourhood that a run computes; who asks in another order gets the same part."""
-    return Asked.of(sorted(n for n in plan.computed if is_feature(n)))
+    return FeatureRequest.of(sorted(n for n in plan.computed if is_feature(n)))
 
 
 def compute_features(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) -> Result:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fwclass.features.names import Asked
+from fwclass.features.names import FeatureRequest
 from fwclass.graph.loaded_models import model_at
 from fwclass.graph.stage import Plan
 from fwclass.model import TwoLayer
@@ -30,7 +30,7 @@ class FineLayer:
 
     def halo(self, plan: Plan) -> float:
         """What it reads around a tile [m]."""
-        return max(self.within, Asked.of(self.wide).halo(plan.config.features))
+        return max(self.within, FeatureRequest.of(self.wide).halo(plan.config.features))
 
 
 def fine_layer(plan: Plan) -> FineLayer | None:

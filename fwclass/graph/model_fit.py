@@ -8,7 +8,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, set_words
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.features.params import FeaturesParams
 from fwclass.features.pulses import MEASURED
 from fwclass.graph.quantities import quantities_by_feature
@@ -35,7 +35,7 @@ def feature_parameters(
     widths which `quantities` these are, where it is known.
     """
     names = tuple(names)
-    request = Asked.of(n for n in names if is_feature(n))
+    request = FeatureRequest.of(n for n in names if is_feature(n))
     kinds = {scale.kind for scale, _ in request.scales}
     needed: dict[str, bool] = {
         "cell_x": "zc" in request.plain,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from fwclass.errors import ConfigError, first_few
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.quantities import COUNTS, FITTED, READ, STEPS, Quantities, unit_of, words_of
 
@@ -34,7 +34,7 @@ def quantities_by_feature(names: Iterable[str], quantities: Quantities) -> By:
 
 def quantity_of_feature(name: str) -> str:
     """``amplitude``, ``width`` or "": what a feature or column is made of."""
-    reads = Asked.of([name]).reads if is_feature(name) else (name,)
+    reads = FeatureRequest.of([name]).reads if is_feature(name) else (name,)
     if any(column in _AMPLITUDE for column in reads):
         return "amplitude"
     return "width" if any(column in _WIDTH for column in reads) else ""
@@ -45,7 +45,7 @@ def _another(name: str, one: str, other: str) -> bool:
     if one == other or quantity_of_feature(name) != "amplitude":
         return False
     if all(q == COUNTS or q.startswith(STEPS) for q in (one, other)):
-        return any(c in _STEPPED for c in (Asked.of([name]).reads if is_feature(name) else (name,)))
+        return any(c in _STEPPED for c in (FeatureRequest.of([name]).reads if is_feature(name) else (name,)))
     return True
 
 

@@ -14,7 +14,7 @@ from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refin
 from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
-from fwclass.features.names import Asked
+from fwclass.features.names import FeatureRequest
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
@@ -215,7 +215,7 @@ def _pair(plan: Plan, classes: tuple[ClassDef, ...] | None = None) -> tuple[Clas
 
 
 def _wide_reads(plan: Plan) -> tuple[str, ...]:
-    wide = Asked.of(_layer(plan).wide).columns(plan.config.features)
+    wide = FeatureRequest.of(_layer(plan).wide).columns(plan.config.features)
     return tuple(dict.fromkeys((*PLACE, COARSE[0], *wide)))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.columns import FEATURES
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
-from fwclass.features.names import MAX_REACH, NO_FEATURE, Asked, check_scale, is_feature, meant
+from fwclass.features.names import MAX_REACH, NO_FEATURE, FeatureRequest, check_scale, is_feature, meant
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
 from fwclass.graph.backscatter import (
     DELIVER_PROFILES,
@@ -269,7 +269,7 @@ def check_features(config: Config, names: Iterable[str], where: object, stages: 
                 got=name,
                 do=meant(name, known) or nearest(name, {**known, **bases}),
             )
-    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
+    reach = FeatureRequest.of(n for n in names if is_feature(n)).reach(config.features)
     if reach > MAX_REACH:
         raise ConfigError(
             "a feature reaches too far",

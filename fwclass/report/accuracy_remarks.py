@@ -10,7 +10,7 @@ import numpy as np
 from fwclass.assess.remarks import Extent, remarks
 from fwclass.classify.context import halo_of
 from fwclass.conf import Config
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 
 OF_A_GIVEN_MODEL = (
     "The model, or its base, was given, and nothing here tells where it learned: if it was in this survey, the figure "
@@ -41,7 +41,7 @@ def accuracy_remarks(
     """
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
     apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
-    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features) + halo_of(cells)
+    reach = FeatureRequest.of(n for n in names if is_feature(n)).reach(config.features) + halo_of(cells)
     field = config.classify.regularize
     reach += field.halo if field.strength > 0 else 0.0
     reach = max(reach, config.classify.lines.halo) if lines else reach

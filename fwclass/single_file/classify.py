@@ -20,7 +20,7 @@ from fwclass.classify.unsure import by_percent, unsure_facts
 from fwclass.conf.checks import refuse_regularized
 from fwclass.errors import ConfigError, InputError, first_few, visible
 from fwclass.features.dense import Crowd
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.graph.classify import CLASSIFY_ECHOES, OUTSIDE, codes_on_lines
 from fwclass.graph.context import CLASSIFY_IN_CONTEXT, SHARE_FIRST
 from fwclass.graph.features import COMPUTE_FEATURES
@@ -103,7 +103,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     job = replace(job, model=model_location(job.model))
     checked = _check(job)
     model, params, kept = checked.model, checked.params, Kept.of(checked.params)
-    asked = Asked.of(n for n in model.features if is_feature(n))
+    asked = FeatureRequest.of(n for n in model.features if is_feature(n))
     echoes = _echoes(job, model, asked, tell)
     if isinstance(model, TwoLayer):
         check_computed(model.fine, conf.section("features", job.settings), job.model)
@@ -264,11 +264,11 @@ def legal_codes(job: ClassifyJob, model: Model, source: LasSource, leave: int | 
     return table
 
 
-def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEchoes:
+def _echoes(job: ClassifyJob, model: Model, asked: FeatureRequest, tell: Tell) -> FileEchoes:
     """The file's echoes with every column that the model decides by but the features of a neighbourhood."""
     tell("reading")
     fine = model.fine.features if isinstance(model, TwoLayer) else ()
-    wide = Asked.of(n for n in fine if is_feature(n))
+    wide = FeatureRequest.of(n for n in fine if is_feature(n))
     exempt = Exempt.of(conf.section("classify", job.settings))
     needed = (*model.features, *fine, *asked.reads, *wide.reads, *(exempt.columns if exempt else ()))
     notes: tuple[str, ...] = ()

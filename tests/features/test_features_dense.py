@@ -13,7 +13,7 @@ from fwclass import conf
 from fwclass.features import orientation, spheres
 from fwclass.features.dense import Crowd, crowd_facts, thin_dense
 from fwclass.features.gather import slices
-from fwclass.features.names import Asked
+from fwclass.features.names import FeatureRequest
 from fwclass.features.params import NORMAL
 from fwclass.features.stage import features
 from fwclass.graph.features import compute_features
@@ -107,7 +107,7 @@ def test_one_echo_of_every_small_cube_counts_and_speaks_for_it():
 @pytest.mark.parametrize(("size", "blob"), [(5.0, (5.0, 5.0)), (5.0, (4.8, 5.2)), (2.0, (4.8, 5.2)), (1.3, (5.0, 5.0))])
 def test_one_tile_is_many_tiles_with_halo_to_the_bit(size, blob):
     table = crowded(1500, blob)
-    one, halo, seen = features(whole(table), NAMES, PARAMS), Asked.of(NAMES).halo(PARAMS), 0
+    one, halo, seen = features(whole(table), NAMES, PARAMS), FeatureRequest.of(NAMES).halo(PARAMS), 0
     for tile in TileGrid(size).touching(Box(EAST - 1, NORTH - 1, EAST + 11, NORTH + 11)):
         near = np.flatnonzero(tile.box.grown(halo).contains(table["x"], table["y"]))
         core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
@@ -200,7 +200,7 @@ def test_of_columns_the_smallest_cubes_that_leave_no_more_count():
 @pytest.mark.parametrize("size", [5.0, 1.3])
 def test_dense_columns_are_the_same_in_one_tile_and_in_many(size):
     table = tower(2500, 4.7, 5.3)
-    one, halo, seen = features(whole(table), NAMES, FEW), Asked.of(NAMES).halo(FEW), 0
+    one, halo, seen = features(whole(table), NAMES, FEW), FeatureRequest.of(NAMES).halo(FEW), 0
     parts = []
     for tile in TileGrid(size).touching(Box(EAST - 1, NORTH - 1, EAST + 11, NORTH + 11)):
         near = np.flatnonzero(tile.box.grown(halo).contains(table["x"], table["y"]))

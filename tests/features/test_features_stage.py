@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from fwclass import conf
 from fwclass.columns import FEATURES as DECLARED
 from fwclass.errors import InputError
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.grid import Box, Tile, TileGrid
@@ -81,7 +81,7 @@ def tiles_of(table, size, halo):
 
 @pytest.mark.parametrize("size", [25.0, 9.0])
 def test_one_tile_is_many_tiles_with_halo_to_the_bit(one, size):
-    halo = Asked.of(EVERY + SECOND).reach(PARAMS)
+    halo = FeatureRequest.of(EVERY + SECOND).reach(PARAMS)
     seen = np.zeros(CLOUD.rows, int)
     for rows, chunk in tiles_of(CLOUD, size, halo):
         got = features(chunk, EVERY + SECOND, PARAMS)
@@ -103,7 +103,7 @@ def test_each_feature_asks_for_enough_alone(one):
     """The reach of a single name is enough for it."""
     for kind in ("c", "g", "k", "o"):
         name = next(n for n in EVERY if n.endswith(ENDS[kind]) and not n.startswith("count"))
-        for rows, chunk in tiles_of(CLOUD, 20.0, Asked.of([name]).reach(PARAMS)):
+        for rows, chunk in tiles_of(CLOUD, 20.0, FeatureRequest.of([name]).reach(PARAMS)):
             np.testing.assert_array_equal(features(chunk, [name], PARAMS)[name], one[name][rows], err_msg=name)
 
 
@@ -223,7 +223,7 @@ def test_names_that_are_no_features():
     ):
         assert not is_feature(name)
         with pytest.raises(KeyError):
-            Asked.of([name])
+            FeatureRequest.of([name])
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_params_that_do_not_fit_are_refused(change):
     ],
 )
 def test_reach_holds_what_is_asked(names, reach):
-    assert Asked.of(names).reach(PARAMS) == reach
+    assert FeatureRequest.of(names).reach(PARAMS) == reach
 
 
 def test_noise_is_no_neighbour_and_has_all_as_neighbours(one):
@@ -287,4 +287,4 @@ def test_where_noise_counts_nobody_asks_which_echo_it_is():
         whole(without.take(some), ("planarity_r150",), around)["planarity_r150"],
         whole(CLOUD.take(some), ("planarity_r150",), around)["planarity_r150"],
     )
-    assert "noise" in Asked.of(("planarity_r150",)).columns(PARAMS)
+    assert "noise" in FeatureRequest.of(("planarity_r150",)).columns(PARAMS)

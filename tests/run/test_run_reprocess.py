@@ -11,7 +11,7 @@ import pytest
 from runmaker import delivered, looked, walk
 
 from fwclass import conf
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.grid import Box, TileGrid
 from fwclass.store.row_digests import CELL
 from fwclass.survey.numbering import NUMBERS, assign_numbers
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 TILE = 40.0
 NAMES = ("height_range_c200", "height_above_ground")
-REACH = Asked.of(n for n in NAMES if is_feature(n)).reach(conf.load("demo").features) + CELL
+REACH = FeatureRequest.of(n for n in NAMES if is_feature(n)).reach(conf.load("demo").features) + CELL
 """m: how far features read, and how finely a tile's pieces are told apart."""
 SETTINGS = (f"tile.size={TILE:g}", f"survey.features=[{', '.join(NAMES)}]")
 

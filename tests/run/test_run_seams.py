@@ -12,7 +12,7 @@ from runmaker import SETTINGS, rewrite_table, walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError, QualityError, StoreError
-from fwclass.features.names import Asked as Features
+from fwclass.features.names import FeatureRequest as Features
 from fwclass.operate.seams.differ import Seam, differs
 from fwclass.operate.seams.shifted_squares import choose_squares, shift_of, shifted_squares
 from fwclass.operate.seams.summary import as_data, as_text

@@ -21,7 +21,7 @@ from fwclass import conf
 from fwclass.classify.context import halo_of
 from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, first_few, several, visible
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.operate.draft.areas import AreaSplit, ClassPlaces, best_split, outer_box
 from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import survey_facts
@@ -226,7 +226,9 @@ def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]
 def gap_of(features: str, classes: Iterable[Meaning]) -> float:
     """m, in whole metres: how far apart tested echoes share no neighbour with a training area's, and neither a second
     layer nor a line looks at any of its echoes."""
-    reach = Asked.of(n for n in feature_set(features).features if is_feature(n)).reach(conf.section("features"))
+    reach = FeatureRequest.of(n for n in feature_set(features).features if is_feature(n)).reach(
+        conf.section("features")
+    )
     ways = conf.section("classify")
     lines = ways.lines.halo if ways.lines.among(one.code for one in classes) else 0.0
     return float(math.ceil(max(2 * reach, reach + halo_of(ways.context.auto_cells), lines)))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass import compiling, conf
 from fwclass.errors import ConfigError, first_few
 from fwclass.features.dense import Crowd
-from fwclass.features.names import MAX_REACH, Asked, is_feature
+from fwclass.features.names import MAX_REACH, FeatureRequest, is_feature
 from fwclass.features.params import FeaturesParams
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.ground.stage import TERRAIN
@@ -255,6 +255,6 @@ def available(
 
 def _lacks(name: str, there: set[str]) -> str:
     """What feature `name` cannot be computed without, "" where nothing is missing."""
-    reads = Asked.of([name]).reads if is_feature(name) else (name,)
+    reads = FeatureRequest.of([name]).reads if is_feature(name) else (name,)
     missing = [n for n in reads if n not in there]
     return _WHY.get(missing[0], f"no {missing[0]}") if missing else ""

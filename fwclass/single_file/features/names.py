@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fwclass.columns import FEATURES
 from fwclass.conf.sets import feature_set, listed_once
 from fwclass.errors import ConfigError
-from fwclass.features.names import NO_FEATURE, Asked, check_scale, is_feature, meant
+from fwclass.features.names import NO_FEATURE, FeatureRequest, check_scale, is_feature, meant
 from fwclass.ground.terrain.params import HEIGHTS
 from fwclass.radiometry.params import RADIOMETRIC
 from fwclass.waveforms import ECHO_COLUMNS
@@ -35,9 +35,9 @@ class FeatureList:
     names: tuple[str, ...]
 
     @property
-    def around(self) -> Asked:
+    def around(self) -> FeatureRequest:
         """Those that are features of a neighbourhood."""
-        return Asked.of(n for n in self.names if is_feature(n))
+        return FeatureRequest.of(n for n in self.names if is_feature(n))
 
 
 def sorted_settings(words: Iterable[str]) -> tuple[str | None, tuple[str, ...]]:

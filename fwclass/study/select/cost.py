@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.features.names import Asked, is_feature
+from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.key_values import plain_values
@@ -53,7 +53,7 @@ def on_tile(stage: Stage, plan: Plan, tile: Tile, names: Names, more: Mapping[st
     """`stage`, which takes the time of features, of one part: on the echoes of `tile` and its neighbours, as far as
     `names` reach; the part is named by all that it is asked for."""
     around = _with_noise(plan)
-    halo = Asked.of(names).halo(around)
+    halo = FeatureRequest.of(names).halo(around)
     arguments = {"params": around, "tile": tile, "halo": halo, **more}
     near = plan.layout.around(tile.box.grown(halo), plan.layout.keys)
     return replace(
@@ -61,7 +61,7 @@ def on_tile(stage: Stage, plan: Plan, tile: Tile, names: Names, more: Mapping[st
         parts=lambda plan: (digest_of(plain_values(arguments, stage.silent))[:16],),
         number=None,
         arguments=lambda plan: arguments,
-        reads=tuple(Asked.of(names).columns(around)),
+        reads=tuple(FeatureRequest.of(names).columns(around)),
         tiles=lambda plan: [t for t in plan.layout.tiles if t.key in near],
     )
 
@@ -119,6 +119,6 @@ TIME_SETS = Stage(
     parts=lambda plan: (),
     number=lambda plan: 1,
     silent=frozenset({"also"}),
-    reads=lambda plan: tuple(Asked.of(computed_names(plan.names)).columns(_with_noise(plan))),
+    reads=lambda plan: tuple(FeatureRequest.of(computed_names(plan.names)).columns(_with_noise(plan))),
 )
 """See `on_tile`."""
