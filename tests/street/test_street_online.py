@@ -272,7 +272,8 @@ def command(*words):
 
 
 @pytest.mark.slow
-def test_a_kill_leaves_whole_frames_and_an_interrupt_ends_cleanly(tmp_path):
+def test_a_kill_leaves_whole_frames_and_an_interrupt_ends_cleanly(tmp_path, once):
+    whole = [a.number for a in read_answers(once[1] / ANSWERS)]
     for sent, code in ((signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)):
         out = tmp_path / sent.name
         words = command("run", "-", "--model", directory() / "model", "--out", out)
@@ -290,7 +291,7 @@ def test_a_kill_leaves_whole_frames_and_an_interrupt_ends_cleanly(tmp_path):
             child.wait(60)
             assert child.returncode == code
         got = [a.number for a in read_answers(out / ANSWERS)]
-        assert got == list(range(len(got)))
+        assert got == whole[: len(got)]
         assert len(got) >= 30
         assert (out / "summary.json").exists() == (sent == signal.SIGINT)
 
