@@ -87,7 +87,7 @@ def test_a_signal_while_text_is_executed_ends_by_the_same_code(tmp_path: Path) -
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join((str(tmp_path), str(Path(__file__).parents[1])))},
     )
     assert told.returncode == 130 and "interrupted" in told.stderr
 

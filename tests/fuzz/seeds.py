@@ -392,7 +392,7 @@ def kept_seeds(folder: Path) -> list[Seed]:
     height = {"height": rng.normal(size=(30, 40)).astype(np.float32), "count": np.arange(9)}
     for name, file, write in (
         ("table", "table.parquet", lambda path: tables.write_groups(path, Table(columns), (0, 150, 400))),
-        ("small", "a.parquet", lambda path: arrays._write_small(path, height, {"edge": 1.0})),
+        ("small", "a.parquet", lambda path: arrays.write_one_file(path, height, {"edge": 1.0})),
         ("group", "a.zarr", lambda path: arrays._write_group(path, height, {"edge": 1.0})),
     ):
         own = folder / name

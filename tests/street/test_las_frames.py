@@ -118,7 +118,7 @@ def test_online_and_whole_give_the_same_bytes(tmp_path, made):
     (tmp_path / "off").mkdir()
     with open_runner(tmp_path / "store", 0, None, config().run) as runner:
         work = batch.Work(path, model, params.model_copy(update={"chunk": 23}), way)
-        batch.classify(work, tmp_path / "off", runner, 1.0)
+        batch.classify(work, tmp_path / "off", runner, config())
     assert summary["used"] == FRAMES
     for name in OURS:
         if name != SUMMARY:

@@ -54,7 +54,7 @@ def test_a_model_learns_by_intensities_and_decides_alike_on_line_and_whole(tmp_p
     (tmp_path / "whole").mkdir()
     with open_runner(tmp_path / ".whole", 0, None, made.run) as runner:
         work = batch.Work(place / "drive.parquet", place / "model", made.street.model_copy(update={"chunk": 37}))
-        batch.classify(work, tmp_path / "whole", runner, 1.0)
+        batch.classify(work, tmp_path / "whole", runner, made)
     assert (tmp_path / "on" / ANSWERS).read_bytes() == (tmp_path / "whole" / ANSWERS).read_bytes()
 
 

@@ -91,7 +91,7 @@ def test_online_and_whole_give_the_same_bytes(tmp_path, turned, ways):
         target.mkdir()
         with open_runner(tmp_path / f".c{chunk}", workers, None, made.run) as runner:
             work = batch.Work(directory() / "drive.parquet", directory() / "model", made.street)
-            whole = batch.classify(work, target, runner, 1.0)
+            whole = batch.classify(work, target, runner, made)
         assert (target / ANSWERS).read_bytes() == there
         assert whole["neighbourhood"] == told["neighbourhood"] and whole["drift"] == told["drift"]
 
