@@ -41,7 +41,7 @@ def measured(path: Path, *words: str) -> tuple[Any, dict[str, Any]]:
     return ended, json.loads((root / "report.json").read_text())
 
 
-@pytest.mark.parametrize("scale", [1 / 0.3048, 100.0])
+@pytest.mark.parametrize("scale", [1 / 0.3048, pytest.param(100.0, marks=pytest.mark.slow)])
 def test_one_file_of_three_in_another_unit_ends_with_4(tmp_path: Path, scale: float) -> None:
     path = files(tmp_path, [(HERE[0] + 12 * k, HERE[1]) for k in range(3)], [1.0, scale, 1.0])
     ended, report = measured(path)

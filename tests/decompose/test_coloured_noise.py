@@ -85,7 +85,7 @@ def test_white_noise_is_left_alone(base, params, maker):
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("phi", KINDS)
+@pytest.mark.parametrize("phi", [KINDS[0], *(pytest.param(k, marks=pytest.mark.slow) for k in KINDS[1:])])
 def test_correlation_is_measured_beside_and_between_echoes(base, params, phi):
     """Rounding is white and takes its part of it."""
     pulse = asked(base, params, phi=phi)

@@ -101,6 +101,7 @@ def test_it_is_stored_and_told(fit):
     assert line == "further echoes of a waveform need 100% of the threshold; too few single ones are bright"
 
 
+@pytest.mark.slow
 @pytest.mark.statistics
 def test_long_waveforms_have_no_more_false_further_echoes(fit):
     """More samples are more chances to look like an echo: a waveform ten times as long has no more false ones."""

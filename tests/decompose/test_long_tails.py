@@ -54,7 +54,7 @@ def recorded(tail, n=3000, seed=0):
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("tail", [4.0, 12.0])
+@pytest.mark.parametrize("tail", [4.0, pytest.param(12.0, marks=pytest.mark.slow)])
 def test_a_tail_far_longer_than_the_rise_makes_no_echoes(tail):
     waves, row, time = recorded(tail)
     pulse = estimate_pulse(waves, PULSE)
@@ -74,7 +74,7 @@ def test_a_tail_far_longer_than_the_rise_makes_no_echoes(tail):
     assert abs(np.median(fits.time[single] - first[fits.row[single]])) * METRES_PER_NS < 0.01
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_descriptors_of_one_detector_share_its_pulse_however_few_their_echoes(seed):
     waves, _, _ = recorded(4.0, 700, seed)
     receiver = (np.arange(700) % 3).astype(waves.pulses["receiver"].dtype)
@@ -139,6 +139,7 @@ def test_detectors_that_nothing_tells_apart_are_named_among_the_causes(tmp_path)
     assert ended.returncode == 4 and "detectors with pulses of their own" in ended.stderr, ended.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.statistics
 def test_descriptors_of_one_detector_stay_one_channel():
     waves, *_ = recorded(4.0)

@@ -105,6 +105,7 @@ def test_the_delivery_knows_them(place: Path):
     assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.slow
 def test_what_the_classes_do_not_give_is_told(tmp_path: Path):
     ended = run(survey(tmp_path / "bushes", code=5, name="bush"), "r")
     assert "vectors have no buildings: no class has code 6" in ended.stderr

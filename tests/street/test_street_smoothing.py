@@ -76,8 +76,8 @@ def smoothed_online(tmp_path, settings):
 
 
 WAYS = [
-    ({}, ((400, 0), (50, 0))),
-    (TURNED, ((37, 0),)),
+    ({}, ((50, 0),)),
+    pytest.param(TURNED, ((37, 0), (400, 0)), marks=pytest.mark.slow),
     pytest.param({}, ((50, 2),), marks=pytest.mark.slow),  # workers give the same bytes: `test_street_online.py`
 ]
 

@@ -84,6 +84,7 @@ def test_a_tile_with_one_bit_flipped_is_said_and_not_shown(small_run: Path) -> N
             open_run(small_run).table(tile["tile"])
 
 
+@pytest.mark.slow
 def test_sources_that_moved_change_nothing(run: Path, tmp_path: Path) -> None:
     """Waveforms, votes and classes are the run's own."""
     scene = opened(run)
