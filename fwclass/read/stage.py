@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.read.beam_read import check_beam_rows, index_beam_rows, read_beam_rows
 from fwclass.read.beams import check_beams
 from fwclass.read.las_read import check_las, index_las, read_las
-from fwclass.read.padding import without_padding
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
@@ -21,6 +21,12 @@ from fwclass.read.spans import Span
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.waveforms import Waveforms
+
+FEWEST_ZEROS, LEVEL = 4, 4
+"""Zeros on end that are padding, where no other sample of the waveform is below so many DN: noise reaches 0 in a record
+whose level lies there, and a receiver that swings down to 0 behind an echo loses nothing that counts."""
+
+PADDED = "waveform padded with zeros at its end (left out)"
 
 
 def with_settings(source: Source, params: ReadParams) -> Source:
@@ -103,3 +109,27 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
 
 
 READ = Computation("read", 14)
+
+
+def without_padding(waves: Waveforms) -> Waveforms:
+    """`waves` without zeros behind the last sample, as in records of one length whose digitiser stopped earlier; those
+    that were padded are counted in `faults`."""
+    length = np.diff(waves.offsets)
+    rows = np.flatnonzero(length > FEWEST_ZEROS)
+    tails = waves.samples[waves.offsets[1:][rows, None] - 1 - np.arange(FEWEST_ZEROS)]
+    kept = length.copy()
+    for row in rows[~tails.any(axis=1)]:
+        kept[row] = _samples_recorded(waves.samples[waves.offsets[row] : waves.offsets[row + 1]])
+    padded = int((kept < length).sum())
+    if padded == 0:
+        return waves
+    offsets = np.concatenate([[0], np.cumsum(kept)]).astype(np.int64)
+    at = np.arange(offsets[-1]) + np.repeat(waves.offsets[:-1] - offsets[:-1], kept)
+    return replace(waves, samples=waves.samples[at], offsets=offsets, faults={**waves.faults, PADDED: padded})
+
+
+def _samples_recorded(samples: NDArray) -> int:
+    """How many of `samples`, whose last ones are 0, are no padding."""
+    some = np.flatnonzero(samples)
+    n = int(some[-1]) + 1 if len(some) else 0
+    return n if n and samples[:n].min() >= LEVEL else len(samples)

@@ -9,15 +9,17 @@ from __future__ import annotations
 import importlib.util
 import logging
 import math
+import os
 import re
 import signal
 import threading
 import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict
 from functools import cache
+from multiprocessing import resource_tracker
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -46,7 +48,6 @@ from fwclass.run.in_flight import InFlight
 from fwclass.run.limit import ended_after
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Outcome, Task, execute
-from fwclass.run.semaphores import settle_tracker
 from fwclass.store.atomic import digest_of, write_text
 from fwclass.store.libraries import fingerprint
 from fwclass.store.run_location import RunLocation
@@ -381,3 +382,28 @@ def data_frame(read: Callable[[str], Any], files: Sequence[str]) -> Any:
     import dask.dataframe
 
     return dask.dataframe.from_map(read, list(files))
+
+
+def settle_tracker() -> None:
+    """Let the tracker of this process hear of those semaphores alone that it was told of.
+
+    One that was killed is started again, and prints a traceback for every name that only the first one knew.
+    """
+    tracker: Any = resource_tracker._resource_tracker
+    if "_send" in vars(tracker):  # done before
+        return
+    known = set[tuple[object, ...]]()
+
+    def send_known(command: str, name: str, kind: str) -> None:
+        tracker.ensure_running()
+        thing = (tracker._pid, name, kind)
+        if command == "REGISTER":
+            known.add(thing)
+        elif thing not in known:
+            return
+        else:
+            known.remove(thing)
+        with suppress(OSError):  # it was killed since; Python's own `_send` would tell the next one of this name
+            os.write(tracker._fd, f"{command}:{name}:{kind}\n".encode("ascii"))
+
+    tracker._send = send_known

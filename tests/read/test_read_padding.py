@@ -10,7 +10,7 @@ import pytest
 from commandline import fwclass
 from rawmaker import scene, write_parquet
 
-from fwclass.read.padding import PADDED, without_padding
+from fwclass.read.stage import PADDED, without_padding
 from fwclass.schema import Table
 from fwclass.waveforms import RETURN_COLUMNS, Waveforms
 
