@@ -74,6 +74,7 @@ def test_a_tail_far_longer_than_the_rise_makes_no_echoes(tail):
     assert abs(np.median(fits.time[single] - first[fits.row[single]])) * METRES_PER_NS < 0.01
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_descriptors_of_one_detector_share_its_pulse_however_few_their_echoes(seed):
     waves, _, _ = recorded(4.0, 700, seed)

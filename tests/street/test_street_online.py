@@ -132,6 +132,7 @@ def kept_places(places):
     return np.array([place for place, one in taken if one is not None and not one.repeats])
 
 
+@pytest.mark.statistics
 def test_a_vehicle_that_creeps_is_taken_as_one_that_drives_slowly():
     for speed in (0.3, 0.05, 0.002):
         places = np.arange(0.0, 2.0, speed * 0.025)
