@@ -100,8 +100,8 @@ def _run(
     chunk: Chunk, radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], optimal: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """float32 (jobs, core rows) of the jobs (radius number, measure), and the optimal radii [m]."""
-    out = np.empty((len(jobs), len(chunk.core)), np.float32)  # all of it is written: every core row has its jobs
-    chosen = np.empty(len(chunk.core) if optimal else 0, np.float32)
+    out = np.full((len(jobs), len(chunk.core)), np.nan, np.float32)
+    chosen = np.full(len(chunk.core) if optimal else 0, np.nan, np.float32)
     if len(chunk.core) == 0:
         return out, chosen
     asked = _request(radii, kind, jobs, optimal)

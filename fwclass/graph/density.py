@@ -24,7 +24,7 @@ def count_echoes(here: StageInputs, areas: tuple[Box, ...] | None = None) -> Res
     return {SQUARES: {str(n): k for n, k in counted.items()}}
 
 
-def told_densities(counts: Iterable[Mapping[str, int]]) -> Densities | None:
+def densities_by_receipts(counts: Iterable[Mapping[str, int]]) -> Densities | None:
     """How dense echoes are by what the receipts of blocks tell; None without any."""
     return densities_of({int(n): k for n, k in one.items()} for one in counts)
 

@@ -14,7 +14,7 @@ from fwclass.conf.sections import AreasSection
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corrections_here, corrections_of, reach_here
-from fwclass.graph.density import COUNT_TRAINING_ECHOES, SQUARES, told_densities
+from fwclass.graph.density import COUNT_TRAINING_ECHOES, SQUARES, densities_by_receipts
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.thin import sampled_columns
@@ -97,7 +97,7 @@ def merge_samples(
     write_arrays(here.directory / SAMPLE, sample.arrays())
     facts: dict[str, Any] = {"rows": sample.rows, "counts": sample.counts.tolist()}
     counted = COUNT_TRAINING_ECHOES.name
-    facts[DENSITY] = told_densities(here.inputs.meta(counted, block)[SQUARES] for block in here.parts(counted))
+    facts[DENSITY] = densities_by_receipts(here.inputs.meta(counted, block)[SQUARES] for block in here.parts(counted))
     if by_place:
         offset = measure_offset(sample.X, sample.y, sample.place, len(classes))
         facts["offset"] = None if offset is None else asdict(offset)

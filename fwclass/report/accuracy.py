@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.assess.intervals import caution
 from fwclass.conf import Config
 from fwclass.graph.classify import OUTSIDE
-from fwclass.graph.density import COUNT_ECHOES, SQUARES, told_densities
+from fwclass.graph.density import COUNT_ECHOES, SQUARES, densities_by_receipts
 from fwclass.graph.ground_auto import AUTO, auto_facts
 from fwclass.model.ranges import RANGES
 from fwclass.report.drift import drift
@@ -94,7 +94,7 @@ def drift_of_run(runner: Runner, given: Mapping[str, Any] | None) -> dict[str, A
     if not counts:
         return None
     cards = [r.meta["card"] for stage in ("train-coarse", "train") for r in receipts_of_run(runner, stage)]
-    here = told_densities(metas_of_run(runner, COUNT_ECHOES.name, SQUARES))
+    here = densities_by_receipts(metas_of_run(runner, COUNT_ECHOES.name, SQUARES))
     return drift(cards[0] if cards else {RANGES: {}} | dict(given or {}), counts, here)
 
 

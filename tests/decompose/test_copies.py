@@ -12,8 +12,8 @@ from rawmaker import SIGMA, scene, write_parquet
 from wavemaker import waves_of
 
 from fwclass.decompose.channel_rows import channel_rows
-from fwclass.decompose.copies import without_copies
-from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.copies import estimate_single_pulse, without_copies
+from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.errors import InputError
@@ -88,6 +88,15 @@ def test_every_waveform_is_corrected_alone():
         at = slice(waves.offsets[rows[0]], waves.offsets[rows[-1] + 1])
         np.testing.assert_array_equal(part.samples, whole.samples[at])
         np.testing.assert_array_equal(unsure if len(unsure) else np.zeros(len(part.samples)), doubt[at])
+
+
+@pytest.mark.statistics
+def test_the_order_of_the_waveforms_does_not_matter():
+    samples, *_ = recorded(70.2, 0.08)
+    waves, params = waves_of(list(samples.astype(np.uint8))), PulseParams(**BASE["pulse"])
+    mixed = rows_of(waves, np.random.default_rng(1).permutation(PULSES))
+    one, other = (estimate_single_pulse(w, params, FIT, None).channels[0].copies for w in (waves, mixed))
+    assert one == other != ()
 
 
 def test_pulses_remember_them():
