@@ -6,9 +6,10 @@ other write beside its memory. So whatever states a count, a length or a place i
 
 from __future__ import annotations
 
+import io
 import itertools
 import struct
-from typing import BinaryIO, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import lazrs
 import numpy as np
@@ -33,8 +34,8 @@ _MODERN = {6: (10,), 7: (10, 11), 8: (10, 12), 9: (10, 13), 10: (10, 12, 13)}
 SLACK = 16
 """Bytes of a chunk that may stand behind its last code; lazrs and LASzip leave none."""
 
-MOST_LAST = 1 << 24
-"""Bytes of points of a last chunk that are unpacked to see whether it holds more; usual ones have a tenth of it."""
+PIECE = 1 << 20
+"""Bytes of points of a last chunk that are unpacked at a time to see whether it holds more."""
 
 NO_CODE = b"\xff" * 4
 """What no arithmetic coder writes first."""
@@ -236,19 +237,57 @@ def _check_surplus(header: Header, stream: BinaryIO, body: bytes, chunks: list[t
         stream.seek(at)
         if struct.unpack_from("<H", body)[0] == LAYERED:
             held += int.from_bytes(stream.read(header.record_length + 4)[-4:], "little")
-        elif 0 < last * header.record_length <= MOST_LAST and _decodes(
-            stream.read(length)[:-SLACK], body, last, header.record_length
-        ):
+        elif last > 0 and _decodes(_ChunkFile(stream, at, length - SLACK, points, body), body, last, header):
             raise counts_fewer(header.path, header.n_points, "points", "compressed points that go on behind them")
     if held > header.n_points:
         raise counts_fewer(header.path, header.n_points, "points", f"chunks of {held}")
 
 
-def _decodes(data: bytes, body: bytes, points: int, record_length: int) -> bool:
+class _ChunkFile(io.RawIOBase):
+    """Points of a LAZ file that has one chunk, the `length` bytes of `stream` from `at`; reading ends behind them, and
+    the chunk table lies beyond that end."""
+
+    def __init__(self, stream: BinaryIO, at: int, length: int, points: int, body: bytes) -> None:
+        self._stream, self._at, self._place = stream, at, 0
+        self._end = 8 + max(0, length)
+        table = io.BytesIO()
+        lazrs.write_chunk_table(table, [(points, length)], lazrs.LazVlr(body))
+        self._first, self._table = struct.pack("<q", self._end + 1), table.getvalue()
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, place: int, whence: int = io.SEEK_SET) -> int:
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._end + 1 + len(self._table)}[whence]
+        self._place = start + place
+        return self._place
+
+    def tell(self) -> int:
+        return self._place
+
+    def readinto(self, buffer: Any) -> int:
+        at, size = self._place, len(buffer)
+        if at < 8:
+            data = self._first[at:][:size]
+        elif at <= self._end:
+            self._stream.seek(self._at + at - 8)
+            data = self._stream.read(min(size, self._end - at))
+        else:
+            data = self._table[at - self._end - 1 :][:size]
+        buffer[: len(data)] = data
+        self._place += len(data)
+        return len(data)
+
+
+def _decodes(chunk: _ChunkFile, body: bytes, points: int, header: Header) -> bool:
     """The bytes of a chunk hold so many points."""
+    room = np.empty(max(1, PIECE // header.record_length) * header.record_length, np.uint8)
+    left = points * header.record_length
     try:
-        room = np.empty(points * record_length, np.uint8)
-        lazrs.decompress_points_with_chunk_table(data, body, room, [(points, len(data))])
+        decompressor = lazrs.LasZipDecompressor(chunk, body)
+        while left:
+            decompressor.decompress_many(room[:left])
+            left -= min(left, len(room))
     except BaseException as error:  # a panic of lazrs is no `Exception`
         if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
             raise

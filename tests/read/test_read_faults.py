@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import struct
 
+import lazrs
 import numpy as np
 import pytest
 from lasmaker import METRES_PER_NS, Descriptor, survey, to_laz, write_las
@@ -323,5 +325,28 @@ def test_compressed_points_behind_those_that_the_header_counts_are_refused(tmp_p
         "<I", raw, 107, 700 - fewer
     )
     (tmp_path / "b.laz").write_bytes(raw)
+    with pytest.raises(InputError, match="fewer points than the file holds"):
+        open_source(tmp_path / "b.laz")
+
+
+def test_a_large_last_chunk_is_asked_for_points_behind_those_that_are_counted(tmp_path):
+    points = 620_000  # more than 16 MiB
+    xyz = np.random.default_rng(0).integers(0, 100, (points, 3))
+    las = write_las(tmp_path / "a.las", xyz, point_format=1, scale=1.0)
+    head = bytearray(to_laz(las, tmp_path / "a.laz").read_bytes())
+    start = struct.unpack_from("<I", head, 96)[0]
+    record = head.index(b"laszip encoded") + 52
+    struct.pack_into("<I", head, record + 12, 1_000_000)
+    packed = io.BytesIO()
+    packer = lazrs.LasZipCompressor(packed, lazrs.LazVlr(bytes(head[record:start])))
+    plain = las.read_bytes()
+    packer.compress_many(plain[struct.unpack_from("<I", plain, 96)[0] :])
+    packer.done()
+    body = bytearray(packed.getvalue())
+    struct.pack_into("<q", body, 0, struct.unpack_from("<q", body)[0] + start)
+    (tmp_path / "a.laz").write_bytes(head[:start] + body)
+    assert open_source(tmp_path / "a.laz").header.n_points == points
+    struct.pack_into("<I", head, 107, points - 1000)
+    (tmp_path / "b.laz").write_bytes(head[:start] + body)
     with pytest.raises(InputError, match="fewer points than the file holds"):
         open_source(tmp_path / "b.laz")
