@@ -36,6 +36,9 @@ NEAREST = 200
 LEVEL = 0.5
 """[m] An object cell less than this below another belongs to the same thing."""
 
+EMPTY, OBJECT, GROUND = np.uint8(0), np.uint8(1), np.uint8(2)
+"""What a cell of a raster holds."""
+
 
 def restore_edges(
     points: LowestPoints,
@@ -59,17 +62,23 @@ def restore_edges(
     square = dx * dx + dy * dy
     near = np.lexsort((dx, dy, square))
     near = near[(square[near] > 0) & (square[near] <= reach * reach)]
-    offsets = np.ascontiguousarray(dy[near]), np.ascontiguousarray(dx[near])
-    last, open_cells = ground, np.isfinite(points.z) & ~ground
+    # a margin that nothing was measured in, so that no cell around lies outside
+    z, east, north = (np.pad(values, reach, constant_values=np.nan) for values in points)
+    around = dy[near] * z.shape[1] + dx[near], dx[near] * cell, dy[near] * cell
+    measured = np.isfinite(points.z)
+    last, open_cells = ground, measured & ~ground
     for _ in range(rounds):
         out = last.copy()
-        _restore(*points, last, open_cells, *offsets, cell, tolerance, share, out)
+        kind = np.pad(np.where(measured, np.where(last, GROUND, OBJECT), EMPTY), reach)
+        _restore(
+            z.ravel(), east.ravel(), north.ravel(), kind.ravel(), open_cells, reach, *around, tolerance, share, out
+        )
         changed = out != last
         last = out
         if not changed.any():
             break
         # only near what has changed can the answer be another one
-        open_cells = np.isfinite(points.z) & ~out & _near(changed, reach)
+        open_cells = measured & ~out & _near(changed, reach)
     return last
 
 
@@ -107,8 +116,10 @@ def _without_company(heights, radius, level, companions, low):  # type: ignore[n
 
 
 @kernel
-def _restore(z, east, north, ground, asked, dy, dx, cell, tolerance, share, out):  # type: ignore[no-untyped-def]
-    nrows, ncols = z.shape
+def _restore(z, east, north, kind, asked, reach, step, dx, dy, tolerance, share, out):  # type: ignore[no-untyped-def]
+    """Fill `out` (rows, columns) where `asked`. The rasters are flat, with a margin of `reach` cells; a cell around
+    lies `step` places on, `dx` and `dy` [m] away."""
+    nrows, ncols = asked.shape
     angle = 2.0 * np.pi / DIRECTIONS
     toward_x, toward_y = np.empty(DIRECTIONS), np.empty(DIRECTIONS)
     for d in range(DIRECTIONS):
@@ -119,32 +130,32 @@ def _restore(z, east, north, ground, asked, dy, dx, cell, tolerance, share, out)
         for c in range(ncols):
             if not asked[r, c]:
                 continue
-            _gather(z, east, north, ground, r, c, dy, dx, cell, toward_x, toward_y, sums, count)
+            here = (r + reach) * (ncols + 2 * reach) + c + reach
+            _gather(z, east, north, kind, here, step, dx, dy, toward_x, toward_y, sums, count)
             for d in range(DIRECTIONS):
                 if count[d] >= LEAST_SUPPORT and _continues(sums[d], count[d], tolerance):
-                    out[r, c] = _objects_around(z, ground, r, c, dy, dx) <= share
+                    out[r, c] = _objects_around(z, kind, here, step) <= share
                     break
 
 
 @kernel
-def _gather(z, east, north, ground, r, c, dy, dx, cell, toward_x, toward_y, sums, count):  # type: ignore[no-untyped-def]
+def _gather(z, east, north, kind, here, step, dx, dy, toward_x, toward_y, sums, count):  # type: ignore[no-untyped-def]
     """Moments of the nearest ground cells of every direction: x, y, z, xx, xy, yy, xz, yz, zz about the cell."""
-    nrows, ncols = z.shape
     sums[:] = 0.0
     count[:] = 0
     full, seen = 0, 0
-    for k in range(len(dy)):
-        i, j = r + dy[k], c + dx[k]
-        if i < 0 or j < 0 or i >= nrows or j >= ncols or np.isnan(z[i, j]):
+    for k in range(len(step)):
+        at = np.uint64(here + step[k])
+        if kind[at] == EMPTY:
             continue
         seen += 1
         if seen > NEAREST:
             return
-        if not ground[i, j]:
+        if kind[at] == OBJECT:
             continue
-        x = dx[k] * cell + east[i, j] - east[r, c]
-        y = dy[k] * cell + north[i, j] - north[r, c]
-        h = z[i, j] - z[r, c]
+        x = dx[k] + east[at] - east[here]
+        y = dy[k] + north[at] - north[here]
+        h = z[at] - z[here]
         least = CONE * np.sqrt(x * x + y * y)
         for d in range(DIRECTIONS):
             if count[d] == SUPPORT or x * toward_x[d] + y * toward_y[d] < least:
@@ -181,20 +192,19 @@ def _continues(s, n, tolerance):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _objects_around(z, ground, r, c, dy, dx):  # type: ignore[no-untyped-def]
+def _objects_around(z, kind, here, step):  # type: ignore[no-untyped-def]
     """Share of object cells about as high as this one, or higher, among these and the ground cells around."""
-    nrows, ncols = z.shape
     objects, all_around, seen = 1, 1, 0  # the cell itself
-    for k in range(len(dy)):
-        i, j = r + dy[k], c + dx[k]
-        if i < 0 or j < 0 or i >= nrows or j >= ncols or np.isnan(z[i, j]):
+    for k in range(len(step)):
+        at = np.uint64(here + step[k])
+        if kind[at] == EMPTY:
             continue
         seen += 1
         if seen > NEAREST:
             break
-        if ground[i, j]:
+        if kind[at] == GROUND:
             all_around += 1
-        elif z[i, j] > z[r, c] - LEVEL:
+        elif z[at] > z[here] - LEVEL:
             objects += 1
             all_around += 1
     return objects / all_around
