@@ -9,7 +9,7 @@ from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
 from fwclass.graph.stage import Plan
 from fwclass.run.runner import Runner, require_all
-from fwclass.study.papers.he import NAME, SAMPLE, STAGES, deliver, facts
+from fwclass.study.papers.he import NAME, SAMPLE, STAGES, deliver, facts, with_samples
 from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import tasks_of
 from fwclass.walk.workflow import Workflow
@@ -19,7 +19,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     """Search and judge every filter on every sample; return the report. There are no tiles to choose."""
     if tiles is not None:
         raise ConfigError("samples have no tiles", where="--tiles", do="leave --tiles out")
-    receipts = require_all(runner, tasks_of(Plan(config), STAGES))
+    receipts = require_all(runner, tasks_of(with_samples(Plan(config), runner.store), STAGES))
     samples = [part for stage, part in receipts if stage == SAMPLE]
     runner.finish(whole=True)
     return runner.carry_out(lambda: deliver(config, runner, samples, facts(config, paper(NAME), samples, receipts)))

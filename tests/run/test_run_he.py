@@ -10,9 +10,16 @@ import pytest
 from browser import seen
 from commandline import fwclass
 
+from fwclass.conf import load
 from fwclass.conf.papers import paper
+from fwclass.errors import InputError
+from fwclass.graph.stage import Plan
+from fwclass.store.external_file import digest_file
+from fwclass.store.run_store import Store
 from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, UNSURE
+from fwclass.study.papers.he import STAGES, with_samples
 from fwclass.study.papers.he_claims import CLAIMS, COMBINED, _spread
+from fwclass.survey import file_digests
 
 SMALL = ("ground_search.coarse=2", "ground_search.rounds=1", "terrain.block=64", "terrain.block_halo=48")
 
@@ -88,6 +95,21 @@ def test_what_cannot_be_judged_is_told(tmp_path: Path, text: str, words: tuple[s
     line = ("run", tmp_path / "s.yaml", "--workflow", "he2023", "--out", tmp_path / "out", "--workers", "0", *words)
     ended = fwclass(*line)
     assert ended.returncode != 0 and told in ended.stderr, ended.stderr
+
+
+def test_a_sample_is_digested_once_and_held_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of the two stages read all samples for their digests, and one that changed later went unnoticed."""
+    path = sample(tmp_path / "flat.txt", 1, 0.02)
+    (tmp_path / "s.yaml").write_text('survey: {name: woods, sources: ["*.txt"]}\n')
+    asked: list[Path] = []
+    monkeypatch.setattr(file_digests, "digest_file", lambda path: asked.append(path) or digest_file(path))
+    plan = with_samples(Plan(load(tmp_path / "s.yaml", classifies=False)), Store(tmp_path / "run"))
+    tasks = [task for stage in STAGES for task in stage.tasks(plan)]
+    assert asked == [path] and len(tasks) == 7
+    sample(path, 2, 0.6)
+    for task in tasks:
+        with pytest.raises(InputError, match="changed while the run was under way"):
+            task.external[0].check()
 
 
 def test_an_interval_is_that_of_student() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.stage import Stage
+from fwclass.graph.stage import Plan, Stage
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 from fwclass.store.atomic import write_json
-from fwclass.store.external_file import ExternalFile, digest_file
 from fwclass.store.remote_file import Location, local
+from fwclass.store.run_store import Store
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.he_claims import CLAIMS, COMBINED
 from fwclass.study.papers.he_work import describe_sample, judge_filter, terrain_of
-from fwclass.survey.files import find_files, without
+from fwclass.survey.file_digests import Digests
+from fwclass.survey.files import without
 from fwclass.survey.gather import directory_of
-from fwclass.survey.layout import FileDigests
+from fwclass.survey.layout import FileDigests, Survey
 
 NAME = "he2023"
 FILTER, SAMPLE = "filter-search", "filter-sample"
@@ -36,35 +37,33 @@ SHOWN = ("smrf", "csf", COMBINED)
 """Filters whose terrain is drawn beside the reference's, as in figures 6 to 8."""
 
 
-@dataclass(frozen=True)
-class LabelledFile:
-    """A labelled file: its name without its ending, where it lies, and its digests."""
-
-    key: str
-    location: Location
-    digests: FileDigests
-
-
-def samples_of(config: Config) -> tuple[LabelledFile, ...]:
-    """The labelled files; `InputError` for two of one name, or none."""
+def with_samples(plan: Plan, store: Store) -> Plan:
+    """The plan with the labelled files and their digests; `InputError` for two of one name, or none."""
+    config = plan.config
     if config.simulated:
         raise ConfigError(
             "ground filters are judged on labelled files",
             where=f"{config.path}: survey.simulated",
             do="name labelled files in survey.sources, as conf/surveys/he2023-isprs.yaml does",
         )
-    directory = directory_of(config, Path())
-    matching = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    directory, digests = directory_of(config, Path()), Digests(store)
+    matching = digests.find(config.survey.sources, directory, "survey.sources", config)
     places, _ = without(matching, config.survey.exclude, directory, config.path, config.store)
-    samples: dict[str, LabelledFile] = {}
+    samples: dict[str, tuple[Location, FileDigests]] = {}
     for place in places:
         path = local(place)
         if path.stem in samples:
             raise InputError(
-                "two samples have one name", where=path, got=samples[path.stem].location, do="rename one of them"
+                "two samples have one name", where=path, got=samples[path.stem][0], do="rename one of them"
             )
-        samples[path.stem] = LabelledFile(path.stem, place, (ExternalFile(path.name, digest_file(path)),))
-    return tuple(samples.values())
+        samples[path.stem] = place, digests.of([path], place)
+    digests.save()
+    return replace(plan, files=Survey((), (), None, False, echo_labels=tuple(samples.values())))
+
+
+def _name(sample: tuple[Location, FileDigests]) -> str:
+    """The file's name without its ending."""
+    return local(sample[0]).stem
 
 
 def methods_of(printed: Mapping[str, Any]) -> tuple[str, ...]:
@@ -78,9 +77,10 @@ DESCRIBE_SAMPLE = Stage(
     "file",
     "part",
     describe_sample,
-    parts=lambda plan: samples_of(plan.config),
+    parts=lambda plan: plan.survey.echo_labels,
+    part_name=_name,
     arguments=lambda plan: {"params": plan.config.ground, "terrain": plan.config.terrain},
-    source=lambda plan, one: (one.location, one.digests),
+    source=lambda plan, sample: sample,
 )
 JUDGE_FILTER = Stage(
     FILTER,
@@ -88,11 +88,11 @@ JUDGE_FILTER = Stage(
     "file",
     "part",
     judge_filter,
-    parts=lambda plan: [(one, method) for one in samples_of(plan.config) for method in methods_of(paper(NAME))],
-    part_name=lambda part: f"{part[0].key}-{part[1]}",
+    parts=lambda plan: [(one, method) for one in plan.survey.echo_labels for method in methods_of(paper(NAME))],
+    part_name=lambda part: f"{_name(part[0])}-{part[1]}",
     arguments=lambda plan: {"limits": plan.config.ground_search, "terrain": plan.config.terrain},
     each=lambda plan, part: {"params": plan.config.ground.model_copy(update={"method": part[1]})},
-    source=lambda plan, part: (part[0].location, part[0].digests),
+    source=lambda plan, part: part[0],
 )
 STAGES = (DESCRIBE_SAMPLE, JUDGE_FILTER)
 
