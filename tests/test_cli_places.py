@@ -10,6 +10,7 @@ from typing import Any
 import lasmaker
 import numpy as np
 import pytest
+import rasterio
 from commandline import fwclass
 from pyproj import CRS
 
@@ -72,6 +73,26 @@ def test_a_system_that_puts_files_further_outside_than_their_own_ends_with_4(tmp
         ended, report = measured(path, "--set", f"survey.crs=EPSG:{code}")
         assert ended.returncode == fault, (code, ended.stderr)
         assert bool(report["input"]["places"]["overruled"]) == (code == 25832)
+
+
+@pytest.mark.parametrize("whole", [(0,), (1, 2)])
+def test_files_that_say_nothing_of_heights_take_those_of_the_others(tmp_path: Path, whole: tuple[int, ...]) -> None:
+    for k in range(3):
+        keys = {3072: 25832} | ({4096: 7837} if k in whole else {})
+        files(tmp_path, [(HERE[0] + 12 * k, HERE[1])], keys=keys)
+        (tmp_path / "f0.las").rename(tmp_path / f"g{k}.las")
+    drafted = fwclass("init", tmp_path)
+    assert "heights of all are those" in drafted.stdout and "survey.crs" not in drafted.stderr
+    ended, report = measured(tmp_path / "s.yaml")
+    assert ended.returncode == 0, ended.stderr
+    (told,) = report["input"]["places"]["remarks"]
+    flat = [k for k in range(3) if k not in whole]
+    assert f"{len(flat)} file" in told and "DHHN2016 height" in told and all(f"g{k}.las" in told for k in flat)
+    assert f"note: {told}" in ended.stderr and told in report["remarks"]
+    with rasterio.open(tmp_path / "r" / "rasters" / "pulse_density.tif") as raster:
+        assert CRS.from_wkt(raster.crs.to_wkt()).is_compound
+    ended, report = measured(tmp_path / "s.yaml", "--set", "survey.crs=EPSG:25832")
+    assert ended.returncode == 0 and not report["input"]["places"]["remarks"]
 
 
 def test_a_file_of_another_survey_ends_with_4(tmp_path: Path) -> None:

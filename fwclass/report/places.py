@@ -17,6 +17,7 @@ from fwclass.graph.sources import strip_of
 from fwclass.read.return_counts import join_counts
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Survey
+from fwclass.survey.systems import heights_taken
 
 Bounds = tuple[Sequence[float], Sequence[float]]
 """Least and greatest x, y and z [m]."""
@@ -95,7 +96,8 @@ def file_places(
         "elsewhere": "" if all_away else _of_files({files[k]: text for k, text in away.items()}, len(files)),
         "overruled": _of_files({files[k]: text for k, text in odd.items() if text}, len(files)),
     }
-    return {"remarks": [text for text in (*facts.values(), apart) if text], **facts, "alone": apart if alone else ""}
+    said = (*facts.values(), apart, heights_taken(survey.heightless, survey.crs))
+    return {"remarks": [text for text in said if text], **facts, "alone": apart if alone else ""}
 
 
 def judge_file_places(facts: Mapping[str, Any] | None, params: PlausibilityParams, where: object) -> None:

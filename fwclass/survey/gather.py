@@ -36,7 +36,7 @@ from fwclass.survey.reference import (
     reference_polygons,
     shape_file,
 )
-from fwclass.survey.systems import common_crs, given_crs, overruled_systems, system_of
+from fwclass.survey.systems import common_crs, given_crs, overruled_systems, system_of, without_heights
 
 SIMULATED = "survey"
 """Where a simulated survey lies below its run directory."""
@@ -97,6 +97,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     more_files: dict[str, Any] = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
     weekly = tuple(s.path.name for s in full if isinstance(s, LasSource) and not s.standard_gps_time)
     more = more_files | {"overruled": overruled_systems(config, full), "weekly": weekly, "excluded": excluded}
+    more["heightless"] = without_heights(config, full, crs)
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more)
 
 

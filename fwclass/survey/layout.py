@@ -59,7 +59,8 @@ class Survey:
     flattened, `breaklines`: what the terrain passes through, `check_points`: what heights are held against, `area`:
     what was to be flown, all None for nothing; `overruled`: by name of the file the system (WKT) that it names where
     the user names another; `weekly`: names of the files whose header calls their GPS times seconds of the week;
-    `excluded`: names of the files that ``survey.exclude`` leaves out.
+    `excluded`: names of the files that ``survey.exclude`` leaves out; `heightless`: of those that say nothing of
+    heights, where the others do.
     """
 
     strips: tuple[Strip, ...]
@@ -78,6 +79,7 @@ class Survey:
     overruled: Mapping[str, str] = field(default_factory=dict)
     weekly: tuple[str, ...] = ()
     excluded: tuple[str, ...] = ()
+    heightless: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

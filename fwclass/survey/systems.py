@@ -9,12 +9,15 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.conf import Config
-from fwclass.errors import ConfigError, InputError
-from fwclass.formats.crs import doubtful_system, units_of
+from fwclass.errors import ConfigError, InputError, first_few, several, visible
+from fwclass.formats.crs import crs_of_wkt, doubtful_system, units_of
 from fwclass.formats.flat import refuse_source
 from fwclass.formats.grid_files import without_paths
 from fwclass.read.source import Source, refuse_other_system
 from fwclass.run.runner import Runner
+
+NAMED = 3
+"""Files that are named."""
 
 
 def system_of(source: Source) -> CRS | None:
@@ -67,20 +70,58 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
             )
         if not any(crs.equals(known, ignore_axis_order=True) for known, _ in systems):  # whatever they call it
             systems.append((crs, path))
-    if len(systems) > 1:
+    fuller = with_heights([crs for crs, _ in systems])
+    if len(systems) > 1 and fuller is None:
         raise InputError(
             "the files are in different coordinate systems",
             where=", ".join(str(path) for _, path in systems),
             got="; ".join(crs.name for crs, _ in systems),
             do=_way_out([crs for crs, _ in systems]),
         )
-    return systems[0][0].to_wkt()
+    if fuller is None:
+        return systems[0][0].to_wkt()
+    text = fuller.to_wkt()
+    runner.display.say(f"note: {heights_taken(without_heights(config, opened, text), text)}")
+    return text
+
+
+def with_heights(systems: Sequence[CRS]) -> CRS | None:
+    """The one of `systems` that says what heights are, where it is the only one and all others are its plane."""
+    whole = [crs for crs in systems if crs.is_compound]
+    flat = [crs for crs in systems if not crs.is_compound]
+    one = len(whole) == 1 and flat and _one_plane(systems) and all(len(crs.axis_info) == 2 for crs in flat)
+    return whole[0] if one else None
+
+
+def without_heights(config: Config, opened: Sequence[Source], crs: str | None) -> tuple[str, ...]:
+    """Names of the files whose own system says nothing of heights, where that of the survey (WKT), theirs, does."""
+    survey = crs_of_wkt(crs)
+    if config.survey.crs is not None or survey is None or not survey.is_compound:
+        return ()
+    return tuple(s.path.name for s in opened if (own := system_of(s)) is not None and not own.is_compound)
+
+
+def heights_taken(files: Sequence[str], crs: str | None) -> str:
+    """That heights of `files` are taken for those of the survey's system (WKT); "" for no files."""
+    survey = crs_of_wkt(crs)
+    if not files or survey is None:
+        return ""
+    names = first_few([*map(visible, files)], NAMED)
+    return (
+        f"the system of heights is not named in {several(len(files), 'file')} ({names}): taken for that of the others, "
+        f"{survey.sub_crs_list[-1].name} (survey.crs names another)"
+    )
+
+
+def _one_plane(systems: Sequence[CRS]) -> bool:
+    """Whether x and y are of one system."""
+    flat = [crs.sub_crs_list[0] if crs.is_compound else crs for crs in systems]
+    return all(crs.equals(flat[0], ignore_axis_order=True) for crs in flat)
 
 
 def _way_out(systems: Sequence[CRS]) -> str:
     """What to do with files of several systems."""
-    flat = [crs.sub_crs_list[0] if crs.is_compound else crs for crs in systems]
-    if all(crs.equals(flat[0], ignore_axis_order=True) for crs in flat):
+    if _one_plane(systems):
         return (
             "x and y are in one system, and heights are not, or some files do not name theirs: bring them into one, "
             "or, if they are, --set survey.crs=EPSG:<code>+<code of heights>"

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pyproj import CRS
 
 from fwclass import conf
 from fwclass.classify.context import halo_of
@@ -33,6 +34,7 @@ from fwclass.read.points import PointReader, coordinates
 from fwclass.read.polygons import is_polygon_file
 from fwclass.read.source import is_beam_file, open_source
 from fwclass.survey.gather import refuse_unusable, require_distinct
+from fwclass.survey.systems import with_heights
 from fwclass.workflows import workflow_of
 
 LEAST = 500
@@ -79,12 +81,14 @@ NO_CLASS = {0: "never classified", 1: "unclassified", 7: "noise", 12: "overlap",
 
 @dataclass
 class Holdings:
-    """What the files hold together: `facts` of each file of points or pulses, `polygons` beside them."""
+    """What the files hold together: `facts` of each file of points or pulses, `polygons` beside them, systems as they
+    are `named`."""
 
     facts: list[dict[str, Any]] = field(default_factory=list)
     polygons: list[Path] = field(default_factory=list)
     places: ClassPlaces = field(default_factory=ClassPlaces)
     codes: Counter[int] = field(default_factory=Counter)
+    named: dict[str, CRS | None] = field(default_factory=dict)
 
     @cached_property
     def waveforms(self) -> bool:
@@ -109,6 +113,12 @@ class Holdings:
         names = Counter(_system(f.get("crs")) for f in self.facts)
         return dict(names.most_common())
 
+    @property
+    def one_system(self) -> bool:
+        """A run takes the systems that are named for one (`survey.systems.common_crs`)."""
+        own = [crs for crs in self.named.values() if crs is not None]
+        return len(own) == len(self.named) and (len(own) == 1 or with_heights(own) is not None)
+
 
 def _system(crs: Mapping[str, Any] | None) -> str:
     if not crs:
@@ -129,6 +139,8 @@ def look_into(files: Sequence[Path]) -> Holdings:
             if set(facts.get("classes") or ()) - {"0"}:
                 _count_places(path, holdings)
             holdings.facts.append(facts)
+            if (name := _system(facts.get("crs"))) not in holdings.named:
+                holdings.named[name] = open_source(path).crs
         except InputError as fault:
             faults.append(fault)
     where = os.path.commonpath([p.resolve().parent for p in files]) if faults else ""
@@ -279,9 +291,11 @@ def _head(holdings: Holdings) -> list[str]:
 
 def _system_lines(holdings: Holdings) -> list[str]:
     systems = {visible(name): count for name, count in holdings.systems().items()}
-    if len(systems) == 1 and "none" not in systems:
+    if len(systems) == 1 and holdings.one_system:
         return [f"  crs: null    # all files: {next(iter(systems))}"]
     words = ", ".join(f"{name} ({several(count, 'file')})" for name, count in systems.items())
+    if holdings.one_system:
+        return [f"  crs: null    # heights of all are those of the files that name theirs; the files name: {words}"]
     example = next((name for name in systems if name.startswith("EPSG:")), "EPSG:25832")
     return [f"  crs: null    # TO DO: give one for all, e.g. {example}; the files name: {words}"]
 
@@ -355,8 +369,7 @@ def _tile_lines(text: str, beside: Path) -> str:
 
 def _lacks(holdings: Holdings, split: AreaSplit | None) -> Iterator[str]:
     """What the draft needs before it runs."""
-    systems = holdings.systems()
-    if len(systems) > 1 or "none" in systems:
+    if not holdings.one_system:
         yield "no coordinate system that all files name: set survey.crs"
     if sum(sum(holdings.codes[c] for c in m.codes) >= LEAST for m in MEANINGS) < 2:
         yield "fewer than two classes with points enough: add labels (docs/labels.md), or set survey.model"
