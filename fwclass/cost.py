@@ -31,10 +31,8 @@ def counted(kind: Literal["reading", "writing", "checking"]) -> Iterator[None]:
 def spent() -> dict[str, float]:
     """What this process has spent so far.
 
-    Returns
-    -------
-    dict with ``reading`` and ``writing`` tables and arrays, and ``checking`` that files are what was written [s];
-    processor time of the program (``user``) and of the system in its name (``system``) [s], of all its threads;
+    Returns a dict with ``reading`` and ``writing`` tables and arrays, and ``checking`` that files are what was written
+    [s]; processor time of the program (``user``) and of the system in its name (``system``) [s], of all its threads;
     ``faults``, pages of memory that the system had to give.
     """
     used = resource.getrusage(resource.RUSAGE_SELF)

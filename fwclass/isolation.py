@@ -95,10 +95,7 @@ def kernel_cache() -> Path:
     What lies there is run. So it must belong to this user, and nobody else may write there; otherwise a fresh
     directory is taken, which ends with this process, and standard error tells why.
 
-    Raises
-    ------
-    ConfigError
-        The user's own ``NUMBA_CACHE_DIR`` depends on the current directory.
+    `ConfigError`: the user's own ``NUMBA_CACHE_DIR`` depends on the current directory.
     """
     message = os.environ.get(CACHE)
     if message and not Path(message).is_absolute():

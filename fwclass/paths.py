@@ -100,10 +100,8 @@ def below(directory: Path, name: str, links: bool = True) -> Path:
     """``directory / name``, which lies below `directory` whatever links there are on the way; without `links` there
     are none.
 
-    Raises
-    ------
-    InputError
-        `name` is absolute, leads elsewhere, or cannot be a file's name; or a link below `directory` leads out of it.
+    `InputError`: `name` is absolute, leads elsewhere, or cannot be a file's name; or a link below `directory` leads out
+    of it.
     """
     fault = relative_fault(name)
     if not fault:
@@ -140,12 +138,7 @@ def run_around(path: Path) -> Path | None:
 def open_below(directory: Path, name: str, flags: int) -> int:
     """A handle of ``directory / name``, a file on a disk that is no link: opened by `flags`, without waiting.
 
-    Raises
-    ------
-    InputError
-        As `below`; or it is a link, a pipe, a device or a socket.
-    OSError
-        As `os.open`.
+    `InputError`: as `below`; or it is a link, a pipe, a device or a socket. `OSError`: as `os.open`.
     """
     path, kind = below(directory, name), 0
     try:
@@ -237,12 +230,7 @@ def open_sized(path: Path) -> tuple[BinaryIO, int]:
 def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading, without waiting.
 
-    Raises
-    ------
-    InputError
-        It is a pipe, a device or a socket.
-    OSError
-        As `open`.
+    `InputError`: it is a pipe, a device or a socket. `OSError`: as `open`.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     kind = stat.S_IFMT(os.fstat(handle).st_mode)

@@ -148,10 +148,7 @@ if yaml.__with_libyaml__:
 def plain(text: str, shipped: bool = False) -> Any:
     """The plain data that `text` (YAML) holds: numbers, texts, lists and mappings. `shipped`: it comes with fwclass.
 
-    Raises
-    ------
-    yaml.YAMLError
-        No YAML, a tag (`!…`) or a key twice, too deep, or aliases that would repeat too much.
+    `yaml.YAMLError`: no YAML, a tag (`!…`) or a key twice, too deep, or aliases that would repeat too much.
     """
     loader = (_Shipped if shipped else _Loader)(text)
     try:

@@ -153,10 +153,7 @@ _MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "shi2019": _Shi, "xiong2018
 def paper(name: str) -> dict[str, Any]:
     """The figures of a paper, plain data; see its file.
 
-    Raises
-    ------
-    ConfigError
-        A key that the file must not have or lacks, or a value of another kind.
+    `ConfigError`: a key that the file must not have or lacks, or a value of another kind.
     """
     path = conf_directory() / "papers" / f"{name}.yaml"
     return check_printed(name, read(path), path)

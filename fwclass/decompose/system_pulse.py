@@ -163,10 +163,7 @@ class SystemPulse:
     def from_json(cls, stored: Mapping[str, Any], where: object = "") -> SystemPulse:
         """A stored pulse, whoever wrote it.
 
-        Raises
-        ------
-        InputError
-            A key too few or too many, a number that is none or out of its range, too many values.
+        `InputError`: a key too few or too many, a number that is none or out of its range, too many values.
         """
         known = {f.name for f in fields(cls)}
         if not isinstance(stored, Mapping) or set(stored) != known:

@@ -26,13 +26,8 @@ def adapt_model(
 ) -> str:
     """Write the model that `named`, with the rows that it keeps, becomes on the echoes of a run; a sentence of it.
 
-    Raises
-    ------
-    InputError
-        `run` is no run that has delivered, has not the features of the model, or has too many echoes of
-        which the model is unsure; the model keeps no rows.
-    ConfigError
-        There is something at `target`.
+    `InputError`: `run` is no run that has delivered, has not the features of the model, or has too many echoes of which
+    the model is unsure; the model keeps no rows. `ConfigError`: there is something at `target`.
     """
     check_target(target, overwrite)
     delivery = open_run(run)

@@ -65,10 +65,7 @@ def labels_file(directory: Path, tile: str) -> Path:
 def least_sure_tiles(run: Path, count: int) -> frozenset[str]:
     """The keys of the `count` tiles that the report lists as least sure, or of all that it lists if these are fewer.
 
-    Raises
-    ------
-    InputError
-        `run` is no run that has delivered, or its delivery has no confidences (``--workflow ground``).
+    `InputError`: `run` is no run that has delivered, or its delivery has no confidences (``--workflow ground``).
     """
     delivery = open_run(run)
     listed = (delivery.report.get("sureness") or {"tiles": []})["tiles"]
@@ -85,12 +82,8 @@ def least_sure_tiles(run: Path, count: int) -> frozenset[str]:
 def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
     """Copy tiles of the current delivery to a new directory; a sentence of what is there now.
 
-    Raises
-    ------
-    InputError
-        `run` is no run that has delivered, or a tile of it is damaged.
-    ConfigError
-        The directory is not empty, or there is no such tile.
+    `InputError`: `run` is no run that has delivered, or a tile of it is damaged. `ConfigError`: the directory is not
+    empty, or there is no such tile.
     """
     delivery, keys = open_run(run), sorted(set(tiles))
     known = {str(t["tile"]): t for t in delivery.tiles}

@@ -77,13 +77,9 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     run : where the run lies now; None for where it lay.
     time : of these rows, microseconds since 1970 (UTC).
 
-    Raises
-    ------
-    InputError
-        There is no note; the run is another or gone; a tile is missing, cut or has other echoes; a class is none of
-        the survey; or a changed echo is not at its place any more.
-    StoreError
-        The run or the directory cannot be written to.
+    `InputError`: there is no note; the run is another or gone; a tile is missing, cut or has other echoes; a class is
+    none of the survey; or a changed echo is not at its place any more. `StoreError`: the run or the directory cannot be
+    written to.
     """
     note = read_note(directory)
     delivery = run_of(note, run, directory)

@@ -110,12 +110,7 @@ def export_view(
 ) -> str:
     """Write the page of a run, or of two side by side, to a new directory; a sentence of what is there.
 
-    Raises
-    ------
-    InputError
-        `run` or `against` is no run that has delivered.
-    ConfigError
-        The directory is not empty.
+    `InputError`: `run` or `against` is no run that has delivered. `ConfigError`: the directory is not empty.
     """
     first = open_run(run)
     second = open_run(against) if against is not None else None

@@ -59,10 +59,7 @@ class Delivery:
         columns : names; None for all.
         where : a pyarrow expression, or a list of (column, operator, value), all of which hold.
 
-        Raises
-        ------
-        InputError
-            There is no such column, the box is none, or a tile is damaged.
+        `InputError`: there is no such column, the box is none, or a tile is damaged.
         """
         self._part("parquet")
         box = None if box is None else require_box(box)
@@ -135,10 +132,7 @@ class Delivery:
         """``classes, confidence, density, dtm, dsm, ndsm, hillshade, slope, roughness, dtm_mask`` or
         ``dtm_distance``; of a survey of several places ``PLACE/dtm`` and so on.
 
-        Raises
-        ------
-        InputError
-            There is no such raster.
+        `InputError`: there is no such raster.
         """
         directory = self._part("rasters")
         self.file(f"rasters/{name}.tif")
@@ -151,10 +145,7 @@ class Delivery:
         ----------
         strip, pulse : as the echoes have them.
 
-        Raises
-        ------
-        InputError
-            The run has no such waveform, or keeps none.
+        `InputError`: the run has no such waveform, or keeps none.
         """
         return waveform_of(
             self._store, self.echoes(where=[("strip", "==", strip), ("pulse", "==", pulse)]), strip, pulse
@@ -167,10 +158,7 @@ class Delivery:
         ----------
         echo : (strip, pulse, echo_number), or a row that has these.
 
-        Raises
-        ------
-        InputError
-            There is no such echo, or one of the three is missing or no whole number.
+        `InputError`: there is no such echo, or one of the three is missing or no whole number.
         """
         row = echo if isinstance(echo, Mapping) else dict(zip(IDENTITY, echo, strict=False))
         if not row.keys() >= set(IDENTITY) or not all(_is_whole(row[name]) for name in IDENTITY):
@@ -263,10 +251,7 @@ def open_run(run: str | os.PathLike[str] | Remote) -> Delivery:
     ----------
     run : the directory that ``fwclass run`` wrote to.
 
-    Raises
-    ------
-    InputError
-        It is no run, has delivered nothing yet, is on object storage, or files of the delivery are gone.
+    `InputError`: it is no run, has delivered nothing yet, is on object storage, or files of the delivery are gone.
     """
     if isinstance(run, Remote):
         return open_at(run)
@@ -308,10 +293,7 @@ def open_delivery(run: str | os.PathLike[str]) -> Delivery:
     ----------
     run : the directory that ``fwclass run`` wrote to, or a copy of its delivery.
 
-    Raises
-    ------
-    InputError
-        It is neither, has delivered nothing yet, is on object storage, or files of the delivery are gone.
+    `InputError`: it is neither, has delivered nothing yet, is on object storage, or files of the delivery are gone.
     """
     text = _path_of(run)
     copy = Path(text)
@@ -347,12 +329,7 @@ def open_at(root: RunLocation) -> Delivery:
     """The current delivery of a run, in a directory or on object storage: there files are fetched when they are asked
     for, and kept for the next time.
 
-    Raises
-    ------
-    InputError
-        There is no delivery, or files of it are gone.
-    StoreError
-        Object storage does not answer.
+    `InputError`: there is no delivery, or files of it are gone. `StoreError`: object storage does not answer.
     """
     store = Store(root, read_only=True)
     generations = store.generations

@@ -27,10 +27,7 @@ MOST, MOST_LISTED = 100_000, 200
 def read_places(path: Path, delivery: Delivery) -> Polygons:
     """The polygons of a file, as `suggest` writes it or drawn by hand, in the coordinates of a delivery.
 
-    Raises
-    ------
-    InputError
-        It is no file of polygons, it has none or too many, or its coordinate system is unknown.
+    `InputError`: it is no file of polygons, it has none or too many, or its coordinate system is unknown.
     """
     opened = open_polygons(path, None, "--places")
     if not 0 < opened.features <= MOST:
@@ -74,10 +71,7 @@ def away(delivery: Delivery, places: Polygons) -> int:
 def listed_places(delivery: Delivery, path: Path) -> WorkList:
     """The places of a file as a work list, in its order; those without an echo are left out.
 
-    Raises
-    ------
-    InputError
-        It is no file of polygons, or no echo lies in any of them.
+    `InputError`: it is no file of polygons, or no echo lies in any of them.
     """
     places = read_places(path, delivery)
     total = places.parts

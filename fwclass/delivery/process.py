@@ -34,10 +34,8 @@ def process(
     workers : processes; None takes the configuration's number, 0 the plain loop.
     settings : values by dotted key, for example ``{"ground.max_building_size": 60}``.
 
-    Raises
-    ------
-    FwclassError
-        The run failed; its last words say why. A quality below the bound is no failure: `Delivery.report` tells it.
+    `FwclassError`: the run failed; its last words say why. A quality below the bound is no failure: `Delivery.report`
+    tells it.
     """
     command = [sys.executable, "-m", "fwclass", "run", os.fspath(survey), "--out", os.fspath(out)]
     command += ["--workers", str(workers)] if workers is not None else []

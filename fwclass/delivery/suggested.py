@@ -38,12 +38,8 @@ CROSSES = (
 def suggest(run: RunLocation, params: SuggestParams, path: Path, overwrite: bool) -> str:
     """Write the places of a run whose labels teach most as a GeoPackage, layer `LAYER`; a sentence of what was written.
 
-    Raises
-    ------
-    InputError
-        `run` is no run that has delivered, or its echoes have no entropy.
-    ConfigError
-        There is such a file already.
+    `InputError`: `run` is no run that has delivered, or its echoes have no entropy. `ConfigError`: there is such a file
+    already.
     """
     check_geopackage(path, overwrite)
     delivery = open_run(run)
@@ -141,12 +137,8 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     ----------
     time : of these rows, microseconds since 1970 (UTC).
 
-    Raises
-    ------
-    InputError
-        `run` is no run that has delivered, or no classified echo lies in any place.
-    StoreError
-        The run cannot be written to.
+    `InputError`: `run` is no run that has delivered, or no classified echo lies in any place. `StoreError`: the run
+    cannot be written to.
     """
     delivery = open_run(run)
     places = read_places(path, delivery)
@@ -160,10 +152,7 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
 def confirm_tiles(directory: Path, run: Path | None, who: str, time: int) -> Confirmed:
     """Confirm all echoes of the tiles in a directory of `checkout` that were not changed there, after `collect`.
 
-    Raises
-    ------
-    InputError
-        The run has delivered anew since: what was looked at is not what it says now.
+    `InputError`: the run has delivered anew since: what was looked at is not what it says now.
     """
     note = read_note(directory)
     delivery = run_of(note, run, directory)

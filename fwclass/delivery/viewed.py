@@ -181,10 +181,7 @@ class ViewedRun:
     def list_places(self, path: Path) -> None:
         """Take the places of a file for the work list, in its order, for as long as this scene is shown.
 
-        Raises
-        ------
-        InputError
-            It is no file of polygons, or no echo lies in any of them.
+        `InputError`: it is no file of polygons, or no echo lies in any of them.
         """
         self._listed = path
         self.work_list()

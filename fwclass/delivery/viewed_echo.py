@@ -88,10 +88,7 @@ class BehindEchoes:
     def waves(self, strip: int, pulse: int) -> Waveforms:
         """The span of a pulse; which one that is the receipt of the strip's index tells, without opening any.
 
-        Raises
-        ------
-        InputError
-            None has it.
+        `InputError`: none has it.
         """
         spans = self._inputs.meta("index", f"{strip:05d}").get("spans", ())
         part = span_name(strip, bisect_right([first for _, _, first, *_ in spans], pulse) - 1)

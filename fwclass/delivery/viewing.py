@@ -38,12 +38,7 @@ def serve_view(
     """Serve a run until the command is interrupted; `tell` is told the address. With `allow_run` the page may start the
     run's last command. The places of the file `places` are the work list, not those of unsure echoes.
 
-    Raises
-    ------
-    InputError
-        `run` or `against` is no run that has delivered.
-    ConfigError
-        The port is taken.
+    `InputError`: `run` or `against` is no run that has delivered. `ConfigError`: the port is taken.
     """
     scenes = scenes_of(run, against, params)
     if places is not None:

@@ -33,12 +33,7 @@ def check_geopackage(path: Path, overwrite: bool) -> None:
 def write_work_list(run: RunLocation, params: ViewParams, path: Path, overwrite: bool) -> str:
     """Write the places of a run as a GeoPackage, layer `LAYER`, rank 1 the largest; a sentence of what was written.
 
-    Raises
-    ------
-    InputError
-        `run` is no run that has delivered.
-    ConfigError
-        There is such a file already.
+    `InputError`: `run` is no run that has delivered. `ConfigError`: there is such a file already.
     """
     check_geopackage(path, overwrite)
     scene = ViewedRun(open_run(run), params)

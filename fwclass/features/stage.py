@@ -33,12 +33,7 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     any survey, few of them count (`fwclass.features.dense`). An echo that is `noise` has all others as neighbours, and
     is nobody's but other noise's; with ``params.noise_counts`` it is like any other.
 
-    Raises
-    ------
-    InputError
-        A column that the features are computed from is missing.
-    KeyError
-        A name that is no feature.
+    `InputError`: a column that the features are computed from is missing. `KeyError`: a name that is no feature.
 
     Source: the columns' own; the shape of a neighbourhood is the same for every kind of it.
     """

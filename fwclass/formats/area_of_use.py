@@ -41,11 +41,8 @@ def place_faults(crs: Any, low: Sequence[float], high: Sequence[float], header: 
     crs : `pyproj.CRS`, or None, of which only heights are looked at, as metres.
     header : may say the unit of heights, as `linear_units` takes it.
 
-    Returns
-    -------
-    list of str
-        A sentence for places outside of the area that the system is used in, one for heights where no land is; none of
-        numbers that are NaN, and of a system without such an area.
+    Returns a sentence for places outside of the area that the system is used in, one for heights where no
+    land is; none of numbers that are NaN, and of a system without such an area.
     """
     faults = [outside_of_area(crs, low, high) or stretched(crs, low, high)]
     unit = _metres_of_height(crs, header)

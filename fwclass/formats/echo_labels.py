@@ -134,10 +134,7 @@ def read_echo_labels(source: Path | bytes, where: object, field: str = FIELD, si
     field : the column of class codes.
     signed : read `time` and `who` too.
 
-    Raises
-    ------
-    InputError
-        It is damaged, too large, lacks a column, or has a value that no echo has.
+    `InputError`: it is damaged, too large, lacks a column, or has a value that no echo has.
     """
     try:
         return _read(source, where, field, signed)

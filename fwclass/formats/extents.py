@@ -37,12 +37,8 @@ def read_extents(path: Path, begin: NDArray[np.int64], end: NDArray[np.int64], l
     begin, end : (n,), from 0 to `least`.
     least : bytes that the file had when the places in it were checked.
 
-    Raises
-    ------
-    InputError
-        It is a pipe, a device or a socket, or has fewer than `least` bytes, also while it is read.
-    OSError
-        As `open`.
+    `InputError`: it is a pipe, a device or a socket, or has fewer than `least` bytes, also while it is read. `OSError`:
+    as `open`.
     """
     order = np.argsort(begin, kind="stable")
     starts, reached = begin[order], np.maximum.accumulate(np.maximum(begin, end)[order])

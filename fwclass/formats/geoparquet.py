@@ -41,10 +41,7 @@ WITHOUT_CRS = "OGC:CRS84"
 def header(path: Path) -> Header:
     """What the file holds; ``column`` names the geometry beside the keys of `vector.header`.
 
-    Raises
-    ------
-    InputError
-        No Parquet, no GeoParquet, or another encoding than well-known binary.
+    `InputError`: no Parquet, no GeoParquet, or another encoding than well-known binary.
     """
     try:
         return _header(path)

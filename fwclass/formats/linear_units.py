@@ -45,10 +45,7 @@ def linear_units(crs: Any, header: Records | None, where: object) -> LinearUnits
     crs : `pyproj.CRS`, or None: metres are assumed.
     header : may say the unit of heights (GeoTIFF key 4099) where the CRS has no vertical axis.
 
-    Raises
-    ------
-    InputError
-        Degrees, or coordinates that count from the middle of the earth.
+    `InputError`: degrees, or coordinates that count from the middle of the earth.
     """
     if crs is None:
         return LinearUnits(1.0, 1.0, "no coordinate system: metres are assumed")

@@ -46,10 +46,8 @@ def project(source: CRS, target: CRS, places: Floats, where: object = "") -> Flo
     places : those that are not finite stay so.
     where : named in errors.
 
-    Raises
-    ------
-    InputError
-        `target` is not projected or not in metres, there is no way from one to the other, or a place is beyond it.
+    `InputError`: `target` is not projected or not in metres, there is no way from one to the other, or a place is
+    beyond it.
     """
     points = np.asarray(places, np.float64).reshape(-1, 3)
     x, y, z = points.T

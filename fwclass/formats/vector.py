@@ -44,12 +44,7 @@ def _query(path: Path, question: Callable[[Any, Path], Any]) -> Any:
 def header(path: Path, layer: str | None, setting: str = "survey.reference.layer") -> Header:
     """What a layer holds; `layer`, which `setting` names, None takes the only one.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read or holds no layer.
-    ConfigError
-        No such layer, or several and none is named.
+    `InputError`: the file cannot be read or holds no layer. `ConfigError`: no such layer, or several and none is named.
     """
     known = layers(path)
     if not known:

@@ -113,10 +113,7 @@ class _Cursor:
 def parse(data: bytes) -> list[list[Ring]]:
     """The polygons of one geometry, each as its rings, the outline first; heights and measures are left out.
 
-    Raises
-    ------
-    WkbError
-        Another kind of geometry, or bytes that are none.
+    `WkbError`: another kind of geometry, or bytes that are none.
     """
     cursor = _Cursor(data)
     order, kind, dimensions = _head(cursor)
@@ -169,10 +166,7 @@ def shapes(geometries: Iterable[bytes | None], where: object, first: int = 1) ->
     where : the file, for messages.
     first : number of the first feature, in messages.
 
-    Raises
-    ------
-    InputError
-        A geometry that is no polygon or no well-known binary; the message names the feature.
+    `InputError`: a geometry that is no polygon or no well-known binary; the message names the feature.
     """
     rings: list[Ring] = []
     parts, feature, empty, invalid = [0], [], 0, 0
@@ -217,10 +211,8 @@ def _polygons(data: bytes | None, where: object, number: int) -> list[list[Ring]
 def lines(geometries: Iterable[bytes | None], where: object) -> tuple[Shapes, NDArray[np.float64]]:
     """Lines of all features, in their order, each a ring that is not closed, and the heights of their points.
 
-    Raises
-    ------
-    InputError
-        A geometry that is no line, has no heights, or a point that is no number; the message names the feature.
+    `InputError`: a geometry that is no line, has no heights, or a point that is no number; the message names the
+    feature.
     """
     parts: list[Ring] = []
     feature, empty = [], 0

@@ -218,10 +218,7 @@ def _any_product(plan: Plan) -> bool:
 def check_waves(plan: Plan) -> str:
     """A note on files without waveforms, of which no sample, voxel or profile tells; "" where all have some.
 
-    Raises
-    ------
-    ConfigError
-        None of the files has any, or they are left aside (`survey.echoes`).
+    `ConfigError`: none of the files has any, or they are left aside (`survey.echoes`).
     """
     if not _any_product(plan):
         return ""

@@ -53,9 +53,7 @@ def chunk_stage(
     settings : plain data; they enter the key of every part, as the bytes of the file do.
     version : raised where another library or file that the function uses makes it give something else.
 
-    Raises
-    ------
-    ConfigError : a name, a column, a halo or a setting that cannot be.
+    `ConfigError`: a name, a column, a halo or a setting that cannot be.
     """
     columns = tuple(writes) if not isinstance(writes, Column) else (writes,)
     wrong = [c for c in columns if not isinstance(c, Column)]

@@ -43,10 +43,7 @@ def codes_of(
     -------
     int16 (values,), `NO_CODE` for no value and for None in `meaning`; and the counts, by text of the value.
 
-    Raises
-    ------
-    ConfigError
-        A value that is none of these, or none of the values belongs to any class.
+    `ConfigError`: a value that is none of these, or none of the values belongs to any class.
     """
     texts = [text_of(v) for v in values]
     counts = Counter(t for t in texts if t is not None)

@@ -21,10 +21,8 @@ _LABELS = (("overall accuracy", "overall_accuracy"), ("kappa", "kappa"), ("mean 
 def assess_runs(first: Path, second: Path) -> dict[str, Any]:
     """The figures of run `second` minus those of `first`, as `intervals.difference` tells them.
 
-    Raises
-    ------
-    InputError
-        A directory is no assessed run; the runs judge other classes or other echoes; too few blocks for an interval.
+    `InputError`: a directory is no assessed run; the runs judge other classes or other echoes; too few blocks for an
+    interval.
     """
     return compare(_blocks(first), _blocks(second), f"{first}, {second}")
 

@@ -51,14 +51,8 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
     The logs of removed parts go with them. A simulated survey's files, the history and the words of the last run stay.
     The same run makes all parts anew, and the same delivery.
 
-    Raises
-    ------
-    ConfigError
-        Only what was delivered is to stay, and the current delivery is not whole.
-    LockedError
-        A run is under way.
-    StoreError
-        Links of the run directory lead elsewhere, or something else stands in their place.
+    `ConfigError`: only what was delivered is to stay, and the current delivery is not whole. `LockedError`: a run is
+    under way. `StoreError`: links of the run directory lead elsewhere, or something else stands in their place.
     """
     with locked(location, tell) as (own, _):
         store = open_store(own)

@@ -31,10 +31,7 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
 
     `tell` is called now and then with how far it is.
 
-    Raises
-    ------
-    StoreError
-        What is compiled cannot be kept; nothing more is compiled then.
+    `StoreError`: what is compiled cannot be kept; nothing more is compiled then.
     """
     began, wanted = time.perf_counter(), listed_kernels()
     before, spoke, left = compiling.count(), began, list[str]()

@@ -74,11 +74,8 @@ def run_survey(
     `entry`: the run's place in the history. `fail_fast`: end at the first part that fails. `verify`: first read all
     that is there, and remove what is damaged with all that was made from it.
 
-    Raises
-    ------
-    FwclassError
-        The run did not come to its end. Where `report.json` is written, and a later step failed (its page, or one of
-        a paper), what was made is delivered all the same.
+    `FwclassError`: the run did not come to its end. Where `report.json` is written, and a later step failed (its page,
+    or one of a paper), what was made is delivered all the same.
     """
     runner.store.generations.check_links()
     before = runner.store.generations.current()

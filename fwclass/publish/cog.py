@@ -47,10 +47,7 @@ def write_cog(
 ) -> dict[str, Any]:
     """Write a raster that is in memory; see `cog`. Returns a dict with ``path, shape, cell, bytes``.
 
-    Raises
-    ------
-    InputError
-        The array is not of the window's shape, or the window is empty.
+    `InputError`: the array is not of the window's shape, or the window is empty.
     """
     if array.shape != window.shape or not array.size:
         raise InputError("a raster does not fit its window", where=path, expected=window.shape, got=array.shape)

@@ -73,14 +73,9 @@ def write_tile_copc(
     crs : None leaves the file without one.
     names : of classes by code, for the file's record of class names; longer ones than 15 bytes are cut.
 
-    Returns
-    -------
-    dict with ``path, points, nodes, extra_bytes, beyond, clipped, without_time, bytes``, as `write_tile_laz`.
+    Returns a dict with ``path, points, nodes, extra_bytes, beyond, clipped, without_time, bytes``, as `write_tile_laz`.
 
-    Raises
-    ------
-    InputError
-        A column is missing, or coordinates do not fit the format's 32 bits.
+    `InputError`: a column is missing, or coordinates do not fit the format's 32 bits.
     """
     require(table, NEEDED, path)
     extras = extra_bytes(published_columns(copc_columns(table)), table)

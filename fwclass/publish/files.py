@@ -115,10 +115,7 @@ def write_page(path: Path, text: str) -> int:
 def whole_directory(path: Path) -> Iterator[Path]:
     """A directory beside `path` to write to; it becomes `path` when the block ends well, else it is removed.
 
-    Raises
-    ------
-    ConfigError
-        There is something at `path`, other than an empty directory.
+    `ConfigError`: there is something at `path`, other than an empty directory.
     """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ConfigError(

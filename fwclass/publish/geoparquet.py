@@ -58,14 +58,9 @@ def write_geoparquet(
     crs : None where it is unknown.
     about : plain data for the file's metadata, under the key ``fwclass``; see `about_delivery`.
 
-    Returns
-    -------
-    dict with ``path, rows, row_groups, bytes``.
+    Returns a dict with ``path, rows, row_groups, bytes``.
 
-    Raises
-    ------
-    InputError
-        x, y or z is missing.
+    `InputError`: x, y or z is missing.
     """
     require(table, ("x", "y", "z"), path)
     table = short_coordinates(table)
@@ -137,9 +132,7 @@ def write_shape_parquet(
     boxes : (rows, 4), xmin, ymin, xmax, ymax of each.
     units : of fields that have one.
 
-    Returns
-    -------
-    dict with ``path, rows, bytes``.
+    Returns a dict with ``path, rows, bytes``.
     """
     arrays = {n: pa.array(v, None if isinstance(v, np.ndarray) else pa.string()) for n, v in fields.items()}
     arrays["geometry"] = pa.array(list(geometry), pa.binary())

@@ -41,9 +41,7 @@ class Layer:
 def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> dict[str, Any]:
     """Write layers into one GeoPackage; the same shapes and fields give the same bytes.
 
-    Returns
-    -------
-    dict with ``path, layers, bytes``.
+    Returns a dict with ``path, layers, bytes``.
     """
     with whole(path) as beside:
         beside.unlink(missing_ok=True)

@@ -75,9 +75,7 @@ def render_comparison(comparison: Mapping[str, Any], pictures: Mapping[str, byte
     comparison : what `single_file.ground.compare` tells.
     pictures : PNG by filter, and ``disagreement``.
 
-    Returns
-    -------
-    dict with ``path, bytes``.
+    Returns a dict with ``path, bytes``.
     """
     page = environment().get_template(TEMPLATE).render(_view(comparison, pictures))
     return {"path": str(path), "bytes": write_page(path, page)}

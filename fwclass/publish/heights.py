@@ -37,10 +37,7 @@ class Heights:
 def store_heights(head: LasHead, z: NDArray[np.float64]) -> Heights:
     """`z` in whole steps of the file's own scale, or of the next power of ten times it that can hold all of them.
 
-    Raises
-    ------
-    InputError
-        `z` has another length than the file, or holds something that is not finite.
+    `InputError`: `z` has another length than the file, or holds something that is not finite.
     """
     if len(z) != head.points or not np.isfinite(z).all():
         raise InputError(

@@ -73,15 +73,10 @@ def write_tile_laz(
     crs : None leaves the file without one.
     standard_time : `gps_time` is adjusted standard GPS time, not seconds of the week.
 
-    Returns
-    -------
-    dict with ``path, points, extra_bytes (names), beyond (values outside their extra byte's range, by name), clipped
-    (echo numbers above 15), without_time, bytes``.
+    Returns a dict with ``path, points, extra_bytes (names), beyond (values outside their extra byte's range, by name),
+    clipped (echo numbers above 15), without_time, bytes``.
 
-    Raises
-    ------
-    InputError
-        A column is missing, or coordinates do not fit the format's 32 bits.
+    `InputError`: a column is missing, or coordinates do not fit the format's 32 bits.
     """
     require(table, NEEDED, path)
     extras = extra_bytes(published_columns(table), table)

@@ -47,9 +47,7 @@ def write_project(
 
     Titles, names and sources may hold any text. The same layers give the same bytes.
 
-    Returns
-    -------
-    dict with ``path, layers, bytes``.
+    Returns a dict with ``path, layers, bytes``.
     """
     layers = [layer for group in groups.values() for layer in group]
     root = Xml.Element("qgis", {"version": VERSION, "projectname": plain_text(title)})

@@ -89,9 +89,7 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     figures : PNG by name; ``map, confidence, errors, relief`` are layers of one map, others follow under their names;
         ``pulse`` stands with the waveforms, ``sampling`` with the labels.
 
-    Returns
-    -------
-    dict with ``path, bytes, sections``.
+    Returns a dict with ``path, bytes, sections``.
     """
     view = _view(report, figures)
     page = environment().get_template(TEMPLATE).render(view)

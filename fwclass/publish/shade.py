@@ -48,9 +48,7 @@ def slope(dtm: NDArray[np.float32], cell: float) -> NDArray[np.float32]:
     ----------
     dtm : (n + 2, m + 2) heights [m] of the raster and one cell around.
 
-    Returns
-    -------
-    (n, m); NaN where one of the nine heights is missing, as `gdaldem slope` has it.
+    Returns (n, m); NaN where one of the nine heights is missing, as `gdaldem slope` has it.
     """
     z = dtm.astype(np.float64)
     across, along = z[:-2] + 2.0 * z[1:-1] + z[2:], z[:, :-2] + 2.0 * z[:, 1:-1] + z[:, 2:]

@@ -33,9 +33,8 @@ def drop_implied(edges: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
 def stage_graph(stages: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     """What the template draws of ``{name, over, reads}`` for every stage in the order of the run; None for none.
 
-    Returns
-    -------
-    dict with ``width, height, x`` (of the dots), ``arcs {d, colour, title}`` and ``rows {y, name, what, colour}`` [px].
+    Returns a dict with ``width, height, x`` (of the dots), ``arcs {d, colour, title}`` and ``rows {y, name, what,
+    colour}`` [px].
     """
     if not stages:
         return None

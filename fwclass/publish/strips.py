@@ -70,21 +70,14 @@ def write_strip_laz(
     z : new heights, one per point, in the file's unit; the header's scale, offset and range of z then follow them. None
         leaves the source's.
 
-    Returns
-    -------
-    dict with ``path, points, changed (points whose class differs), point_format, extra_bytes, beyond
-    (values outside their extra byte's range, by name), waveforms, wdp (path or None), copc (bool), lacking (of its
-    waveforms, list of text), notes (these and others), bytes``; waveforms is "none", "copied",
-    "extracted", "missing" or "truncated".
+    Returns a dict with ``path, points, changed (points whose class differs), point_format, extra_bytes, beyond (values
+    outside their extra byte's range, by name), waveforms, wdp (path or None), copc (bool), lacking (of its waveforms,
+    list of text), notes (these and others), bytes``; waveforms is "none", "copied", "extracted", "missing" or
+    "truncated".
 
-    Raises
-    ------
-    InputError
-        The source is damaged, or `classes` or `extra` are of another length.
-    ConfigError
-        A class code does not fit the point format, or source and output are the same file.
-    StoreError
-        What was read back differs from the source in more than its classification.
+    `InputError`: the source is damaged, or `classes` or `extra` are of another length. `ConfigError`: a class code does
+    not fit the point format, or source and output are the same file. `StoreError`: what was read back differs from the
+    source in more than its classification.
     """
     head = read_head(source)
     _check(head, output, classes, extra or {})

@@ -21,9 +21,7 @@ def write_text(
 
     A coordinate has as many digits as it takes to read the same number back; NaN is written as ``nan``.
 
-    Returns
-    -------
-    dict with ``path, points, bytes``.
+    Returns a dict with ``path, points, bytes``.
     """
     table = pa.table({"x": x, "y": y, "z": z, "classification": classes})
     comma = path.suffix.lower() == ".csv"

@@ -36,13 +36,11 @@ _NAMES = {"z": "Z"}
 def tile_facts(table: Table) -> dict[str, Any]:
     """Facts of a tile with at least one echo, plain data.
 
-    Returns
-    -------
-    dict with ``points``; ``sure`` (echoes that have a confidence, and its sum, by code as text);
-    ``bounds`` (xmin, ymin, zmin, xmax, ymax, zmax [m]); ``classes`` (echoes by code as text);
-    ``several`` (those of pulses with several, by code as text);
-    ``confidence`` (its mean, None where no echo has one); ``times`` (first and last GPS time [s], None without any);
-    ``figures`` (by name in the file: count, least, greatest, mean, standard deviation; without NaN).
+    Returns a dict with ``points``; ``sure`` (echoes that have a confidence, and its sum, by code as text); ``bounds``
+    (xmin, ymin, zmin, xmax, ymax, zmax [m]); ``classes`` (echoes by code as text); ``several`` (those of pulses with
+    several, by code as text); ``confidence`` (its mean, None where no echo has one); ``times`` (first and last GPS time
+    [s], None without any); ``figures`` (by name in the file: count, least, greatest, mean, standard deviation; without
+    NaN).
     """
     axes = [millimetres(table[a]) for a in "xyz"]
     time = table["gps_time"][np.isfinite(table["gps_time"])] if "gps_time" in table else np.zeros(0)

@@ -56,9 +56,7 @@ def write_vpc(
     overview : a thinned file of all tiles, for those that have none of `overviews`, and before the others for the first
         and the last of all: QGIS up to 4.0 takes one alone, later versions take all that any item names.
 
-    Returns
-    -------
-    dict with ``path, items, bytes``.
+    Returns a dict with ``path, items, bytes``.
     """
     place = _Place(crs)
     names = sorted(tiles)

@@ -38,10 +38,7 @@ TAIL_ENLARGED = 20.0
 def draw_waveforms(pictures: Sequence[WavePicture], heading: str) -> bytes:
     """Small multiples: per pulse its samples, fitted sum, echoes and vendor returns, and below the residual.
 
-    Returns
-    -------
-    bytes
-        PNG.
+    Returns a PNG.
     """
     across = 2 if len(pictures) in (2, 4) else min(ACROSS, len(pictures))
     down = math.ceil(len(pictures) / across)
@@ -265,10 +262,7 @@ def draw_pulse(
     time : [ns] after the peak, shape (n,).
     values, gaussian_values : height as a share of the peak's, shape (n,).
 
-    Returns
-    -------
-    bytes
-        PNG.
+    Returns a PNG.
     """
     figure = Figure(figsize=(7.6, 3.1), dpi=DPI, facecolor=PAPER)
     FigureCanvasAgg(figure)

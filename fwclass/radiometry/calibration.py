@@ -131,9 +131,7 @@ def calibrate(statistics: Iterable[Overlap], params: RadiometryParams) -> Calibr
     on the target are not tied to it. A second group that has some is brought to the same constant by its gains.
     Systematic differences (targets that are not matt, moisture between two flights) are not in the standard errors.
 
-    Raises
-    ------
-    InputError : a target with fewer than 5 usable echoes on it.
+    `InputError`: a target with fewer than 5 usable echoes on it.
     """
     total = merge(statistics)
     strips = np.unique(np.concatenate([total.strip, total.first, total.second, total.target_strip]))

@@ -85,10 +85,7 @@ def _open(path: Path) -> OpenedTable:
 def open_beam_file(path: Path) -> BeamSource:
     """Look at such a file, in one pass over all of it.
 
-    Raises
-    ------
-    InputError
-        Damaged, without the columns that are needed, or with a row that is none.
+    `InputError`: damaged, without the columns that are needed, or with a row that is none.
     """
     opened = _open(path)
     census = opened.census or census_of(path, opened.layout)

@@ -94,12 +94,8 @@ def read_point_cloud(path: str | Path, crs: Any = None) -> PointCloud:
     ----------
     crs : `pyproj.CRS` that replaces the file's own.
 
-    Raises
-    ------
-    ConfigError
-        No known kind of file.
-    InputError
-        No such file, damaged, without points, in degrees, geocentric, or without a single usable coordinate.
+    `ConfigError`: no known kind of file. `InputError`: no such file, damaged, without points, in degrees, geocentric,
+    or without a single usable coordinate.
     """
     path = Path(path)
     if not path.is_file():

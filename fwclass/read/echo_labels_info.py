@@ -15,10 +15,7 @@ def echo_labels_info(path: Path) -> dict[str, Any]:
     """Contents of labels by echo, or corrections, as plain data for JSON: rows, echoes, which code how often (``null``
     takes earlier rows back), and the echoes' bounds [m].
 
-    Raises
-    ------
-    InputError
-        The file is damaged.
+    `InputError`: the file is damaged.
     """
     labels = read_echo_labels(path, path)
     codes, counts = np.unique(labels.code, return_counts=True)

@@ -195,11 +195,8 @@ def is_footprints(path: Path) -> bool:
 def open_footprints(path: Path) -> tuple[FootprintLayout, str, CRS, list[tuple[str, str]]]:
     """The layout, its format, the system that its places are brought into, and what is to be told of it.
 
-    Raises
-    ------
-    InputError
-        `h5py` is not installed; no HDF5, neither LVIS L1B nor GEDI L1B, a data set is missing or does not fit the
-        others; shots too far apart for one plane.
+    `InputError`: `h5py` is not installed; no HDF5, neither LVIS L1B nor GEDI L1B, a data set is missing or does not fit
+    the others; shots too far apart for one plane.
     """
     with open_hdf5(path) as file:
         groups = sorted(k for k in file if re.fullmatch(r"BEAM\d{4}", k) and reach(path, file, f"{k}/rxwaveform"))

@@ -78,11 +78,8 @@ def array_in(path: Path, group: Any, name: str, dimensions: int = 0) -> Any:
 def rows_of(path: Path, data: Any, first: int, last: int) -> NDArray[Any]:
     """Rows [first, last) of an array that `array_in` gave, as stored.
 
-    Raises
-    ------
-    InputError
-        A chunk holds more than its numbers once it is unpacked: deflate swells a thousand times, and HDF5 makes room
-        for whatever comes.
+    `InputError`: a chunk holds more than its numbers once it is unpacked: deflate swells a thousand times, and HDF5
+    makes room for whatever comes.
     """
     if data.chunks and last > first:
         plan = data.id.get_create_plist()

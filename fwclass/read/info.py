@@ -130,10 +130,7 @@ def info(path: str | Path) -> dict[str, Any]:
     One pass over the points (or pulses); memory does not grow with their number. Of a file of polygons its layers,
     fields and their values; of labels by echo their rows and classes.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read.
+    `InputError`: the file cannot be read.
     """
     if is_polygon_file(path) and not is_beam_file(path):
         return echo_labels_info(Path(path)) if is_echo_labels(Path(path)) else polygon_info(Path(path))

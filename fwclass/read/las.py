@@ -91,10 +91,7 @@ class LasSource(Source):
 def open_las(path: Path) -> LasSource:
     """Look at a LAS file without reading its points.
 
-    Raises
-    ------
-    InputError
-        No LAS file, empty, cut short, or a header that contradicts the file.
+    `InputError`: no LAS file, empty, cut short, or a header that contradicts the file.
     """
     header = read_header(path)
     if header.compressed:

@@ -69,10 +69,7 @@ def index_las(source: LasSource, params: ReadParams) -> list[Span]:
     Returns of one pulse share descriptor and packet offset and need not be adjacent in the file. One streaming pass
     over the packet references, none for files without waveforms; at most 40 bytes of memory a point.
 
-    Raises
-    ------
-    InputError
-        Points that cannot be read, or a file sorted so that it cannot be cut.
+    `InputError`: points that cannot be read, or a file sorted so that it cannot be cut.
     """
     if not source.has_waves:
         return spans_by_points(source.n_points, params.chunk_pulses)
@@ -84,13 +81,10 @@ def read_las(source: LasSource, span: Span, use_flagged: bool = False, waves: bo
     `withheld` where what the file flags is to be used. Without `waves` every return is a pulse by itself, as in a file
     that declares none.
 
-    Returns
-    -------
-    Waveforms
-        `location` and `anchor_time` [ns], `step` [m/ns] up the beam. A return's location counts from the first sample
-        of its pulse's first segment, an anchor time from the first sample of its own row. Returns without a usable
-        packet are kept with `has_packet` False and counted in `faults` by reason. `location` is NaN only where the
-        file declares no waveforms, or they are not asked for.
+    Returns waveforms `location` and `anchor_time` [ns], `step` [m/ns] up the beam. A return's location counts from the
+    first sample of its pulse's first segment, an anchor time from the first sample of its own row. Returns without a
+    usable packet are kept with `has_packet` False and counted in `faults` by reason. `location` is NaN only where the
+    file declares no waveforms, or they are not asked for.
     """
     with PointReader(source) as reader:
         points = reader.read(span.first_point, span.last_point)

@@ -162,10 +162,7 @@ def _items(path: Path, record: bytes, pulse_size: int) -> tuple[int, NDArray[np.
 def unpacked_pulses(path: Path, chunks: Chunks, first: int, last: int) -> NDArray[np.uint8]:
     """The stored pulses [first, last), a row each; those before them in their chunk are decoded too.
 
-    Raises
-    ------
-    InputError
-        A chunk ends before its pulses do, or the last goes on behind those that the header counts.
+    `InputError`: a chunk ends before its pulses do, or the last goes on behind those that the header counts.
     """
     length = int(chunks.items[:, 1].sum())
     every = range(
@@ -212,12 +209,7 @@ def unpacked_waves(
         returns.
     header, most : bytes of a Waves file's header, and segments that a pulse may have.
 
-    Raises
-    ------
-    InputError
-        They are more than `EXPANSION` times the file; as `read_extents`.
-    OSError
-        As `open`.
+    `InputError`: they are more than `EXPANSION` times the file; as `read_extents`. `OSError`: as `open`.
     """
     limit = EXPANSION * size
     ends, start, stop = (np.zeros(len(offset), np.int64) for _ in range(3))

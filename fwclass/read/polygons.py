@@ -58,12 +58,8 @@ def layers(path: Path) -> list[str]:
 def open_polygons(path: Path, layer: str | None = None, setting: str = "survey.reference.layer") -> PolygonLayer:
     """Look at a layer without reading its rows; `setting` names it.
 
-    Raises
-    ------
-    InputError
-        No file of a known format, or one that cannot be read.
-    ConfigError
-        The layer is not there, or has to be named.
+    `InputError`: no file of a known format, or one that cannot be read. `ConfigError`: the layer is not there, or has
+    to be named.
     """
     if not is_polygon_file(path):
         gpkg, own = (shlex.quote(name) for name in (f"{path.stem}.gpkg", path.name))

@@ -27,10 +27,7 @@ def polygon_info(path: Path) -> dict[str, Any]:
     """Contents and faults of a polygon file as plain data for JSON; of each layer ``values`` has how often a field
     holds which value, but for those with more than `MOST_VALUES`, and those in ``uncounted``.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read.
+    `InputError`: the file cannot be read.
     """
     if not path.is_file():
         raise InputError("no such file", where=path, do="check the path")

@@ -140,10 +140,7 @@ def is_pulse_file(path: Path) -> bool:
 def open_pls(path: Path) -> PulseSource:
     """Look at a Pulse file and for its Waves file.
 
-    Raises
-    ------
-    InputError
-        No Pulse file of version 0.3, cut short, or a header that contradicts the file.
+    `InputError`: no Pulse file of version 0.3, cut short, or a header that contradicts the file.
     """
     if path.suffix.lower() in WAVEFORM_ENDINGS[".pls"]:
         raise InputError("this file holds waveforms, not pulses", where=path, do="give the .pls or .plz beside it")

@@ -146,12 +146,8 @@ def is_sdf(path: Path) -> bool:
 def open_sdf(path: Path) -> tuple[SdfLayout, list[tuple[str, str]], Census]:
     """The layout, what is to be told of the file, and what one pass over all records adds up, once in a process.
 
-    Raises
-    ------
-    ConfigError
-        The library is not named, or cannot be loaded.
-    InputError
-        The library refuses the file, or its beams are in the scanner's own frame.
+    `ConfigError`: the library is not named, or cannot be loaded. `InputError`: the library refuses the file, or its
+    beams are in the scanner's own frame.
     """
     facts = path.stat()
     return _look(path, (facts.st_size, facts.st_mtime_ns), library_path())

@@ -25,10 +25,7 @@ RDB = ".rdbx"
 def open_source(path: str | Path) -> Source:
     """Look at a file without reading its points or pulses.
 
-    Raises
-    ------
-    InputError
-        No file of a known format, empty, cut short, or a header that contradicts the file.
+    `InputError`: no file of a known format, empty, cut short, or a header that contradicts the file.
     """
     path = Path(path)
     if path.suffix.lower() == RDB:

@@ -56,10 +56,7 @@ def check_source(source: Source, params: ReadParams) -> None:
 def index_source(source: Source, params: ReadParams) -> list[Span]:
     """Cut `source` into spans of about `params.chunk_pulses` pulses without cutting a pulse.
 
-    Raises
-    ------
-    InputError
-        Points that cannot be read, or a file sorted so that it cannot be cut.
+    `InputError`: points that cannot be read, or a file sorted so that it cannot be cut.
     """
     source = with_settings(source, params)
     if isinstance(source, PulseSource):

@@ -86,11 +86,8 @@ def read_text(path: str | Path, ignored: Collection[str] = (), named: Collection
     A fourth column is a label: class codes where the header calls it so (``classification``, ``class``, ``code``) or
     where it holds anything but 0 and 1, else the labels of the ISPRS filter test, 0 ground and 1 object.
 
-    Raises
-    ------
-    InputError
-        No text, no points, a line with another number of columns or something that is no number, labels beyond 0 to
-        255.
+    `InputError`: no text, no points, a line with another number of columns or something that is no number, labels
+    beyond 0 to 255.
     """
     path = Path(path)
     data = _text_of(path)

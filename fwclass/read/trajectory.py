@@ -80,10 +80,8 @@ def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Tab
         survey has heights above sea level and the trajectory ellipsoidal ones. Do not forget it: 47 m at a flying
         height of 370 m change R⁴ by 60 %.
 
-    Raises
-    ------
-    InputError : not such a file, truncated, too large, no usable fix, times that fall back (SBET), geographic without
-        `crs`, or fixes that lie apart further than an aircraft flies in the time between them.
+    `InputError`: not such a file, truncated, too large, no usable fix, times that fall back (SBET), geographic without
+    `crs`, or fixes that lie apart further than an aircraft flies in the time between them.
     """
     path = Path(path)
     size = path.stat().st_size
@@ -138,9 +136,7 @@ def in_survey_time(trajectory: Table, first: float, last: float, where: object) 
     since 1980. If the times do not overlap as they stand, the trajectory is moved by the whole weeks, or the 10⁹ s,
     that bring it over the survey.
 
-    Raises
-    ------
-    InputError : nothing makes the times overlap, several weeks do, or the survey has no times.
+    `InputError`: nothing makes the times overlap, several weeks do, or the survey has no times.
     """
     if not (np.isfinite(first) and np.isfinite(last)) or last < first:
         raise InputError("the survey's echoes have no GPS times", where=where, do="give a platform altitude instead")

@@ -29,10 +29,7 @@ def read_waves(
     offset, asked : of every pulse, where its waves begin, and whether they are read; those of others are empty.
     look : gives what looking at every pulse ended in, and the byte of the file up to which it has to be read.
 
-    Raises
-    ------
-    InputError, OSError
-        As `read_extents`.
+    `InputError` or `OSError`: as `read_extents`.
     """
     inside = asked & (offset >= 0) & (offset < size)
     begin = np.where(inside, offset, 0)

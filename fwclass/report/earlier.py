@@ -21,10 +21,7 @@ def since_earlier(runner: Runner, name: str, survey: str, files: Mapping[str, An
     name : of its report. survey : name of the survey. files : of this run, as `source_files` has them; one
         that is left out on request (survey.exclude) is not lost.
 
-    Returns
-    -------
-    dict
-        ``lost_sources`` with path, points and pulses, and ``remarks``.
+    Returns ``lost_sources`` with path, points and pulses, and ``remarks``.
     """
     path = runner.store.generations.shown(name)
     here = {*(one["path"] for one in files["files"]), *files["excluded"]}

@@ -106,9 +106,7 @@ def _sensors(runner: Runner, survey: Survey) -> dict[str, tuple[float, float]]:
 def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
     """A few pulses of the first span with waveforms, from simple ones to those with most echoes.
 
-    Returns
-    -------
-    dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
+    Returns dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
     ``echoes``: (time [ns], amplitude [DN], width [ns]) each.
     """
     span = next((r.part for r in reads if r.meta.get("waveforms") and r.part in decomposed), None)

@@ -92,12 +92,8 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     The points keep their order and all their other fields; `confidence` and `entropy` become extra bytes, with
     ``classify.probabilities`` the share of every class too.
 
-    Raises
-    ------
-    ConfigError
-        An output, a setting or a model that cannot be used.
-    InputError
-        A file or model that cannot be used, or lacks what the model decides by.
+    `ConfigError`: an output, a setting or a model that cannot be used. `InputError`: a file or model that cannot be
+    used, or lacks what the model decides by.
     """
     began = time.perf_counter()
     job = replace(job, model=model_location(job.model))

@@ -43,10 +43,7 @@ def place_of(location: RunLocation) -> Path | Url:
 def read_corrections(location: RunLocation) -> EchoLabels:
     """Every row, in the order in which they were added; none where nothing was ever corrected.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, or larger than any that this program writes.
+    `InputError`: the file is damaged, or larger than any that this program writes.
     """
     return _read(location)[0]
 
@@ -57,12 +54,8 @@ def add_corrections(location: RunLocation, change: Change) -> EchoLabels:
     Nothing comes between what `change` sees and what is written: of two writers at the same time one waits for the
     other (a directory), or sees what the other wrote (a bucket) and is asked again. Without rows nothing is written.
 
-    Raises
-    ------
-    StoreError
-        The place cannot be written to, or another writer does not end.
-    InputError
-        The file that is there is damaged, or would have too many rows.
+    `StoreError`: the place cannot be written to, or another writer does not end. `InputError`: the file that is there
+    is damaged, or would have too many rows.
     """
     until = time.monotonic() + PATIENCE
     while True:

@@ -155,12 +155,7 @@ class Directory:
     def fetch(self, below: str, files: Mapping[str, Facts]) -> None:
         """Have files (by path below a key) on this host, below `root`, each with its bytes.
 
-        Raises
-        ------
-        StoreError
-            One is gone.
-        DamagedError
-            One has other bytes.
+        `StoreError`: one is gone. `DamagedError`: one has other bytes.
         """
         for name, facts in files.items():
             check_file(f"{self.root}/{below}/{name}", str(facts["digest"]))

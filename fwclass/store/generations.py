@@ -208,10 +208,7 @@ class Generations:
         size, and reports (where all are `read`, all files) with their bytes. `tell` is told what is not, and the new
         one takes its place: it goes.
 
-        Raises
-        ------
-        DamagedError
-            A file that the current generation does not have is not what was written.
+        `DamagedError`: a file that the current generation does not have is not what was written.
         """
         self.check_links()
         digest = digest_of({name: of for name, (_, of) in files.items()})
@@ -372,10 +369,7 @@ def copy_damage(directory: Path) -> list[str]:
     """Files of a generation that somebody copied to `directory` which are gone there or not what was delivered; all are
     read. Files beside them are not looked at.
 
-    Raises
-    ------
-    DamagedError
-        What tells of the generation is damaged itself.
+    `DamagedError`: what tells of the generation is damaged itself.
     """
     generation = _generation_of((directory / FACTS).read_bytes(), directory, directory)
     listed = (directory / MANIFEST).read_bytes() if (directory / MANIFEST).is_file() else b""

@@ -63,9 +63,7 @@ def _counts(codes: NDArray[np.uint8]) -> dict[str, int]:
 def load_rows(directory: Path) -> tuple[Model, ModelRows]:
     """A model and the rows that it keeps.
 
-    Raises
-    ------
-    InputError : it is no model, it keeps none, or they do not fit its card (which may be without their digest).
+    `InputError`: it is no model, it keeps none, or they do not fit its card (which may be without their digest).
     """
     model = load_model(directory)
     _require_rows(directory, model.card)

@@ -177,12 +177,7 @@ class Objects:
     def fetch(self, wanted: Sequence[Download]) -> None:
         """Write objects to files, several at a time, and several pieces of large ones.
 
-        Raises
-        ------
-        FileNotFoundError
-            There is no such object.
-        LostRace
-            It is another version than the wanted one by now.
+        `FileNotFoundError`: there is no such object. `LostRace`: it is another version than the wanted one by now.
         """
         chunk = self.params.chunk_mib * MIB
         self.all(self._whole, [one for one in wanted if one.size <= chunk])

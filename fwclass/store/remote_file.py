@@ -48,11 +48,8 @@ class RemoteFile:
     def fetched(self, digests: Mapping[str, str]) -> Path:
         """The file, or directory, on this host's disk, with those that belong to it.
 
-        Raises
-        ------
-        InputError
-            An object is not the one any more that the run found, or its bytes do not have the digest that `digests` has
-            for its name.
+        `InputError`: an object is not the one any more that the run found, or its bytes do not have the digest that
+        `digests` has for its name.
         """
         scratch = scratch_of(self.params)
         unit = f"outside/{digest_of([self.url, self.held])}"

@@ -107,12 +107,8 @@ class Scratch:
 
         `digests` are those of their bytes, by the same path, as far as they are known.
 
-        Raises
-        ------
-        StoreError
-            An object's bytes are not those of its digest, however often it is fetched.
-        FileNotFoundError, LostRace
-            As `Objects.fetch`.
+        `StoreError`: an object's bytes are not those of its digest, however often it is fetched. `FileNotFoundError` or
+        `LostRace`: as `Objects.fetch`.
         """
         for name in files:
             if name.startswith("/") or ".." in name.split("/"):

@@ -118,10 +118,7 @@ def measure_scanner(time: NDArray[np.float64], angle: NDArray[np.float64], most_
     ----------
     time [s], angle [rad] : of each point, in the order of the file.
 
-    Raises
-    ------
-    InputError
-        Too few frames, or such as no 2-D scanner makes.
+    `InputError`: too few frames, or such as no 2-D scanner makes.
     """
     steps = np.diff(time)
     low, high = float(angle.min()), float(angle.max())

@@ -65,9 +65,7 @@ def adapt(model: Model, base: Sample, seen: SeenEchoes, params: AdaptParams, tra
     In each round a forest learns from the base's rows and from those of `seen` of which the last one is sure, of every
     class as many at most as the base has of its largest. A layer that decides in context stays as it is.
 
-    Raises
-    ------
-    InputError : the model's first layer is no forest, or it is unsure of too many echoes.
+    `InputError`: the model's first layer is no forest, or it is unsure of too many echoes.
     """
     first = model.coarse if isinstance(model, Layered) else model
     if not isinstance(first, Forest):

@@ -23,9 +23,7 @@ def leave_out(config: Config, runner: Runner) -> list[dict[str, Any]]:
     `areas.gap` of the others' boxes are not judged: neighbours of what trained flatter. Features are computed once:
     only what trains and tests differs.
 
-    Raises
-    ------
-    ConfigError : there is one source, or they are still to be simulated.
+    `ConfigError`: there is one source, or they are still to be simulated.
     """
     sources = config.survey.sources
     if len(sources) < 2 or config.simulated:

@@ -41,10 +41,8 @@ UPPER = 0.001
 def with_areas(config: Config) -> Config:
     """`config` with boxes in the place of files and polygons that ``areas.train`` and ``areas.test`` name.
 
-    Raises
-    ------
-    ConfigError : of a survey that is still to be simulated.
-    InputError : no such files, or polygons that cannot be used.
+    `ConfigError`: of a survey that is still to be simulated. `InputError`: no such files, or polygons that cannot be
+    used.
     """
     asked: dict[Literal["train", "test"], AreaFilesSection | None] = {
         "train": config.areas.train_by,

@@ -48,9 +48,7 @@ class Area:
         """Keys of the tiles of `layout` that share area with a polygon; `crs` is the survey's (WKT). Polygons that lie
         outside of the survey are told by `say`.
 
-        Raises
-        ------
-        InputError : no polygons, an unknown system, or nothing of the survey in them.
+        `InputError`: no polygons, an unknown system, or nothing of the survey in them.
         """
         from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
 

@@ -73,9 +73,7 @@ def check_point_file(
 def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> CheckPoints:
     """Check points in the survey's system `crs` (WKT), from a text file in `own_crs`, or in the survey's.
 
-    Raises
-    ------
-    InputError : no text of x, y, z, a point without one of them, or more than `MOST` points.
+    `InputError`: no text of x, y, z, a point without one of them, or more than `MOST` points.
     """
     cloud = read_text(path, ignored=("code",), named=NAMES)  # in a surveyor's file: what the point is, no class
     if len(cloud.x) > MOST:

@@ -49,10 +49,7 @@ def without(
 ) -> tuple[list[Location], tuple[str, ...]]:
     """Those of `places` that no pattern of ``survey.exclude`` matches, and the names of the others.
 
-    Raises
-    ------
-    InputError
-        A pattern matches no file, or nothing is left.
+    `InputError`: a pattern matches no file, or nothing is left.
     """
     left = {str(p) for p in find_files(exclude, directory, "survey.exclude", where, params)}
     kept = [p for p in places if str(p) not in left]
@@ -98,10 +95,7 @@ def matching_files(pattern: str, directory: Path) -> list[Path]:
 def matching_paths(pattern: str, directory: Path) -> list[Path]:
     """Paths of this host below `directory` that match, sorted; where the pattern has ``**``, no directories.
 
-    Raises
-    ------
-    InputError
-        A directory on the way may not be read.
+    `InputError`: a directory on the way may not be read.
     """
     parts = Path(pattern).parts
     fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))

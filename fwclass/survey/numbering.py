@@ -23,9 +23,7 @@ def assign_numbers(names: Iterable[str]) -> dict[str, int]:
     The number of a name changes with the list only where two names want the same one: the one with the smaller hash has
     it, the other takes its next choice. That befalls one added file in 65521 / n.
 
-    Raises
-    ------
-    InputError : there are more names than numbers.
+    `InputError`: there are more names than numbers.
     """
     waiting = sorted(set(names), key=_hash)
     if len(waiting) > NUMBERS:

@@ -103,10 +103,7 @@ class NotAgain:
 class Server(ThreadingHTTPServer):
     """Serves scenes until it is shut down.
 
-    Raises
-    ------
-    ConfigError
-        The port is taken, or none of this host.
+    `ConfigError`: the port is taken, or none of this host.
     """
 
     daemon_threads = True

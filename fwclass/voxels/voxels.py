@@ -64,10 +64,7 @@ def voxels_of(
     window : columns and rows of the block, of voxels' size.
     where : for errors.
 
-    Raises
-    ------
-    InputError
-        The block would have more than `params.most` voxels.
+    `InputError`: the block would have more than `params.most` voxels.
     """
     sound = ((echoes["fit_flags"] & IMPLAUSIBLE) == 0) & ~echoes["noise"] & (np.isfinite(echoes["z"]))
     echoes = echoes if sound.all() else echoes.take(sound)

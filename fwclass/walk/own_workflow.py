@@ -30,9 +30,7 @@ def own_workflow(path: Path) -> Workflow:
     """The `workflow` of a user's file. Its own functions travel to workers by file and name, and the file's digest is
     in the key of every part of a stage that is not the program's.
 
-    Raises
-    ------
-    ConfigError : no such file, it cannot be imported, it has no `workflow`, or one that no run can go through.
+    `ConfigError`: no such file, it cannot be imported, it has no `workflow`, or one that no run can go through.
     """
     where = path.resolve()
     try:

@@ -34,10 +34,7 @@ def terrain_by_blocks(
     -------
     Rasters over the smallest window that holds all points, with the heights of all points in their order; the window.
 
-    Raises
-    ------
-    InputError
-        The points are none, or spread so far that the raster would be absurdly large.
+    `InputError`: the points are none, or spread so far that the raster would be absurdly large.
     """
     if len(x) == 0:
         raise InputError("no points to make a terrain of", expected="at least one point", got="none")

@@ -94,10 +94,7 @@ def terrain(
     Between ground points the terrain is linear on the triangles of a TIN of thinned points. Where no triangle of
     `params.largest_circle` is, a membrane continues it. Without any ground point all is NaN and beyond support.
 
-    Raises
-    ------
-    ValueError
-        The cells of `core` are not of `params.cell`.
+    `ValueError`: the cells of `core` are not of `params.cell`.
     """
     if not math.isclose(core.cell, params.cell):
         raise ValueError(f"cells of {core.cell} m where terrain.cell is {params.cell} m")

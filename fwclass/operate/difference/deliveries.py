@@ -66,10 +66,7 @@ def deliveries(run: Path, others: Sequence[str]) -> tuple[ComparedDelivery, Comp
 
     Without any: the one before the current one, and the current one. With one number: that one and the current one.
 
-    Raises
-    ------
-    ConfigError
-        A run has no such generation, or not two.
+    `ConfigError`: a run has no such generation, or not two.
     """
     if len(others) == 1 and not others[0].isdigit():
         return _delivery(run, None), _delivery(Path(others[0]), None)

@@ -25,11 +25,9 @@ ROWS = 512
 def raster_changes(first: Path, second: Path) -> list[dict[str, Any]]:
     """What changed in the rasters that both directories have, site by site.
 
-    Returns
-    -------
-    dicts with ``name``; ``cells`` that both have; ``only_first`` and ``only_second`` cells; and of the heights of the
-    second less the first [m]: how many ``changed`` cells, the ``mean``, ``rmse``, ``lowest`` and ``highest`` of all,
-    None without a cell. ``why`` instead of all figures where cells do not lie on each other.
+    Returns dicts with ``name``; ``cells`` that both have; ``only_first`` and ``only_second`` cells; and of the heights
+    of the second less the first [m]: how many ``changed`` cells, the ``mean``, ``rmse``, ``lowest`` and ``highest`` of
+    all, None without a cell. ``why`` instead of all figures where cells do not lie on each other.
     """
     names = sorted(
         str(path.relative_to(first))

@@ -81,10 +81,8 @@ def best_split(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Bo
     bounds : of all points [m].
     gap : m, between the training box and what is tested.
 
-    Returns
-    -------
-    The most balanced one whose training side has a share within `SHARES`; None where no line leaves any class points
-    on both sides.
+    Returns the most balanced one whose training side has a share within `SHARES`; None where no line leaves any class
+    points on both sides.
     """
     splits = (s for s in _splits(places, classes, bounds, gap) if (s.train > 0).any() and (s.test > 0).any())
     return max(splits, key=lambda s: (_two_sided(s), s.balance), default=None)

@@ -177,10 +177,7 @@ class Draft:
 def draft(files: Sequence[Path], beside: Path, name: str | None = None, directory: Path | None = None) -> Draft:
     """A survey file for `files`, to lie in the directory `beside`. `directory`: they are what it holds.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, none holds points or pulses, or two have one name but for their ending.
+    `InputError`: a file cannot be read, none holds points or pulses, or two have one name but for their ending.
     """
     holdings = look_into(files)
     paths = [Path(f["path"]) for f in holdings.facts]

@@ -130,10 +130,7 @@ def survey_facts(config: Config, root: Path, copied: bool = False) -> SurveyFact
     `root` is the run directory: a simulated survey that lies there is taken, otherwise the simulator's numbers.
     `copied`: strips will be delivered.
 
-    Raises
-    ------
-    InputError
-        Files that cannot be used, or whose headers do not say where their points lie.
+    `InputError`: files that cannot be used, or whose headers do not say where their points lie.
     """
     directory = directory_of(config, root)
     if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):

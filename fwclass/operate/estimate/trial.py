@@ -45,10 +45,7 @@ class TrialSurvey:
 def trial_of(forecast: Forecast, count: int, root: Path) -> TrialSurvey:
     """The files that hold the `count` fullest tiles with all that is read around them, and the training areas.
 
-    Raises
-    ------
-    ConfigError
-        The survey is not simulated yet: there is no file to run.
+    `ConfigError`: the survey is not simulated yet: there is no file to run.
     """
     if forecast.facts.simulated:
         raise ConfigError(

@@ -66,14 +66,9 @@ class Schedule:
     def keep(self) -> int:
         """Until told to stop, or for one run; the exit code.
 
-        Raises
-        ------
-        ConfigError
-            Nothing says when to run, the inbox cannot be one, or the webhook's token is not there.
-        LockedError
-            Another schedule is at work on the run.
-        LostRace
-            Another one has taken it over, because this one was not heard of (object storage).
+        `ConfigError`: nothing says when to run, the inbox cannot be one, or the webhook's token is not there.
+        `LockedError`: another schedule is at work on the run. `LostRace`: another one has taken it over, because this
+        one was not heard of (object storage).
         """
         inbox = inbox_of(self.config, self.location)
         if inbox is None and self.config.schedule.every is None and self.config.schedule.cron is None:

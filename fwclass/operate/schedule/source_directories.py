@@ -62,10 +62,7 @@ def _matches(path: Path, patterns: Iterable[str]) -> bool:
 def source_directories_of(config: Config, inbox: Path) -> SourceDirectories:
     """Of the sources of `config`.
 
-    Raises
-    ------
-    ConfigError
-        A survey without files of its own, or an inbox that lies where the survey looks for its sources.
+    `ConfigError`: a survey without files of its own, or an inbox that lies where the survey looks for its sources.
     """
     named = "" if config.simulated else config.survey.directory or "."
     if not named or "://" in named:

@@ -32,9 +32,7 @@ def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) ->
     facts : what the paper's file in `study.papers` gathers.
     picture : PNG of the class map, or None.
 
-    Returns
-    -------
-    dict with ``path, bytes``.
+    Returns a dict with ``path, bytes``.
     """
     name = str(facts["paper"])
     view = {

@@ -95,10 +95,7 @@ class EchoJob(FileJob):
 def read_echoes(path: Path, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
     """Echoes of a file with `columns`, `PLACE` and what radiometry needs.
 
-    Raises
-    ------
-    InputError
-        A file that cannot be read, is empty, or does not count in metres.
+    `InputError`: a file that cannot be read, is empty, or does not count in metres.
     """
     if (is_text(path) and not is_beam_file(path)) or not path.is_file():
         return _of_text(path, crs)
@@ -194,10 +191,7 @@ def with_lines(echoes: FileEchoes, path: Path, settings: tuple[str, ...]) -> Fil
 def with_heights(echoes: FileEchoes, job: EchoJob, tell: Tell) -> FileEchoes:
     """`echoes` with `height_above_ground` and `noise`: ground by a filter, or by class 2 of the file.
 
-    Raises
-    ------
-    InputError
-        The file has no ground of its own.
+    `InputError`: the file has no ground of its own.
     """
     table, settings = echoes.table, job.settings
     points = points_of(table, GROUND_FILTER.reads)

@@ -72,12 +72,8 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     the echoes' columns are held in memory, and so are the features up to `HELD`; more lie on disk beside the output
     until they are written.
 
-    Raises
-    ------
-    ConfigError
-        An output, a name or a setting that cannot be used, or a feature that the file cannot give.
-    InputError
-        An input that cannot be used.
+    `ConfigError`: an output, a name or a setting that cannot be used, or a feature that the file cannot give.
+    `InputError`: an input that cannot be used.
     """
     started = time.perf_counter()
     _check_output(job)
@@ -232,10 +228,7 @@ def available(
 ) -> tuple[FeatureList, dict[str, str]]:
     """The features that `table` can give; those that it cannot, with what it lacks. Columns `later` may still come.
 
-    Raises
-    ------
-    ConfigError
-        It cannot give one, and `skip` is not asked for; or none is left.
+    `ConfigError`: it cannot give one, and `skip` is not asked for; or none is left.
     """
     there = (set(table) | later) - ({"echo_number"} if "number_of_echoes" not in table else set())
     lost = {name: why for name in wanted.names if (why := _lacks(name, there))}

@@ -43,10 +43,7 @@ class FeatureList:
 def sorted_settings(words: Iterable[str]) -> tuple[str | None, tuple[str, ...]]:
     """``--set`` as it came: the feature set that it names, if any, and the settings ``section.key=value``.
 
-    Raises
-    ------
-    ConfigError
-        Two feature sets.
+    `ConfigError`: two feature sets.
     """
     words = tuple(words)
     sets = [w for w in words if "=" not in w]
@@ -64,10 +61,7 @@ def sorted_settings(words: Iterable[str]) -> tuple[str | None, tuple[str, ...]]:
 def wanted(named: str | None, listed: str | None) -> FeatureList:
     """The features of a set (name or file) or of a list ``a,b,c``; without both the set `DEFAULT`.
 
-    Raises
-    ------
-    ConfigError
-        No such set, both, a name that is no feature.
+    `ConfigError`: no such set, both, a name that is no feature.
     """
     if named is not None and listed is not None:
         raise ConfigError("features are named twice", where="--set and --features", do="leave one of them out")

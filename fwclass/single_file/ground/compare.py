@@ -57,15 +57,10 @@ def compare(
     adapt : changes the parameters of a method to the data, as in `ground_file`.
     say, tell : told what was found, and what begins.
 
-    Returns
-    -------
-    dict
-        Plain data for JSON: per filter parameters, seconds, shares and, with labels, figures; agreement by pairs.
+    Returns plain data for JSON: per filter parameters, seconds, shares and, with labels, figures; agreement by
+    pairs.
 
-    Raises
-    ------
-    ConfigError, InputError
-        An unknown filter, an output that exists, an input that cannot be used.
+    `ConfigError` or `InputError`: an unknown filter, an output that exists, an input that cannot be used.
     """
     names = methods_of(methods)
     target = out if out is not None else Path(f"{source.stem}-ground")

@@ -74,12 +74,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     they are and the filter does not see them. Nothing is written before all of it is known. `tell` is called with every
     step.
 
-    Raises
-    ------
-    ConfigError
-        An output, filter or parameter that cannot be used.
-    InputError
-        An input that cannot be used.
+    `ConfigError`: an output, filter or parameter that cannot be used. `InputError`: an input that cannot be used.
     """
     started = time.perf_counter()
     check_output(job.source, job.output, job.overwrite, job.rasters.values())
@@ -169,10 +164,7 @@ def flags_and_halls(
     """Flags of all points of `cloud`, and what of its ground lies on wide roofs (`report.ground.hall_facts`); only
     `shown` points take part.
 
-    Raises
-    ------
-    InputError
-        No point is left to look at.
+    `InputError`: no point is left to look at.
     """
     rows = np.flatnonzero(require_shown(cloud, shown))
     if params.last_returns and not cloud.last[rows].any():

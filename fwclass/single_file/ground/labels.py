@@ -18,10 +18,7 @@ from fwclass.single_file.pairing import pairs
 def labels_of(cloud: PointCloud, reference: Path | None = None) -> NDArray[np.int8]:
     """1 for points that are ground by their class, 0 for others, -1 where it is not known.
 
-    Raises
-    ------
-    InputError
-        There are not both ground and other points among the classes.
+    `InputError`: there are not both ground and other points among the classes.
     """
     classes = cloud.classes if reference is None else _from_file(cloud, reference)
     truth = truth_of(classes, cloud.usable & ~cloud.flagged)

@@ -66,12 +66,8 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     Everything but z stays as it is. Heights are in the file's own unit, the extra byte is in metres. A point without
     terrain gets -9999 in LAS and ``nan`` in text and extra byte.
 
-    Raises
-    ------
-    ConfigError
-        An output, filter or parameter that cannot be used.
-    InputError
-        An input that cannot be used, or that has no ground.
+    `ConfigError`: an output, filter or parameter that cannot be used. `InputError`: an input that cannot be used, or
+    that has no ground.
     """
     started = time.perf_counter()
     check_output(job.source, job.output, job.overwrite)

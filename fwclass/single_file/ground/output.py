@@ -115,9 +115,8 @@ def write_points(
 
     LAS to LAS keeps every other byte. What a text or a LAS file made of a text cannot hold is told in ``notes``.
 
-    Returns
-    -------
-    dict with at least ``path, points, bytes, notes``; ``wdp`` and ``waveforms`` where the source has waveforms.
+    Returns a dict with at least ``path, points, bytes, notes``; ``wdp`` and ``waveforms`` where the source has
+    waveforms.
     """
     if output.suffix.lower() in TEXT:
         return _as_text(cloud, output, classes, z)

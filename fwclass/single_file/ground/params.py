@@ -71,10 +71,7 @@ def ground_params(
     assignments : ``name=value``: a parameter of that filter, by its own or another program's name, or a shared one.
     settings : ``section.key=value``.
 
-    Raises
-    ------
-    ConfigError
-        An unknown filter, preset or parameter, or a value that does not fit.
+    `ConfigError`: an unknown filter, preset or parameter, or a value that does not fit.
     """
     conf.check_settings(settings, SECTIONS)
     _check_preset(preset)

@@ -54,16 +54,10 @@ def optimize(
     say : told before the search how long it may take.
     tell : told before every run of the filter.
 
-    Returns
-    -------
-    dict
-        Plain data for JSON. ``recommended`` is "best", or "start" where the found parameters are no better on points
-        that did not choose them; ``param`` and ``yaml`` are those of the recommended ones.
+    Returns plain data for JSON. ``recommended`` is "best", or "start" where the found parameters are no better on
+    points that did not choose them; ``param`` and ``yaml`` are those of the recommended ones.
 
-    Raises
-    ------
-    InputError, ConfigError
-        Without labels of both kinds, or for a method that has no ranges.
+    `InputError` or `ConfigError`: without labels of both kinds, or for a method that has no ranges.
     """
     began = time.perf_counter()
     params = ground_params(method, preset, assignments, settings)

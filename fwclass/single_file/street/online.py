@@ -143,12 +143,8 @@ class Run:
 def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str, Any]:
     """Answer a source of frames until it ends; plain data on latency and faults.
 
-    Raises
-    ------
-    InputError
-        The source broke off, stalled or holds no frame; what was answered stays.
-    KeyboardInterrupt
-        The user ended it; the files are whole.
+    `InputError`: the source broke off, stalled or holds no frame; what was answered stays. `KeyboardInterrupt`: the
+    user ended it; the files are whole.
     """
     model = load_model(job.model)
     remarks = model_remarks(model, params)

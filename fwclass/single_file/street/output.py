@@ -28,10 +28,7 @@ HEAD = ",".join(Segment.names()) + "\n"
 def working_in(target: Path, overwrite: bool) -> Iterator[None]:
     """Make the directory, without outputs of earlier, and hold it until the block ends.
 
-    Raises
-    ------
-    ConfigError
-        Something is there that is not to be replaced, or another command is writing there.
+    `ConfigError`: something is there that is not to be replaced, or another command is writing there.
     """
     if target.exists() and not target.is_dir():
         raise _something_else(target)

@@ -141,9 +141,7 @@ def tie(
     The likeliest pair of a pulse first: height x exp(-(distance / `JITTER`)² / 2). A vendor sees the higher of two
     echoes that are equally near.
 
-    Returns
-    -------
-    return of every echo or -1, and the distance of the nearest return of its pulse [ns], infinite without one.
+    Returns the return of every echo or -1, and the distance of the nearest return of its pulse [ns], else infinite.
     """
     matched, gap = np.full(len(pulse), -1), np.full(len(pulse), np.inf)
     order = np.argsort(return_pulse, kind="stable")

@@ -61,17 +61,10 @@ def look(
     out : PNG; None is ``<file>-waveforms.png`` in the current directory. The system's pulse is drawn beside it, into
         ``…-system-pulse.png``.
 
-    Returns
-    -------
-    dict
-        Plain data for JSON, without NaN.
+    Returns plain data for JSON, without NaN.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, has no waveforms, or has no such pulse.
-    ConfigError
-        `out` exists or cannot be written, or too many pulses are asked for.
+    `InputError`: the file cannot be read, has no waveforms, or has no such pulse. `ConfigError`: `out` exists or cannot
+    be written, or too many pulses are asked for.
     """
     target = out if out is not None else Path(f"{path.stem}-waveforms.png")
     beside_it = target.with_name(f"{target.stem}-system-pulse.png")

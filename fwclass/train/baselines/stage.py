@@ -56,12 +56,7 @@ def train_other(
     `places`: how the RBF SVM thins its rows and folds those of its search; `search_result`: what `searched` says of
     that search, where it ran before.
 
-    Raises
-    ------
-    ConfigError
-        scikit-learn is not installed.
-    InputError
-        The sample cannot be trained on.
+    `ConfigError`: scikit-learn is not installed. `InputError`: the sample cannot be trained on.
     """
     notes = review(sample, classes)
     if method == "rbf-svm":
