@@ -17,12 +17,9 @@ from fwclass.schema import Table, canonical_key
 class Chunk:
     """The overlapping chunk that a tile stage works on.
 
-    Attributes
-    ----------
-    table : core and halo rows, in canonical order (strip, pulse, echo number), so that sums over
-        neighbours do not depend on how the survey was cut.
-    core : shape (n_core,), for every row that the tile owns, in the tile's row order, its index in `table`.
-    tile : the owner tile.
+    `table`: core and halo rows, in canonical order (strip, pulse, echo number), so that sums over neighbours do not
+    depend on how the survey was cut. `core`: shape (n_core,), for every row that the tile owns, in the tile's row
+    order, its index in `table`. `tile`: the owner tile.
     """
 
     table: Table

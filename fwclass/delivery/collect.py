@@ -72,10 +72,7 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     Nothing is written unless all tiles are sound. An echo whose change was undone is taken back, unless somebody else
     corrected it meanwhile; only echoes of the tiles are. Changed echoes have to lie where the delivery has them now.
 
-    Parameters
-    ----------
-    run : where the run lies now; None for where it lay.
-    time : of these rows, microseconds since 1970 (UTC).
+    `run`: where the run lies now; None for where it lay. `time`: of these rows, microseconds since 1970 (UTC).
 
     `InputError`: there is no note; the run is another or gone; a tile is missing, cut or has other echoes; a class is
     none of the survey; or a changed echo is not at its place any more. `StoreError`: the run or the directory cannot be
@@ -116,11 +113,8 @@ def new_rows(
 ) -> EchoLabels:
     """Rows that say of every echo what its tile says now, where `earlier` ones do not.
 
-    Parameters
-    ----------
-    changed : all echoes of the directory whose class is not the one that was checked out, each once.
-    keys : of all its echoes; others are left as they are.
-    collected : times of earlier rows that come from this directory.
+    `changed`: all echoes of the directory whose class is not the one that was checked out, each once. `keys`: of all
+    its echoes; others are left as they are. `collected`: times of earlier rows that come from this directory.
     """
     ours, last = earlier.take(np.isin(earlier.time, np.array(collected, np.int64))).standing(), earlier.standing()
     said, stands = codes_that_stand(changed, ours), codes_that_stand(changed, last)

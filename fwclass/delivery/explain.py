@@ -29,11 +29,8 @@ from fwclass.units import QUANTUM
 class Explanation:
     """What decided.
 
-    Attributes
-    ----------
-    shares : share of every class by name, the largest first.
-    features : (name, value, effect), the largest effect first. Effect: share of the given class less what it would be
-        were this feature at the median of the tile's echoes.
+    `shares`: share of every class by name, the largest first. `features`: (name, value, effect), the largest effect
+    first. Effect: share of the given class less what it would be were this feature at the median of the tile's echoes.
     """
 
     strip: int

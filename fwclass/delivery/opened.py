@@ -53,11 +53,8 @@ class Delivery:
 
         Tiles that the box touches are held to the digests of the manifest, once a process.
 
-        Parameters
-        ----------
-        box : xmin, ymin, xmax, ymax [m], half-open; None for everywhere.
-        columns : names; None for all.
-        where : a pyarrow expression, or a list of (column, operator, value), all of which hold.
+        `box`: xmin, ymin, xmax, ymax [m], half-open; None for everywhere. `columns`: names; None for all. `where`: a
+        pyarrow expression, or a list of (column, operator, value), all of which hold.
 
         `InputError`: there is no such column, the box is none, or a tile is damaged.
         """
@@ -141,9 +138,7 @@ class Delivery:
     def waveform(self, strip: int, pulse: int) -> Waveform:
         """The recorded waveform of a pulse, and the echoes that were found in it.
 
-        Parameters
-        ----------
-        strip, pulse : as the echoes have them.
+        `strip`, `pulse`: as the echoes have them.
 
         `InputError`: the run has no such waveform, or keeps none.
         """
@@ -154,9 +149,7 @@ class Delivery:
     def explain(self, echo: tuple[int, int, int] | Mapping[str, Any]) -> Explanation:
         """Why an echo has its class: the share of every class, and what each feature did to it.
 
-        Parameters
-        ----------
-        echo : (strip, pulse, echo_number), or a row that has these.
+        `echo`: (strip, pulse, echo_number), or a row that has these.
 
         `InputError`: there is no such echo, or one of the three is missing or no whole number.
         """
@@ -247,9 +240,7 @@ class Delivery:
 def open_run(run: str | os.PathLike[str] | Remote) -> Delivery:
     """The current delivery of a run directory.
 
-    Parameters
-    ----------
-    run : the directory that ``fwclass run`` wrote to.
+    `run`: the directory that ``fwclass run`` wrote to.
 
     `InputError`: it is no run, has delivered nothing yet, is on object storage, or files of the delivery are gone.
     """
@@ -289,9 +280,7 @@ def open_delivery(run: str | os.PathLike[str]) -> Delivery:
 
     A copy has echoes, tiles, rasters and the report; waveforms and votes stay with the run.
 
-    Parameters
-    ----------
-    run : the directory that ``fwclass run`` wrote to, or a copy of its delivery.
+    `run`: the directory that ``fwclass run`` wrote to, or a copy of its delivery.
 
     `InputError`: it is neither, has delivered nothing yet, is on object storage, or files of the delivery are gone.
     """

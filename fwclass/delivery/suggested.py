@@ -133,9 +133,7 @@ class Confirmed:
 def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     """Add the classes of all echoes in the places of a file to the corrections of a run; what was corrected stays.
 
-    Parameters
-    ----------
-    time : of these rows, microseconds since 1970 (UTC).
+    `time`: of these rows, microseconds since 1970 (UTC).
 
     `InputError`: `run` is no run that has delivered, or no classified echo lies in any place. `StoreError`: the run
     cannot be written to.

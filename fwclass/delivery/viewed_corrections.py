@@ -44,10 +44,8 @@ class Change:
 class CorrectionRows:
     """The rows of the file, and which lie in and around a tile.
 
-    Attributes
-    ----------
-    all : every row, in the order in which they were added.
-    labels : `COLUMNS` of the echoes that have a class by them.
+    `all`: every row, in the order in which they were added. `labels`: `COLUMNS` of the echoes that have a class by
+    them.
     """
 
     def __init__(self, every: EchoLabels, size: float, reach: float) -> None:
@@ -225,9 +223,7 @@ def in_place(
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Classes of the echoes with those of `labels` in place of the delivered ones, and the rows that have one.
 
-    Parameters
-    ----------
-    columns : strip, pulse, echo_number, x, y, z [m], classification.
+    `columns`: strip, pulse, echo_number, x, y, z [m], classification.
     """
     classes = np.asarray(columns["classification"], np.uint8)
     if not labels.rows:

@@ -26,9 +26,7 @@ THREADS = 2
 class OpenTile:
     """A tile's columns, and when blocks are asked for the order of its echoes in them.
 
-    Attributes
-    ----------
-    columns : places and `IDENTITY` of the echoes, and what else is wanted of them.
+    `columns`: places and `IDENTITY` of the echoes, and what else is wanted of them.
     """
 
     def __init__(self, pyramid: Pyramid, columns: Mapping[str, NDArray]) -> None:
@@ -83,11 +81,8 @@ class OpenTile:
 class OpenRun:
     """Tiles of a run that are open, as many as there is room for, and its coarse echoes, which several tiles have.
 
-    Attributes
-    ----------
-    tiles : what the delivery says of each, by its column and row.
-    cache : of tiles, and of what else is made of them.
-    pool : threads that read ahead.
+    `tiles`: what the delivery says of each, by its column and row. `cache`: of tiles, and of what else is made of them.
+    `pool`: threads that read ahead.
     """
 
     def __init__(self, delivery: Delivery, pyramid: Pyramid, most: int) -> None:

@@ -18,11 +18,8 @@ from fwclass.store.run_store import Store
 class Waveform:
     """One pulse's recording.
 
-    Attributes
-    ----------
-    time : shape (n,), of every sample from the first one of the pulse [ns].
-    samples : shape (n,) [DN]; segments one after the other.
-    echoes : pyarrow table of the pulse's echoes as delivered.
+    `time`: shape (n,), of every sample from the first one of the pulse [ns]. `samples`: shape (n,) [DN]; segments one
+    after the other. `echoes`: pyarrow table of the pulse's echoes as delivered.
     """
 
     strip: int

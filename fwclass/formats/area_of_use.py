@@ -36,10 +36,8 @@ LATEST_GPS = 1e10
 def place_faults(crs: Any, low: Sequence[float], high: Sequence[float], header: Records | None = None) -> list[str]:
     """What is odd about places within `low` and `high` (x, y, z in units of `crs`).
 
-    Parameters
-    ----------
-    crs : `pyproj.CRS`, or None, of which only heights are looked at, as metres.
-    header : may say the unit of heights, as `linear_units` takes it.
+    `crs`: `pyproj.CRS`, or None, of which only heights are looked at, as metres. `header`: may say the unit of heights,
+    as `linear_units` takes it.
 
     Returns a sentence for places outside of the area that the system is used in, one for heights where no
     land is; none of numbers that are NaN, and of a system without such an area.

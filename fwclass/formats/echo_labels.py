@@ -128,11 +128,7 @@ _DTYPES: Mapping[str, Any] = {
 def read_echo_labels(source: Path | bytes, where: object, field: str = FIELD, signed: bool = False) -> EchoLabels:
     """The rows of a file, or of the bytes of one.
 
-    Parameters
-    ----------
-    where : what it is called in messages.
-    field : the column of class codes.
-    signed : read `time` and `who` too.
+    `where`: what it is called in messages. `field`: the column of class codes. `signed`: read `time` and `who` too.
 
     `InputError`: it is damaged, too large, lacks a column, or has a value that no echo has.
     """

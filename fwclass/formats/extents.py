@@ -32,10 +32,7 @@ class Extents(NamedTuple):
 def read_extents(path: Path, begin: NDArray[np.int64], end: NDArray[np.int64], least: int) -> Extents:
     """The bytes ``[begin[i], end[i])`` of a file, those that several ask for once: never more than the file has.
 
-    Parameters
-    ----------
-    begin, end : (n,), from 0 to `least`.
-    least : bytes that the file had when the places in it were checked.
+    `begin`, `end`: (n,), from 0 to `least`. `least`: bytes that the file had when the places in it were checked.
 
     `InputError`: it is a pipe, a device or a socket, or has fewer than `least` bytes, also while it is read. `OSError`:
     as `open`.

@@ -74,9 +74,7 @@ def extra_bytes(
     No two extra bytes of a file have the same name, whatever their case: where `existing` has it the new one is called
     ``fw <name>``, then ``fw2 <name>`` and so on.
 
-    Parameters
-    ----------
-    values : every value of every column, for the extremes.
+    `values`: every value of every column, for the extremes.
     """
     used, out = set(existing), []
     for col in columns:

@@ -76,12 +76,9 @@ class PlacedFile(Protocol):
 def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float | None = None) -> str:
     """`DEGREES`, `GEOCENTRIC`, `DOWN` or "".
 
-    Parameters
-    ----------
-    crs : `pyproj.CRS` of the coordinates, or None. Beside a projected one, as a user may have named for a file in
-        degrees, the numbers must say twice that they are degrees.
-    low, high : least and largest x, y and z; numbers that are not finite say nothing.
-    step : of the stored x and y, None where they are text.
+    `crs`: `pyproj.CRS` of the coordinates, or None. Beside a projected one, as a user may have named for a file in
+    degrees, the numbers must say twice that they are degrees. `low`, `high`: least and largest x, y and z; numbers that
+    are not finite say nothing. `step`: of the stored x and y, None where they are text.
     """
     if crs is not None and crs.is_geographic:
         return DEGREES

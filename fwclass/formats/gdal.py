@@ -118,10 +118,8 @@ def write_shapes(
     """Add polygons, lines or points (WKB) to a layer of a GeoPackage; both are made where they are not there. The same
     ones give the same bytes.
 
-    Parameters
-    ----------
-    fields : numpy columns by name; object ones hold texts, NaN is written as null.
-    crs : WKT, or None for an unknown one.
+    `fields`: numpy columns by name; object ones hold texts, NaN is written as null. `crs`: WKT, or None for an unknown
+    one.
     """
     import numpy as np
 

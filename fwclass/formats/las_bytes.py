@@ -46,11 +46,8 @@ MAX_HEAD = 1 << 28
 class LasHead:
     """Header block and variable length records of a file, as bytes.
 
-    Attributes
-    ----------
-    block : the public header block, user bytes included.
-    records : the variable length records, in order.
-    gap : bytes between the last record and the first point.
+    `block`: the public header block, user bytes included. `records`: the variable length records, in order. `gap`:
+    bytes between the last record and the first point.
     """
 
     path: Path

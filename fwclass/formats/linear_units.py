@@ -21,10 +21,7 @@ _EPSG_UNITS = {9001: ("metre", 1.0), 9002: ("foot", 0.3048), 9003: ("US survey f
 class LinearUnits:
     """What a unit of the coordinates is.
 
-    Attributes
-    ----------
-    xy, z : metres in one unit.
-    source : in words, where these come from.
+    `xy`, `z`: metres in one unit. `source`: in words, where these come from.
     """
 
     xy: float
@@ -40,10 +37,8 @@ class LinearUnits:
 def linear_units(crs: Any, header: Records | None, where: object) -> LinearUnits:
     """Units of a file's coordinates.
 
-    Parameters
-    ----------
-    crs : `pyproj.CRS`, or None: metres are assumed.
-    header : may say the unit of heights (GeoTIFF key 4099) where the CRS has no vertical axis.
+    `crs`: `pyproj.CRS`, or None: metres are assumed. `header`: may say the unit of heights (GeoTIFF key 4099) where the
+    CRS has no vertical axis.
 
     `InputError`: degrees, or coordinates that count from the middle of the earth.
     """

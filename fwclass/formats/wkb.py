@@ -160,11 +160,8 @@ def sound(ring: Ring) -> bool:
 def shapes(geometries: Iterable[bytes | None], where: object, first: int = 1) -> Shapes:
     """Polygons of all features, in their order.
 
-    Parameters
-    ----------
-    geometries : well-known binary of every feature, None for a feature without geometry.
-    where : the file, for messages.
-    first : number of the first feature, in messages.
+    `geometries`: well-known binary of every feature, None for a feature without geometry. `where`: the file, for
+    messages. `first`: number of the first feature, in messages.
 
     `InputError`: a geometry that is no polygon or no well-known binary; the message names the feature.
     """

@@ -33,11 +33,8 @@ _FIGURES = {"overall_accuracy": "overall accuracy", "mean_iou": "mean IoU"}
 class LayerTrial:
     """What both layers say of rows that neither has learned from, by square.
 
-    Attributes
-    ----------
-    square : int64 (squares, 2), column and row of the square on the global grid.
-    first, both : int64 (squares, classes, classes), rows by class (second axis) and answer, of the first layer and of
-        both.
+    `square`: int64 (squares, 2), column and row of the square on the global grid. `first`, `both`: int64 (squares,
+    classes, classes), rows by class (second axis) and answer, of the first layer and of both.
     """
 
     square: NDArray[np.int64]
@@ -156,11 +153,8 @@ def weighing(
     A sample has as many rows of a rare class as of others, so that its shares are too large where it is rare; how much
     of that is to be taken back differs from class to class, and the rows that neither layer has learned from tell.
 
-    Parameters
-    ----------
-    answers : by fold.
-    eligible : int64 (classes,), labelled echoes that the rows of a class stand for.
-    most : no class weighs so many times another, or more than this.
+    `answers`: by fold. `eligible`: int64 (classes,), labelled echoes that the rows of a class stand for. `most`: no
+    class weighs so many times another, or more than this.
     """
     span = math.floor(_STEPS * math.log2(most) + 1e-9)
     if len(answers) < 2 or span < 1:

@@ -42,11 +42,8 @@ STORED = ("dtm", "dsm", "mask", "distance", "roughness")
 class BlockEchoes:
     """Echoes of a block and its halo, tile after tile.
 
-    Attributes
-    ----------
-    table : their columns.
-    own : the block owns the echo.
-    pieces : (tile, rows of it that the block owns), in the order of `table`.
+    `table`: their columns. `own`: the block owns the echo. `pieces`: (tile, rows of it that the block owns), in the
+    order of `table`.
     """
 
     table: Table

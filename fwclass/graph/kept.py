@@ -121,10 +121,8 @@ def class_remarks(
 ) -> list[str]:
     """What is to be said of the classes that the sources have.
 
-    Parameters
-    ----------
-    by_code : echoes, or `what` is counted, by the class of their source.
-    known : codes that the classifier's classes are written as, or count.
+    `by_code`: echoes, or `what` is counted, by the class of their source. `known`: codes that the classifier's classes
+    are written as, or count.
     """
     stay = kept_codes(by_code, kept)
     lost = {c: by_code[c] for c in sorted(by_code) if c not in known | UNNAMED | stay.keys()}

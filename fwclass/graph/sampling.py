@@ -52,9 +52,7 @@ def count_samples(here: StageInputs, areas: AreasSection, classes: tuple[ClassDe
 def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     """`ConfigError` where a class, or a training area, has no labelled echo to learn from; else the counts.
 
-    Parameters
-    ----------
-    counted : receipts of `COUNT_LABELS`. Where one is missing nothing is said: its echoes may have what is lacking.
+    `counted`: receipts of `COUNT_LABELS`. Where one is missing nothing is said: its echoes may have what is lacking.
     """
     if not _counts_labels(plan) or len(counted) < len(plan.layout.tiles):
         return {}

@@ -29,11 +29,8 @@ NAMED = 3
 class Site:
     """Blocks that hang together and the rasters that they make.
 
-    Attributes
-    ----------
-    name : `WHOLE`, or the key of the first tile.
-    box : of its tiles, within the survey's [m].
-    blocks : terrain blocks that touch it; `tiles` : that own an echo.
+    `name`: `WHOLE`, or the key of the first tile. `box`: of its tiles, within the survey's [m]. `blocks`: terrain
+    blocks that touch it; `tiles`: that own an echo.
     """
 
     name: str

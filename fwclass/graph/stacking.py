@@ -52,10 +52,8 @@ def make_first_terrain(here: StageInputs, params: TerrainParams) -> Result:
 class Searched:
     """A surface along which weak echoes are looked for.
 
-    Attributes
-    ----------
-    code : class code of its echoes; heights : its own, in the block and around it.
-    known : (n, 2) where single pulses have shown it [m]; roughness : of those echoes [m].
+    `code`: class code of its echoes; `heights`: its own, in the block and around it. `known`: (n, 2) where single
+    pulses have shown it [m]; `roughness`: of those echoes [m].
     """
 
     code: int

@@ -130,11 +130,8 @@ def model_remarks(model: Model, params: StreetParams) -> list[str]:
 class Rows:
     """Returns of some frames, in order.
 
-    Attributes
-    ----------
-    X : float32 (rows, features). codes : uint8 (rows,), reference class codes, 0 none.
-    key : uint64 (rows,), of recording, frame and beam. place, depth : float64 (rows,), along the road and to the
-        left [m].
+    `X`: float32 (rows, features). `codes`: uint8 (rows,), reference class codes, 0 none. `key`: uint64 (rows,), of
+    recording, frame and beam. `place`, `depth`: float64 (rows,), along the road and to the left [m].
     """
 
     X: NDArray[np.float32]

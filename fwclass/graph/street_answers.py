@@ -40,11 +40,9 @@ def classify_frame(
 class Answering:
     """One frame in, those that it completes out with their answers, in order; the same for every source.
 
-    Attributes
-    ----------
-    asked : as of `Ring`.
-    most : frames of a neighbourhood, that of the largest sphere. cut : frames whose neighbourhood `most_frames` ended.
-        outside : features that leave what the model has seen. All of frames that are asked for.
+    `asked`: as of `Ring`. `most`: frames of a neighbourhood, that of the largest sphere. `cut`: frames whose
+    neighbourhood `most_frames` ended. `outside`: features that leave what the model has seen. All of frames that are
+    asked for.
     """
 
     model: Model

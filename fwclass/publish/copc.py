@@ -67,11 +67,8 @@ def write_tile_copc(
     Point format, coordinates and extra bytes are those of `laz.write_tile_laz`, of `copc_columns` alone. Which
     level an echo is in follows from a hash of its strip, pulse and number.
 
-    Parameters
-    ----------
-    table : at least `laz.NEEDED`.
-    crs : None leaves the file without one.
-    names : of classes by code, for the file's record of class names; longer ones than 15 bytes are cut.
+    `table`: at least `laz.NEEDED`. `crs`: None leaves the file without one. `names`: of classes by code, for the file's
+    record of class names; longer ones than 15 bytes are cut.
 
     Returns a dict with ``path, points, nodes, extra_bytes, beyond, clipped, without_time, bytes``, as `write_tile_laz`.
 

@@ -72,11 +72,8 @@ def relief(
 ) -> bytes:
     """Shaded relief of the terrain model, tinted by height; cells without height stay blank.
 
-    Parameters
-    ----------
-    dtm : float32 ``window.shape`` [m], row 0 in the south, NaN where there is none.
-    heights : lowest and highest tint [m]; None takes them from `dtm`.
-    aside : as for `class_map`.
+    `dtm`: float32 ``window.shape`` [m], row 0 in the south, NaN where there is none. `heights`: lowest and highest tint
+    [m]; None takes them from `dtm`. `aside`: as for `class_map`.
     """
     part, view = downsample(dtm, window, params.figure_pixels)
     low, high = heights if heights is not None else tint_range(part)

@@ -52,11 +52,8 @@ def write_geoparquet(
     unknown CRS is written as null: leaving it out would mean longitude and latitude (GeoParquet 1.1). NaN
     stays NaN.
 
-    Parameters
-    ----------
-    table : at least x, y, z.
-    crs : None where it is unknown.
-    about : plain data for the file's metadata, under the key ``fwclass``; see `about_delivery`.
+    `table`: at least x, y, z. `crs`: None where it is unknown. `about`: plain data for the file's metadata, under the
+    key ``fwclass``; see `about_delivery`.
 
     Returns a dict with ``path, rows, row_groups, bytes``.
 
@@ -87,10 +84,8 @@ def write_geoparquet_parts(
 ) -> dict[str, Any]:
     """As `write_geoparquet`, of tables with the same columns one after another, each in row groups of its own.
 
-    Parameters
-    ----------
-    parts : at least one; `bounds` of all their points, None without any.
-    size : bytes of them all, where that is known.
+    `parts`: at least one; `bounds` of all their points, None without any. `size`: bytes of them all, where that is
+    known.
     """
     rest = iter(parts)
     first = next(rest)
@@ -126,11 +121,8 @@ def write_shape_parquet(
 ) -> dict[str, Any]:
     """Write shapes with their `fields` (texts as lists, numbers as arrays); the same ones give the same bytes.
 
-    Parameters
-    ----------
-    geometry : well-known binary, one a row.
-    boxes : (rows, 4), xmin, ymin, xmax, ymax of each.
-    units : of fields that have one.
+    `geometry`: well-known binary, one a row. `boxes`: (rows, 4), xmin, ymin, xmax, ymax of each. `units`: of fields
+    that have one.
 
     Returns a dict with ``path, rows, bytes``.
     """

@@ -26,10 +26,8 @@ POLYGON = 3
 class Layer:
     """Shapes of one kind.
 
-    Attributes
-    ----------
-    geometry : well-known binary, one a row; of boxes by `box_wkb`.
-    fields : equal-length columns by name; texts as lists of str, numbers as arrays.
+    `geometry`: well-known binary, one a row; of boxes by `box_wkb`. `fields`: equal-length columns by name; texts as
+    lists of str, numbers as arrays.
     """
 
     name: str

@@ -33,11 +33,8 @@ def disagreement_map(
 ) -> bytes:
     """PNG of where filters disagree.
 
-    Parameters
-    ----------
-    split : filters in the minority, the largest of the cell's points; row 0 in the south.
-    verdict : 0 no point, 1 all points are other by the majority, 2 at least one is ground.
-    filters : how many were asked.
+    `split`: filters in the minority, the largest of the cell's points; row 0 in the south. `verdict`: 0 no point, 1 all
+    points are other by the majority, 2 at least one is ground. `filters`: how many were asked.
     """
     stacked, view = downsample(
         np.where(verdict > 0, split.astype(np.int16) * 4 + verdict, 0), window, params.figure_pixels
@@ -70,10 +67,7 @@ def _colours(most: int) -> dict[int, tuple[int, int, int]]:
 def render_comparison(comparison: Mapping[str, Any], pictures: Mapping[str, bytes], path: Path) -> dict[str, Any]:
     """Write the comparison as one HTML file: styles inside, images as data, every text escaped.
 
-    Parameters
-    ----------
-    comparison : what `single_file.ground.compare` tells.
-    pictures : PNG by filter, and ``disagreement``.
+    `comparison`: what `single_file.ground.compare` tells. `pictures`: PNG by filter, and ``disagreement``.
 
     Returns a dict with ``path, bytes``.
     """

@@ -67,11 +67,8 @@ def write_tile_laz(
     its range (counted), and its no-data number where the value is NaN; in floating-point types NaN stays NaN.
     A missing `gps_time` is written as 0. The creation date is 0: nothing of the day or the machine is in the file.
 
-    Parameters
-    ----------
-    table : at least `NEEDED`; `intensity` and `gps_time` if they are there.
-    crs : None leaves the file without one.
-    standard_time : `gps_time` is adjusted standard GPS time, not seconds of the week.
+    `table`: at least `NEEDED`; `intensity` and `gps_time` if they are there. `crs`: None leaves the file without one.
+    `standard_time`: `gps_time` is adjusted standard GPS time, not seconds of the week.
 
     Returns a dict with ``path, points, extra_bytes (names), beyond (values outside their extra byte's range, by name),
     clipped (echo numbers above 15), without_time, bytes``.

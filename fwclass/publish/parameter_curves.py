@@ -20,11 +20,8 @@ def draw_curves(
 ) -> bytes:
     """PNG with one panel per parameter: kappa over its range, every other parameter at its best value.
 
-    Parameters
-    ----------
-    curves : (value, kappa) by parameter, by rising value.
-    best : the chosen values, marked in the panels.
-    held_out : kappa on points that took no part in the choice; a dotted line, none where it is None.
+    `curves`: (value, kappa) by parameter, by rising value. `best`: the chosen values, marked in the panels. `held_out`:
+    kappa on points that took no part in the choice; a dotted line, none where it is None.
     """
     rows = math.ceil(len(curves) / ACROSS)
     figure = sheet(8.4, 2.5 * rows + 0.5)

@@ -68,9 +68,7 @@ def _gradient(ramp: Sequence[tuple[float, RGB]]) -> str:
 def render_quality(summary: Mapping[str, Any], pictures: Sequence[Picture], version: str, path: Path) -> None:
     """Write the page: styles inside, images as data, every text escaped.
 
-    Parameters
-    ----------
-    summary : what ``quality.json`` has (docs/quality.md).
+    `summary`: what ``quality.json`` has (docs/quality.md).
     """
     density, strips = summary["density"], summary["strips"]
     facts = [

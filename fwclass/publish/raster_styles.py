@@ -58,11 +58,8 @@ def raster_style(
 ) -> list[Xml.Element]:
     """Style of a raster of `STYLED`.
 
-    Parameters
-    ----------
-    ranges : low and high value of every raster of heights and densities.
-    names : of classes by code.
-    multiply : darkened by what lies below, which is the relief in a project.
+    `ranges`: low and high value of every raster of heights and densities. `names`: of classes by code. `multiply`:
+    darkened by what lies below, which is the relief in a project.
     """
     if name == "classes":
         return class_raster_style(names, multiply)

@@ -44,9 +44,7 @@ def _light(dtm: NDArray[np.float32], cell: float, params: PublishParams) -> NDAr
 def slope(dtm: NDArray[np.float32], cell: float) -> NDArray[np.float32]:
     """Angle of the terrain against the level [deg] (Horn 1981: the eight neighbours, those along the axes doubly).
 
-    Parameters
-    ----------
-    dtm : (n + 2, m + 2) heights [m] of the raster and one cell around.
+    `dtm`: (n + 2, m + 2) heights [m] of the raster and one cell around.
 
     Returns (n, m); NaN where one of the nine heights is missing, as `gdaldem slope` has it.
     """

@@ -257,10 +257,7 @@ def draw_pulse(
 ) -> bytes:
     """The system's pulse beside a Gaussian of the same width: whole, and its foot enlarged.
 
-    Parameters
-    ----------
-    time : [ns] after the peak, shape (n,).
-    values, gaussian_values : height as a share of the peak's, shape (n,).
+    `time`: [ns] after the peak, shape (n,). `values`, `gaussian_values`: height as a share of the peak's, shape (n,).
 
     Returns a PNG.
     """

@@ -300,10 +300,8 @@ def _wider(ends: tuple[float, float], values: NDArray) -> tuple[float, float]:
 class BeamSource(Source):
     """A file whose rows are waveforms with a beam each.
 
-    Attributes
-    ----------
-    kind : of its format, for people. `notes` : what is to be told of it that is no fault.
-    census : what a pass over it found. `scaling` : to digitiser counts.
+    `kind`: of its format, for people. `notes`: what is to be told of it that is no fault. `census`: what a pass over it
+    found. `scaling`: to digitiser counts.
     """
 
     kind: str

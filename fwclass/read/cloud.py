@@ -90,9 +90,7 @@ class PointCloud:
 def read_point_cloud(path: str | Path, crs: Any = None) -> PointCloud:
     """Every point of a LAS, LAZ, COPC or text file.
 
-    Parameters
-    ----------
-    crs : `pyproj.CRS` that replaces the file's own.
+    `crs`: `pyproj.CRS` that replaces the file's own.
 
     `ConfigError`: no known kind of file. `InputError`: no such file, damaged, without points, in degrees, geocentric,
     or without a single usable coordinate.

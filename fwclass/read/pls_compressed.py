@@ -76,11 +76,8 @@ def read_chunks(path: Path, size: int, start: int, pulses: int, pulse_size: int,
     """The chunks of a .plz: from the record that says how it is compressed, and the table behind the pulses; None where
     it says that the pulses stand as they are.
 
-    Parameters
-    ----------
-    size, start : bytes of the file, and where its pulses begin.
-    pulses, pulse_size : as the header has them.
-    record : body of the record `RECORD_NUMBER`.
+    `size`, `start`: bytes of the file, and where its pulses begin. `pulses`, `pulse_size`: as the header has them.
+    `record`: body of the record `RECORD_NUMBER`.
     """
     if record[:2] == NONE.to_bytes(2, "little"):
         return None

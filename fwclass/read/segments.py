@@ -82,9 +82,7 @@ def segment_links(source: LasSource, rows: Rows, before: Rows | None = None) -> 
     samples of the second follow those of the first along it, or repeat them where both overlap. The answer for a pair
     depends on nothing else, so it is the same however the file is cut.
 
-    Parameters
-    ----------
-    before : the point before the first of `rows`, as one row; None links the first point to nothing.
+    `before`: the point before the first of `rows`, as one row; None links the first point to nothing.
     """
     if before is not None:
         return segment_links(source, Rows.concat(before, rows))[1:]

@@ -24,10 +24,8 @@ def read_waves(
 ) -> Extents:
     """What is read of a Waves file of `size` bytes, a row a pulse, once `look` needs no more of it.
 
-    Parameters
-    ----------
-    offset, asked : of every pulse, where its waves begin, and whether they are read; those of others are empty.
-    look : gives what looking at every pulse ended in, and the byte of the file up to which it has to be read.
+    `offset`, `asked`: of every pulse, where its waves begin, and whether they are read; those of others are empty.
+    `look`: gives what looking at every pulse ended in, and the byte of the file up to which it has to be read.
 
     `InputError` or `OSError`: as `read_extents`.
     """

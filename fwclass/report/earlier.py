@@ -16,10 +16,8 @@ NAMED = 5
 def since_earlier(runner: Runner, name: str, survey: str, files: Mapping[str, Any]) -> dict[str, Any] | None:
     """What changed since the delivery that is shown now; None where there is none, or it cannot be read.
 
-    Parameters
-    ----------
-    name : of its report. survey : name of the survey. files : of this run, as `source_files` has them; one
-        that is left out on request (survey.exclude) is not lost.
+    `name`: of its report. `survey`: name of the survey. `files`: of this run, as `source_files` has them; one that is
+    left out on request (survey.exclude) is not lost.
 
     Returns ``lost_sources`` with path, points and pulses, and ``remarks``.
     """

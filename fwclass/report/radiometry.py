@@ -22,10 +22,8 @@ def radiometry_facts(
 ) -> dict[str, Any] | None:
     """``implausible``: what no sound survey shows (`soundness.faults`); None without radiometry.
 
-    Parameters
-    ----------
-    metas : of the parts `radiometry`. calibration : of the part `calibrate`. flown : a trajectory, or an altitude, is
-        given. sensors : by name of the strip, what `altitude_faults` holds the altitude against [m].
+    `metas`: of the parts `radiometry`. `calibration`: of the part `calibrate`. `flown`: a trajectory, or an altitude,
+    is given. `sensors`: by name of the strip, what `altitude_faults` holds the altitude against [m].
     """
     total = by_strip(meta["sums"] for meta in metas)
     if not total:

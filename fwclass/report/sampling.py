@@ -33,12 +33,9 @@ def sampling(
 ) -> dict[str, Any] | None:
     """Figures for ``report.json``; None where nothing was counted.
 
-    Parameters
-    ----------
-    counted, drawn, labelled, polygons, corrections, by_echo : receipts of the parts `label-counts`, `sample-counts`,
-        `label`, `polygons`, `corrections` and `echo-labels`.
-    files : echoes of every source file by their code in it.
-    whole_run : all tiles are among them; else nobody knows of the others' corrections.
+    `counted`, `drawn`, `labelled`, `polygons`, `corrections`, `by_echo`: receipts of the parts `label-counts`,
+    `sample-counts`, `label`, `polygons`, `corrections` and `echo-labels`. `files`: echoes of every source file by their
+    code in it. `whole_run`: all tiles are among them; else nobody knows of the others' corrections.
     """
     if not counted:
         return None

@@ -73,10 +73,8 @@ NAMED = 4
 class ClassifyJob(EchoJob):
     """What `fwclass classify` was asked for, besides what every `EchoJob` is; its files are LAS or LAZ.
 
-    Attributes
-    ----------
-    model : directory of the model, or a name that `installed_models` gives.
-    legacy : class code to write in place of another; point formats 0 to 5 take what the model's classes say besides.
+    `model`: directory of the model, or a name that `installed_models` gives. `legacy`: class code to write in place of
+    another; point formats 0 to 5 take what the model's classes say besides.
     """
 
     model: Path
@@ -161,9 +159,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
 class _Checked:
     """A file and a model that fit each other and the settings.
 
-    Attributes
-    ----------
-    codes : uint8 (256,), what every class code is written as.
+    `codes`: uint8 (256,), what every class code is written as.
     """
 
     source: LasSource

@@ -22,10 +22,7 @@ from fwclass.store.url import Url
 class RemoteFile:
     """A file on object storage with the objects beside it that belong to it, or a directory, as a run found them.
 
-    Attributes
-    ----------
-    url : of the file or directory.
-    held : (path relative to what the file lies in, bytes, e-tag) of every object.
+    `url`: of the file or directory. `held`: (path relative to what the file lies in, bytes, e-tag) of every object.
     """
 
     url: Url

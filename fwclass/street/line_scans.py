@@ -45,11 +45,9 @@ NEAR_GAP, FAR_GAP = 8, 200
 class Turning:
     """How a scanner turns, as measured.
 
-    Attributes
-    ----------
-    slope : seconds per radian by which a frame's points are later than its begin; 0 where a frame has one time.
-    first, step : angle of the first beam, between beams [rad]. beams : of the field that was seen.
-    period : between frames [s]. even : share of the frames that begin on the period.
+    `slope`: seconds per radian by which a frame's points are later than its begin; 0 where a frame has one time.
+    `first`, `step`: angle of the first beam, between beams [rad]. `beams`: of the field that was seen. `period`:
+    between frames [s]. `even`: share of the frames that begin on the period.
     """
 
     slope: float

@@ -39,10 +39,8 @@ def feature_names(params: StreetParams) -> tuple[str, ...]:
 class Seen:
     """A frame whose neighbourhood is complete.
 
-    Attributes
-    ----------
-    features : float32 (beams, features), NaN without a return; valid until the next frame is taken.
-    frames : of its neighbourhood, itself included. cut : `most_frames` ended it.
+    `features`: float32 (beams, features), NaN without a return; valid until the next frame is taken. `frames`: of its
+    neighbourhood, itself included. `cut`: `most_frames` ended it.
     """
 
     frame: Placed

@@ -55,12 +55,10 @@ class Thinned:
 class Soundness:
     """What the used frames of a recording show of themselves.
 
-    Attributes
-    ----------
-    frozen : frames whose ranges are those of the frame before to the last digit, though the vehicle moved.
-    light : returns, those whose intensity is above `street.intensity`, above `SoundParams.least_light` of it, missing.
-    changed : (state, lag, sum and count): shares of the beams whose range changed by more than `SoundParams.change`
-        since the frame before, and since the one `LAG` before, while the vehicle stood (0) or moved (1) all the time.
+    `frozen`: frames whose ranges are those of the frame before to the last digit, though the vehicle moved. `light`:
+    returns, those whose intensity is above `street.intensity`, above `SoundParams.least_light` of it, missing.
+    `changed`: (state, lag, sum and count): shares of the beams whose range changed by more than `SoundParams.change`
+    since the frame before, and since the one `LAG` before, while the vehicle stood (0) or moved (1) all the time.
     """
 
     params: StreetParams
@@ -217,11 +215,8 @@ def recording_faults(
     """What no sound recording shows, a sentence each, with the bound that it passes; none of a sound one. Where nothing
     tells how the vehicle moved, nothing is said of its way.
 
-    Parameters
-    ----------
-    counts : of `Track.counts`.
-    left_out : points of a LAS file, or frames, by `OUTSIDE` and `SECOND`; rows : how many of which there are.
-    stream : frames of a stream that were lost, by cause.
+    `counts`: of `Track.counts`. `left_out`: points of a LAS file, or frames, by `OUTSIDE` and `SECOND`; `rows`: how
+    many of which there are. `stream`: frames of a stream that were lost, by cause.
     """
     sound, said, facts = params.sound, [], counts["sound"]
     frames, used, faults = counts["frames"], counts["used"], counts["faults"]

@@ -67,10 +67,8 @@ class _Seen:
 class Way:
     """Adds up what the frames of a moving vehicle show; nothing of one that stands.
 
-    Attributes
-    ----------
-    upwards, along : float64 (bins of `SIZES`, 2), pairs of returns that change in depth, and all.
-    leans : int64, pairs of returns of one edge by how it leans. metres : of road that were looked at.
+    `upwards`, `along`: float64 (bins of `SIZES`, 2), pairs of returns that change in depth, and all. `leans`: int64,
+    pairs of returns of one edge by how it leans. `metres`: of road that were looked at.
     """
 
     params: StreetParams

@@ -34,10 +34,7 @@ class Round:
 class SeenEchoes:
     """Echoes of a survey, by key.
 
-    Attributes
-    ----------
-    key : uint64 (rows,), `schema.canonical_key`.
-    X : float32 (rows, features), in the order of the model's.
+    `key`: uint64 (rows,), `schema.canonical_key`. `X`: float32 (rows, features), in the order of the model's.
     """
 
     key: NDArray[np.uint64]

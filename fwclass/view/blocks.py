@@ -58,10 +58,7 @@ def block(
 ) -> bytes:
     """Head and deflated planes of the echoes `rows`, in that order.
 
-    Parameters
-    ----------
-    columns : `DRAWN`.
-    origin : of the scene [m].
+    `columns`: `DRAWN`. `origin`: of the scene [m].
     """
     edge, (west, south) = pyramid.edge(node[0]), pyramid.corner
     z = columns["z"][rows]

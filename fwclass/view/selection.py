@@ -125,9 +125,7 @@ class Selection:
     def rows(self, columns: Mapping[str, NDArray]) -> NDArray[np.int64]:
         """Rows of the echoes that are selected, ascending.
 
-        Parameters
-        ----------
-        columns : x, y, z [m], classification, confidence, height_above_ground [m].
+        `columns`: x, y, z [m], classification, confidence, height_above_ground [m].
         """
         x, y = columns["x"], columns["y"]
         rows = np.flatnonzero(self.classes[columns["classification"]])
@@ -158,9 +156,7 @@ def in_polygon(places: NDArray[np.float64], corners: NDArray[np.float64]) -> NDA
     Of every edge only places between its ends are looked at, so the work follows from how often a line crosses the
     polygon, not from its number of corners.
 
-    Parameters
-    ----------
-    places, corners : (rows, 2), (n, 2); the last corner joins the first.
+    `places`, `corners`: (rows, 2), (n, 2); the last corner joins the first.
     """
     order = np.argsort(places[:, 1], kind="stable")
     a, b = places[order, 0], places[order, 1]
@@ -178,9 +174,7 @@ def in_polygon(places: NDArray[np.float64], corners: NDArray[np.float64]) -> NDA
 def in_stroke(places: NDArray[np.float64], points: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
     """bool (rows,): within `radius` of the line through `points`.
 
-    Parameters
-    ----------
-    places, points : (rows, 2), (n, 2).
+    `places`, `points`: (rows, 2), (n, 2).
     """
     order = np.argsort(places[:, 1], kind="stable")
     a, b = places[order, 0], places[order, 1]

@@ -31,11 +31,8 @@ from fwclass.temporary import temporary_directory
 class ComparableStages:
     """The stages of a workflow that compute something of echoes, and can be compared.
 
-    Attributes
-    ----------
-    of_tiles : names of those whose parts are tiles.
-    of_blocks : those whose parts are blocks.
-    gathering : names of those that put what blocks computed into tiles.
+    `of_tiles`: names of those whose parts are tiles. `of_blocks`: those whose parts are blocks. `gathering`: names of
+    those that put what blocks computed into tiles.
     """
 
     of_tiles: tuple[str, ...]

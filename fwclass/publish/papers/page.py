@@ -27,10 +27,7 @@ VIEWS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
 def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) -> dict[str, Any]:
     """Write the page of ``facts["paper"]``; every text is escaped.
 
-    Parameters
-    ----------
-    facts : what the paper's file in `study.papers` gathers.
-    picture : PNG of the class map, or None.
+    `facts`: what the paper's file in `study.papers` gathers. `picture`: PNG of the class map, or None.
 
     Returns a dict with ``path, bytes``.
     """

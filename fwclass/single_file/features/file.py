@@ -54,9 +54,7 @@ HELD = 256 << 20
 class FeaturesJob(EchoJob):
     """What `fwclass features` was asked for, besides what every `EchoJob` is.
 
-    Attributes
-    ----------
-    named, listed : a feature set by name or file, or names with commas between; both None: the set `default`.
+    `named`, `listed`: a feature set by name or file, or names with commas between; both None: the set `default`.
     """
 
     named: str | None = None

@@ -42,11 +42,8 @@ class NormalizeJob(FileJob):
     """What `fwclass normalize` was asked for, besides what every `FileJob` is; without a ground filter it takes the
     ground of the file's classes.
 
-    Attributes
-    ----------
-    height : above what: ``tin``, ``nearest`` or ``raster``; None takes ``terrain.height``.
-    keep_z : z stays, the height goes into the extra byte `HeightAboveGround`.
-    use_flagged : see `GroundJob`.
+    `height`: above what: ``tin``, ``nearest`` or ``raster``; None takes ``terrain.height``. `keep_z`: z stays, the
+    height goes into the extra byte `HeightAboveGround`. `use_flagged`: see `GroundJob`.
     """
 
     height: str | None = None

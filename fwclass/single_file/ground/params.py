@@ -65,11 +65,8 @@ def ground_params(
 ) -> GroundParams:
     """The base's parameters, changed by a preset, then by `settings`, then by `method` and `assignments`.
 
-    Parameters
-    ----------
-    method : filter; None takes the one that configuration or preset name.
-    assignments : ``name=value``: a parameter of that filter, by its own or another program's name, or a shared one.
-    settings : ``section.key=value``.
+    `method`: filter; None takes the one that configuration or preset name. `assignments`: ``name=value``: a parameter
+    of that filter, by its own or another program's name, or a shared one. `settings`: ``section.key=value``.
 
     `ConfigError`: an unknown filter, preset or parameter, or a value that does not fit.
     """
