@@ -87,6 +87,14 @@ UNITS = (
     "return to the sensor; where they do, packets are those of other returns"
 )
 
+SHARES = {
+    "poor": "fitted",
+    **dict.fromkeys(("blank", "downward", "floored", "swapped", "doubled", "stuck"), "waveforms"),
+    "unlike": "compared",
+    "misplaced": "paired",
+}
+"""Counts of a strip that are told as a share, and of which other count."""
+
 DOUBTFUL, DOUBTED = 0.3, 20
 """Share of neighbouring returns, and number, from which their strengths are told: chance makes a half."""
 
@@ -124,15 +132,7 @@ def strip_plausibility(
         "places": places,
         **recurring_facts(places, counts, checked),
         **uneven_facts(places),
-        "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
-        "blank_share": counts["blank"] / counts["waveforms"] if counts["waveforms"] else None,
-        "downward_share": counts["downward"] / counts["waveforms"] if counts["waveforms"] else None,
-        "floored_share": counts["floored"] / counts["waveforms"] if counts["waveforms"] else None,
-        "swapped_share": counts["swapped"] / counts["waveforms"] if counts["waveforms"] else None,
-        "doubled_share": counts["doubled"] / counts["waveforms"] if counts["waveforms"] else None,
-        "stuck_share": counts["stuck"] / counts["waveforms"] if counts["waveforms"] else None,
-        "unlike_share": counts["unlike"] / counts["compared"] if counts["compared"] else None,
-        "misplaced_share": counts["misplaced"] / counts["paired"] if counts["paired"] else None,
+        **{f"{name}_share": counts[name] / counts[of] if counts[of] else None for name, of in SHARES.items()},
         "unreadable_packets": unreadable,
         "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
         "pulses": pulses,
@@ -173,11 +173,8 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"{_part(some, 'unlike', 'compared', 'neighbouring returns')} are the other way round in strength than "
             f"their echoes: {MIXED} ({names_of(some)})"
         )
-    if some := [s for s in strips if (s["misplaced_share"] or 0.0) > TOLD_FROM]:
-        lines.append(
-            f"{_part(some, 'misplaced', 'paired', 'neighbouring returns of one pulse')} do not lie as far apart as "
-            f"light goes between their locations, or beside their beam: {UNITS} ({names_of(some)})"
-        )
+    words = f"do not lie as far apart as light goes between their locations, or beside their beam: {UNITS}"
+    lines += _above(strips, "misplaced", TOLD_FROM, "neighbouring returns of one pulse", words)
     if some := [s for s in strips if (s["uneven_share"] or 0.0) > UNEVEN]:
         lines.append(
             f"{_part(some, 'uneven', 'uneven_asked', 'echoes')} of a sample lie more than {OFF:g} m off along their "
@@ -189,11 +186,10 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
             f"{_part(some, 'off_earth', 'fitted', 'echoes')} lie below {LAND[0]:g} m or above {LAND[1]:g} m, "
             f"where no land is: are times in nanoseconds, and directions in metres? ({names_of(some)})"
         )
-    if some := [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]:
-        lines.append(
-            f"{_part(some, 'poor', 'fitted', 'echoes')} are poorly fitted, misfit above "
-            f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({names_of(some)})"
-        )
+    words = "the samples are not what the pulse and the noise explain"
+    lines += _above(
+        strips, "poor", TOLD_FROM, "echoes", f"are poorly fitted, misfit above {params.poor_misfit:g}: {words}"
+    )
     lines += [*recurring_remarks(strips), *pulse_remarks(strips)]
     lines += _noise_remarks(strips, params)
     return [*filter(None, lines), *place_remarks(strips)]
@@ -207,35 +203,19 @@ def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             _unreadable_words([s for s in some if s["returns"]], "returns"),
             _unreadable_words([s for s in some if not s["returns"]], "pulses"),
         ]
-    if some := [s for s in strips if (s["blank_share"] or 0.0) > RARE]:
-        lines.append(
-            f"{_part(some, 'blank', 'waveforms', 'pulses')} have nothing but zeros, or the digitiser's limit, for a "
-            f"waveform, which no receiver records: is the packet file whole? ({names_of(some)})"
-        )
-    if some := [s for s in strips if (s["downward_share"] or 0.0) > RARE]:
-        lines.append(
-            f"{_part(some, 'downward', 'waveforms', 'waveforms')} have echoes that point down, and are not "
-            f"found: {TURN} ({names_of(some)})"
-        )
-    if some := [s for s in strips if (s["floored_share"] or 0.0) > TOLD_FROM]:
-        lines.append(
-            f"{_part(some, 'floored', 'waveforms', 'waveforms')} have more than a quarter of their samples at "
-            f"0: {FLOOR} ({names_of(some)})"
-        )
-    if some := [s for s in strips if (s["swapped_share"] or 0.0) > RARE]:
-        lines.append(
-            f"{_part(some, 'swapped', 'waveforms', 'waveforms')} are smooth only with the two bytes of every sample "
-            f"exchanged: {SWAP} ({names_of(some)})"
-        )
-    if some := [s for s in strips if (s["doubled_share"] or 0.0) > DAMAGED]:
-        lines.append(
-            f"{_part(some, 'doubled', 'waveforms', 'waveforms')} have every sample twice: {TWICE} ({names_of(some)})"
-        )
-    if some := [s for s in strips if (s["stuck_share"] or 0.0) > DAMAGED]:
-        lines.append(
-            f"{_part(some, 'stuck', 'waveforms', 'waveforms')} have a bit that never changes, though higher and lower "
-            f"ones do: {BITS} ({names_of(some)})"
-        )
+    for kind, bound, what, words in (
+        (
+            *("blank", RARE, "pulses"),
+            "have nothing but zeros, or the digitiser's limit, for a waveform, which no receiver records: is the "
+            "packet file whole?",
+        ),
+        ("downward", RARE, "waveforms", f"have echoes that point down, and are not found: {TURN}"),
+        ("floored", TOLD_FROM, "waveforms", f"have more than a quarter of their samples at 0: {FLOOR}"),
+        ("swapped", RARE, "waveforms", f"are smooth only with the two bytes of every sample exchanged: {SWAP}"),
+        ("doubled", DAMAGED, "waveforms", f"have every sample twice: {TWICE}"),
+        ("stuck", DAMAGED, "waveforms", f"have a bit that never changes, though higher and lower ones do: {BITS}"),
+    ):
+        lines += _above(strips, kind, bound, what, words)
     return lines
 
 
@@ -342,6 +322,12 @@ def _unreadable_words(strips: Sequence[Mapping[str, Any]], what: str) -> str:
         f"{_part(strips, 'unreadable_packets', what, what)} have a waveform that cannot be read, and {then} "
         f"({names_of(strips)})"
     )
+
+
+def _above(strips: Sequence[Mapping[str, Any]], kind: str, bound: float, what: str, words: str) -> list[str]:
+    """That `words` hold of so many of `what`, where their share (of `SHARES`) is above `bound`."""
+    some = [s for s in strips if (s[f"{kind}_share"] or 0.0) > bound]
+    return [f"{_part(some, kind, SHARES[kind], what)} {words} ({names_of(some)})"] if some else []
 
 
 def _part(strips: Sequence[Mapping[str, Any]], part: str, whole: str, what: str) -> str:
