@@ -148,6 +148,11 @@ def first_few(words: Sequence[str], most: int, between: str = ", ") -> str:
     return between.join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
+def first_line(fault: BaseException) -> str:
+    """What a library says of a fault, in a line; its kind where it says nothing."""
+    return (str(fault).strip().splitlines() or [type(fault).__name__])[0][:200]
+
+
 def several(count: int, noun: str) -> str:
     """``1 tile``, ``2 tiles``, ``1,000 tiles``."""
     return f"{count:,} {noun}{'s' * (count != 1)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import math
 import re
 from pathlib import Path
@@ -39,6 +40,13 @@ def _compiling(begins: bool) -> None:
     if begins and compiling.listeners:
         compiling.listeners.clear()
         click.echo(f"{compiling.ONCE}; `fwclass compile` makes all kernels ahead", err=True)
+
+
+def tell(facts: Any, words: str, as_json: bool) -> None:
+    """Write `words` for people on standard error and, with --json, the `facts` on standard output."""
+    click.echo(words, err=True)
+    if as_json:
+        click.echo(json.dumps(facts, indent=1))
 
 
 def little_garbage() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, Finite, cli, work_here
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, Finite, cli, tell, work_here
 from fwclass.cli.ground import CRS, METHOD, PARAM, PRESET
 
 SETS = click.option(
@@ -79,9 +79,7 @@ def features(
     settings += ("plausibility.accept=true",) if accept_implausible else ()
     with StepDisplay() as steps:
         summary = features_file(FeaturesJob(source, output, named=named, settings=settings, **options), steps.tell)
-    click.echo(describe(summary), err=True)
-    if as_json:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe(summary), as_json)
     judge_echoes(summary["judged"], conf.section("plausibility", settings), source)
 
 

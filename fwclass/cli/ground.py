@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, get_args
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, SET, cli, work_here
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OUTPUT, OVERWRITE, PATH, SET, cli, tell, work_here
 from fwclass.ground.methods import Method
 
 KINDS = "Kind of land: wilderness, nature, town, city, metro, dense-forest or steep."
@@ -87,9 +86,7 @@ def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]
         if auto:
             options["adapt"] = _adapting(options, steps.tell)
         summary = ground_file(GroundJob(source, output, rasters=rasters, **options), steps.tell)
-    click.echo(describe(summary), err=True)
-    if as_json:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe(summary), as_json)
     bounds = conf.section("plausibility").model_copy(update={"accept": accepted})
     judge_echoes(summary["judged"], bounds, source)
     judge_ground({"echoes": summary["shown"], "ground": summary["ground"]}, bounds, source)
@@ -130,9 +127,7 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
         with StepDisplay() as steps:
             adapt = _adapting({**options, "method": "each its own"}, steps.tell) if auto else None
             result = compare(source, methods, say=steps.say, tell=steps.tell, adapt=adapt, **options)
-    click.echo(describe(result), err=True)
-    if as_json:
-        click.echo(json.dumps(result, indent=1))
+    tell(result, describe(result), as_json)
 
 
 @cli.command()
@@ -163,8 +158,6 @@ def normalize(source: Path, output: Path, as_json: bool, accept_implausible: boo
 
     with StepDisplay() as steps:
         summary = normalize_file(NormalizeJob(source, output, **options), steps.tell)
-    click.echo(describe_heights(summary), err=True)
-    if as_json:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe_heights(summary), as_json)
     bounds = conf.section("plausibility").model_copy(update={"accept": accept_implausible})
     judge_echoes(summary["judged"], bounds, source)

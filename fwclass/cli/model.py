@@ -23,6 +23,7 @@ from fwclass.cli.base import (
     WORKERS,
     Finite,
     cli,
+    tell,
     work_here,
 )
 from fwclass.cli.runner import open_runner
@@ -231,9 +232,7 @@ def classify(
     job = ClassifyJob(source, output, settings=settings, **options)
     with StepDisplay() as steps:
         summary = classify_file(job, steps.tell)
-    click.echo(describe(summary), err=True)
-    if as_json:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe(summary), as_json)
     judge_echoes(summary["judged"], conf.section("plausibility", settings), source)
     if not accept_drift:
         params = conf.section("classify", job.settings)

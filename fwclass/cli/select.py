@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli, tell
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
@@ -95,6 +94,4 @@ def select(
         else:
             result = selection(config, runner, names, method, **options)
     output.write(result, path)
-    click.echo(output.describe(result, path), err=True)
-    if as_json:
-        click.echo(json.dumps(result, indent=1))
+    tell(result, output.describe(result, path), as_json)

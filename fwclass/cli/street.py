@@ -21,6 +21,7 @@ from fwclass.cli.base import (
     WORKERS,
     Finite,
     cli,
+    tell,
 )
 from fwclass.cli.runner import open_runner
 
@@ -126,9 +127,7 @@ def train(
     config = _config(conf, settings)
     accepted = options.pop("accept_implausible") or config.plausibility.accept
     summary = training(config, target, say=_say, **options)
-    click.echo(describe(summary), err=True)
-    if as_json:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe(summary), as_json)
     judge_recording(summary["implausible"], accepted, conf)
     if summary["accuracy"]:
         judge_chance(summary["accuracy"], accepted, conf)
@@ -167,9 +166,7 @@ def classify(
         open_runner(beside, int(count), options["scheduler"], config.run) as runner,
     ):
         summary = work(job, output, runner, config)
-    click.echo(describe_batch(summary, output), err=True)
-    if options["as_json"]:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe_batch(summary, output), options["as_json"])
     _judge(summary, config, options, recording, model)
 
 
@@ -201,9 +198,7 @@ def run(
     config = _config(conf, settings, model)
     job = Run(source, model, target, pace == "recorded", options["overwrite"], TrajectoryFiles.of(config))
     summary = work(job, config.street, _say)
-    click.echo(describe(summary, target), err=True)
-    if options["as_json"]:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe(summary, target), options["as_json"])
     _judge(summary, config, options, source, model)
 
 
@@ -227,6 +222,4 @@ def annotate(
 
     config = _config(conf, settings)
     summary = work(recording, file, params=config.street, trajectory=TrajectoryFiles.of(config), **options)
-    click.echo(describe(summary), err=True)
-    if as_json:
-        click.echo(json.dumps(summary, indent=1))
+    tell(summary, describe(summary), as_json)

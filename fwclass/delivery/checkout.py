@@ -14,7 +14,7 @@ import numpy as np
 
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.errors import ConfigError, InputError, StoreError, nearest, several, system_error
+from fwclass.errors import ConfigError, InputError, StoreError, first_line, nearest, several, system_error
 from fwclass.formats.echo_labels import EchoLabels, echo_labels_bytes
 from fwclass.grid import TileGrid
 from fwclass.publish.files import whole_directory
@@ -171,7 +171,7 @@ def read_note(directory: Path) -> Note:
         raise InputError(
             "the note of a checkout cannot be read",
             where=path,
-            got=str(fault).splitlines()[0][:200] or type(fault).__name__,
+            got=first_line(fault),
             do="it was changed or damaged: check the tiles out again, to another directory",
         ) from fault
 

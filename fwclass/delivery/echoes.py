@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError, nearest, several
+from fwclass.errors import InputError, first_line, nearest, several
 from fwclass.lazy_module import LazyModule
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Echoes:
                 where="where",
                 expected="triples of column, operator (==, !=, <, >, <=, >=, in, not in) and value, or a pyarrow "
                 "expression",
-                got=str(fault).splitlines()[0],
+                got=first_line(fault),
             ) from fault
         if isinstance(where, (list, tuple)):
             self._check_names(where)
@@ -148,7 +148,7 @@ def _reading(files: Sequence[str], work: Callable[[], Any]) -> Any:
                 "a condition compares a column with what it cannot be compared with",
                 where="where",
                 expected="numbers for columns of numbers; true or false for `ground` and `noise`",
-                got=str(fault).splitlines()[0],
+                got=first_line(fault),
             ) from fault
         raise InputError("the echoes cannot be read", where="fwclass.open", got=fault) from fault
 
@@ -215,7 +215,7 @@ def _damaged(path: Path, fault: Exception) -> InputError:
         "a delivered tile cannot be read any more",
         where=path,
         expected="the file that was there when the delivery was opened",
-        got=str(fault).splitlines()[0][:200],
+        got=first_line(fault),
         do="run the survey again with --verify: what is damaged is made anew",
     )
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError, nearest, visible
+from fwclass.errors import InputError, first_line, nearest, visible
 from fwclass.formats.parquet_footer import check_unpacked, values_in
 from fwclass.lazy_module import LazyModule
 from fwclass.schema import PLACE
@@ -176,7 +176,7 @@ def _unreadable(fault: Exception, where: object, do: str) -> InputError:
         "labels by echo cannot be read",
         where=where,
         expected="a Parquet table with strip, pulse, echo_number, class, x, y and z",
-        got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
+        got=first_line(fault),
         do=do,
     )
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, first_line
 from fwclass.formats.grid_files import without_paths
 from fwclass.formats.parquet_footer import SPARE, check_unpacked
 from fwclass.formats.vector import Header
@@ -132,7 +132,7 @@ def _opened(path: Path, names: Sequence[str] = ()) -> Any:
             check_unpacked(stream, path.stat().st_size, EACH)
         return pq.ParquetFile(path, read_dictionary=list(names) or None)
     except (pa.ArrowException, OSError, ValueError) as fault:
-        raise _foreign(path, str(fault).splitlines()[0]) from fault
+        raise _foreign(path, first_line(fault)) from fault
 
 
 def _geo(path: Path, schema: Any) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, first_line
 from fwclass.formats.parquet_footer import check_file, count_values
 
 EACH = 2000
@@ -33,6 +34,21 @@ class Footer:
         """What the file says of itself; letters that are none are replaced."""
         pairs = (self.schema.metadata or {}).items()
         return {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in pairs}
+
+
+@contextmanager
+def undamaged(path: Path, expected: str) -> Iterator[None]:
+    """`InputError` where Arrow refuses the file."""
+    try:
+        yield
+    except (pa.ArrowException, OSError, ValueError) as fault:
+        raise InputError(
+            "the Parquet file cannot be read",
+            where=path,
+            expected=expected,
+            got=first_line(fault),
+            do="it is cut short or damaged; write it again",
+        ) from None
 
 
 def read_footer(path: Path) -> Footer:

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from fwclass.errors import ConfigError, InputError, nearest, set_words
+from fwclass.errors import ConfigError, InputError, first_line, nearest, set_words
 from fwclass.formats.crs import crs_of_wkt
 from fwclass.formats.gdal import offline
 from fwclass.formats.polygon_magic import check_format
@@ -121,6 +121,6 @@ def _unreadable(path: Path, fault: Exception) -> InputError:
         "the polygon file cannot be read",
         where=path,
         expected=f"a {FORMATS.get(path.suffix.lower(), 'polygon file')}",
-        got=str(fault).splitlines()[0] if str(fault) else type(fault).__name__,
+        got=first_line(fault),
         do="open it in a GIS and export it again; a Shapefile needs its .shx and .dbf beside it",
     )

@@ -32,6 +32,18 @@ NONE, AMBIGUOUS = -1, -2
 """Groups of a point in no polygon, and of one in polygons of different classes."""
 
 
+def check_reach(reach: float, where: object) -> None:
+    """`InputError` for a coordinate of `reach` [m] beyond `FURTHEST`, whose whole millimetres are other numbers."""
+    if not reach <= FURTHEST:
+        raise InputError(
+            "a polygon has a corner that is nowhere on Earth",
+            where=where,
+            expected=f"coordinates of at most {FURTHEST / 1000:,.0f} km",
+            got=f"{reach / 1000:.3g} km",
+            do="check the file and its coordinate system",
+        )
+
+
 @dataclass(frozen=True)
 class Polygons:
     """Polygons with reference codes.
@@ -74,14 +86,7 @@ class Polygons:
         `InputError` where a polygon is too large to be one.
         """
         reach = max(float(np.abs(v).max(initial=0.0)) for v in (shapes.x, shapes.y))
-        if not reach <= FURTHEST:  # beyond, whole millimetres would be other numbers
-            raise InputError(
-                "a polygon has a corner that is nowhere on Earth",
-                where=where,
-                expected=f"coordinates of at most {FURTHEST / 1000:,.0f} km",
-                got=f"{reach / 1000:.3g} km",
-                do="check the file and its coordinate system",
-            )
+        check_reach(reach, where)
         part_code = code[shapes.feature]
         polygons = cls(
             millimetres(shapes.x),

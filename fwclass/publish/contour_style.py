@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as Xml
 
-from fwclass.publish.qgis_style import add, rgba
+from fwclass.publish.qgis_style import add, add_layer, rgba
 
 BROWN = (150, 90, 40)
 """Of the lines, as on topographic maps."""
@@ -28,11 +28,8 @@ def contour_style() -> list[Xml.Element]:
     for k, (label, condition, width, line) in enumerate(_RULES):
         add(rules, "rule", key=f"rule-{k}", filter=condition, label=label, symbol=k)
         symbol = add(symbols, "symbol", type="line", name=k, alpha=1, clip_to_extent=1, force_rhr=0)
-        layer = add(symbol, "layer", **{"class": "SimpleLine", "enabled": 1, "locked": 0, "pass": 0})
-        options = add(layer, "Option", type="Map")
         settings = {"line_color": rgba(BROWN), "line_style": line, "line_width": width, "line_width_unit": "MM"}
-        for name, value in settings.items():
-            add(options, "Option", name=name, value=value, type="QString")
+        add_layer(symbol, "SimpleLine", settings)
     labels = Xml.Element("labeling", {"type": "simple"})
     settings_of = add(labels, "settings", calloutType="simple")
     shown = 'CASE WHEN "index_contour" THEN "elevation" END'

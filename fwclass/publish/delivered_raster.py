@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, first_line
 
 
 @contextmanager
@@ -23,6 +23,6 @@ def delivered_raster(path: Path) -> Iterator[Any]:
         raise InputError(
             "this raster cannot be read any more",
             where=path,
-            got=str(fault).splitlines()[0][:200],
+            got=first_line(fault),
             do="run the survey again with --verify: what is damaged is made anew",
         ) from fault

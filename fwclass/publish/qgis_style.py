@@ -42,6 +42,13 @@ def add(parent: Xml.Element, tag: str, **attributes: Any) -> Xml.Element:
     return Xml.SubElement(parent, tag, {k: plain_text(str(v)) for k, v in attributes.items()})
 
 
+def add_layer(symbol: Xml.Element, kind: str, settings: Mapping[str, Any]) -> None:
+    """What a symbol draws."""
+    options = add(add(symbol, "layer", **{"class": kind, "enabled": 1, "locked": 0, "pass": 0}), "Option", type="Map")
+    for name, value in settings.items():
+        add(options, "Option", name=name, value=value, type="QString")
+
+
 def rgba(colour: RGB) -> str:
     """A colour as QGIS writes it, opaque."""
     return "{},{},{},255".format(*colour)
@@ -148,11 +155,8 @@ def point_style(colour: RGB, size: float) -> list[Xml.Element]:
     """Points as discs of `size` [mm]."""
     renderer = Xml.Element("renderer-v2", {"type": "singleSymbol"})
     symbol = add(add(renderer, "symbols"), "symbol", type="marker", name="0", alpha=1, clip_to_extent=1, force_rhr=0)
-    layer = add(symbol, "layer", **{"class": "SimpleMarker", "enabled": 1, "locked": 0, "pass": 0})
-    options = add(layer, "Option", type="Map")
     settings = {"name": "circle", "color": rgba(colour), "outline_style": "no", "size": size, "size_unit": "MM"}
-    for key, value in settings.items():
-        add(options, "Option", name=key, value=value, type="QString")
+    add_layer(symbol, "SimpleMarker", settings)
     return [renderer]
 
 
@@ -182,8 +186,6 @@ def _between(ramp: Ramp, share: float) -> RGB:
 
 def _symbol(parent: Xml.Element, name: str, fill: RGB | None, line: RGB, width: float) -> None:
     symbol = add(parent, "symbol", type="fill", name=name, alpha=1, clip_to_extent=1, force_rhr=0)
-    layer = add(symbol, "layer", **{"class": "SimpleFill", "enabled": 1, "locked": 0, "pass": 0})
-    options = add(layer, "Option", type="Map")
     settings = {
         "color": rgba(fill or line),
         "style": "solid" if fill else "no",
@@ -193,8 +195,7 @@ def _symbol(parent: Xml.Element, name: str, fill: RGB | None, line: RGB, width: 
         "outline_width_unit": "MM",
         "joinstyle": "bevel",
     }
-    for key, value in settings.items():
-        add(options, "Option", name=key, value=value, type="QString")
+    add_layer(symbol, "SimpleFill", settings)
 
 
 def _class_colours(names: Mapping[int, str]) -> dict[int, RGB]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, first_line
 
 TIMES = 200
 """Bytes of a data set over those of its file: compressed waveforms reach 10."""
@@ -159,6 +159,6 @@ def open_hdf5(path: Path) -> Iterator[Any]:
         raise InputError(
             "the HDF5 file cannot be read",
             where=path,
-            got=(str(fault).splitlines() or [type(fault).__name__])[0][:200],
+            got=first_line(fault),
             do="it is cut short or damaged; download it again",
         ) from None

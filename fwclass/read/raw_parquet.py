@@ -11,8 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from fwclass.errors import InputError
-from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer
+from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer, undamaged
 from fwclass.read.beam_source import LONGEST, BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
@@ -26,6 +25,7 @@ from fwclass.read.raw_columns import (
 )
 
 MAGIC = b"PAR1"
+EXPECTED = f"a table with lists of at most {LONGEST} samples"
 BLOCK = 2_000
 """Rows that are held at a time."""
 
@@ -86,24 +86,19 @@ class ParquetLayout(Layout):
         if not groups:
             return
         first = self.groups[groups[0]]
-        try:
-            with pq.ParquetFile(self.path) as file:
-                batches = file.iter_batches(BLOCK, row_groups=list(groups), columns=self.columns, use_threads=False)
-                for batch in batches:
-                    numbers = {n: numbers_of(batch.column(n)) for n in self.columns if n not in LISTS}
-                    lists = {n: _ragged(batch.column(n)) for n in LISTS if n in self.columns}
-                    yield beam_rows(numbers, lists, self.settings, self.direction, first, self.path)
-                    first += batch.num_rows
-        except (pa.ArrowException, OSError, ValueError) as fault:
-            raise _damaged(self.path, fault) from None
+        with undamaged(self.path, EXPECTED), pq.ParquetFile(self.path) as file:
+            batches = file.iter_batches(BLOCK, row_groups=list(groups), columns=self.columns, use_threads=False)
+            for batch in batches:
+                numbers = {n: numbers_of(batch.column(n)) for n in self.columns if n not in LISTS}
+                lists = {n: _ragged(batch.column(n)) for n in LISTS if n in self.columns}
+                yield beam_rows(numbers, lists, self.settings, self.direction, first, self.path)
+                first += batch.num_rows
 
 
 def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
     """Look at schema and counts; `InputError` for what is no table of waveforms, or counts more than it can hold."""
-    try:
+    with undamaged(path, EXPECTED):
         footer = read_footer(path)
-    except (pa.ArrowException, OSError, ValueError) as fault:
-        raise _damaged(path, fault) from None
     settings, names = Settings.of(footer.metadata, path), list(footer.schema.names)
     check_columns(names, settings, path)
     check_numbers(path, footer, (*REQUIRED, *OPTIONAL), LISTS, FREE, A_BYTE)
@@ -114,14 +109,11 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
 
 def _direction(path: Path, columns: tuple[str, ...], settings: Settings) -> str:
     wanted = [n for n in ("dx", "dy", "dz", "spacing_ns") if n in columns]
-    try:
-        with pq.ParquetFile(path) as file:
-            batch = next(file.iter_batches(BLOCK, columns=wanted, use_threads=False), None)
-            if batch is None:
-                return kind_of_direction(np.empty((0, 3)), np.empty(0), path)
-            numbers = {n: numbers_of(batch.column(n)) for n in wanted}
-    except (pa.ArrowException, OSError, ValueError) as fault:
-        raise _damaged(path, fault) from None
+    with undamaged(path, EXPECTED), pq.ParquetFile(path) as file:
+        batch = next(file.iter_batches(BLOCK, columns=wanted, use_threads=False), None)
+        if batch is None:
+            return kind_of_direction(np.empty((0, 3)), np.empty(0), path)
+        numbers = {n: numbers_of(batch.column(n)) for n in wanted}
     spacing = numbers.get("spacing_ns", np.full(batch.num_rows, settings.spacing or np.nan))
     return kind_of_direction(np.stack([numbers[n] for n in ("dx", "dy", "dz")], axis=1), spacing, path)
 
@@ -135,13 +127,3 @@ def _ragged(column: pa.Array) -> Ragged:
     else:
         values = np.asarray(flat.to_numpy(zero_copy_only=False))
     return Ragged(values, np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64))
-
-
-def _damaged(path: Path, fault: Exception) -> InputError:
-    return InputError(
-        "the Parquet file cannot be read",
-        where=path,
-        expected=f"a table with lists of at most {LONGEST} samples",
-        got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
-        do="it is cut short or damaged; write it again",
-    )

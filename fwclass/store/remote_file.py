@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fwclass.errors import InputError, StoreError
+from fwclass.errors import InputError, StoreError, first_line
 from fwclass.paths import BESIDE, path_matches
 from fwclass.store.atomic import digest_of
 from fwclass.store.digests import looks
@@ -66,7 +66,7 @@ class RemoteFile:
         return InputError(
             "a file of the survey was changed or removed while the run was under way",
             where=self.url,
-            got=str(fault).splitlines()[0],
+            got=first_line(fault),
             do="run the same again: the parts that the file touches are made anew",
         )
 

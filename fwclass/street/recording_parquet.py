@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer
+from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer, undamaged
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import (
     COLUMNS,
@@ -25,6 +25,7 @@ from fwclass.street.recording_columns import (
     settings_of,
 )
 
+EXPECTED = f"a row a frame: {', '.join(COLUMNS)}"
 BLOCK = 64
 """Frames that are held at a time."""
 
@@ -40,10 +41,8 @@ class ParquetRecording:
 
     def __init__(self, path: Path, scan: Scan) -> None:
         self.path = path
-        try:
+        with undamaged(path, EXPECTED):
             footer = read_footer(path)
-        except (pa.ArrowException, OSError, ValueError) as fault:
-            raise damage_error(path, fault) from None
         self._names = list(footer.schema.names)
         check_columns(self._names, path)
         check_numbers(path, footer, self._names, LISTS, 0, A_BYTE)
@@ -62,20 +61,17 @@ class ParquetRecording:
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
         at = 0
-        try:
-            with pq.ParquetFile(self.path, pre_buffer=False) as file:  # a buffer would keep all that was read
-                for batch in file.iter_batches(BLOCK, columns=self._names, use_threads=False):
-                    numbers = {n: numbers_of(batch.column(n)) for n in self._names if n in NUMBERS}
-                    for row in range(batch.num_rows):
-                        here = {n: float(v[row]) for n, v in numbers.items()}
-                        ranges = _floats(batch, "ranges", row)
-                        labels = self._codes(batch, row, at) if "labels" in self._names else None
-                        light = _floats(batch, "intensities", row) if "intensities" in self._names else None
-                        light = light if light is not None and len(light) else None
-                        yield frame_of(at, here, ranges, labels, self._scan, self.path, light)
-                        at += 1
-        except (pa.ArrowException, OSError) as fault:
-            raise damage_error(self.path, fault) from None
+        with undamaged(self.path, EXPECTED), pq.ParquetFile(self.path, pre_buffer=False) as file:  # a buffer keeps all
+            for batch in file.iter_batches(BLOCK, columns=self._names, use_threads=False):
+                numbers = {n: numbers_of(batch.column(n)) for n in self._names if n in NUMBERS}
+                for row in range(batch.num_rows):
+                    here = {n: float(v[row]) for n, v in numbers.items()}
+                    ranges = _floats(batch, "ranges", row)
+                    labels = self._codes(batch, row, at) if "labels" in self._names else None
+                    light = _floats(batch, "intensities", row) if "intensities" in self._names else None
+                    light = light if light is not None and len(light) else None
+                    yield frame_of(at, here, ranges, labels, self._scan, self.path, light)
+                    at += 1
 
     def _codes(self, batch: pa.RecordBatch, row: int, at: int) -> NDArray[np.uint8]:
         """Labels of a row; 0 where there is none."""
@@ -94,17 +90,6 @@ def _floats(batch: pa.RecordBatch, name: str, row: int) -> NDArray[np.float32]:
     if values.null_count or values.type != pa.float32():
         values = values.cast(pa.float32(), safe=False).fill_null(np.nan)
     return np.asarray(values.to_numpy(zero_copy_only=False))
-
-
-def damage_error(path: Path, fault: Exception) -> InputError:
-    """The words for a file that Arrow refuses."""
-    return InputError(
-        "the Parquet file cannot be read",
-        where=path,
-        expected=f"a row a frame: {', '.join(COLUMNS)}",
-        got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
-        do="it is cut short or damaged; write it again",
-    )
 
 
 def write_recording(path: Path, frames: Iterable[Frame]) -> int:

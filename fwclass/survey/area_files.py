@@ -15,7 +15,8 @@ from pyproj import CRS
 from fwclass.conf import Config
 from fwclass.conf.sections import AreaFilesSection
 from fwclass.errors import ConfigError, InputError
-from fwclass.grid import FURTHEST, Box
+from fwclass.grid import Box
+from fwclass.label.polygons import check_reach
 from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
@@ -89,15 +90,7 @@ def _of_polygons(config: Config, directory: Path | Url, name: str, by: AreaFiles
             "the file has no polygon", where=path, got=f"{opened.features} features", do="check its export"
         )
     a, b = edges(shapes.x, shapes.y, shapes.ring_start)
-    reach = float(np.abs(b).max())
-    if not reach <= FURTHEST:
-        raise InputError(
-            "a polygon has a corner that is nowhere on Earth",
-            where=path,
-            expected=f"coordinates of at most {FURTHEST / 1000:,.0f} km",
-            got=f"{reach / 1000:.3g} km",
-            do="check the file and its coordinate system",
-        )
+    check_reach(float(np.abs(b).max()), path)
     cell = CELL
     while (boxes := _few_boxes(a, b, cell)) is None:
         cell *= 2.0
