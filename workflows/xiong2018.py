@@ -55,5 +55,10 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
 
 
 xiong2018 = Workflow(
-    NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk, study=xiong.STAGES
+    NAME,
+    "Xiong 2018: features are chosen, figures beside the paper's",
+    classification.stages,
+    walk,
+    study=xiong.STAGES,
+    choose=lambda config, runner: with_selected(config, runner)[1],
 )

@@ -22,7 +22,7 @@ from fwclass.store.remote_file import local
 from fwclass.store.url import Url
 from fwclass.survey.area_of_interest import edges
 from fwclass.survey.bounds import flat_bounds
-from fwclass.survey.files import find_files, without
+from fwclass.survey.files import find_files, without_excluded
 from fwclass.survey.gather import directory_of, open_all
 from fwclass.survey.systems import given_crs, system_of
 
@@ -68,7 +68,7 @@ def _boxes(config: Config, kind: str, by: AreaFilesSection) -> list[Box]:
     directory = directory_of(config, Path())
     if by.polygons is None:
         matching = find_files(by.files, directory, f"{name}.files", config.path, config.store)
-        places, _ = without(matching, config.survey.exclude, directory, config.path, config.store)
+        places, _ = without_excluded(matching, config.survey.exclude, directory, config.path, config.store)
         bounds = [flat_bounds(source) for source in open_all(places, config) if source.n_records]
         return [Box(b[0], b[1], b[3] + UPPER, b[4] + UPPER) for b in bounds]
     return _of_polygons(config, directory, f"{name}.polygons", by)
@@ -110,7 +110,7 @@ def _system(config: Config, directory: Path | Url) -> CRS | None:
     if config.survey.crs is not None:
         return given_crs(config.survey.crs, "survey.crs")
     matching = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    places, _ = without(matching, config.survey.exclude, directory, config.path, config.store)
+    places, _ = without_excluded(matching, config.survey.exclude, directory, config.path, config.store)
     return system_of(open_all(places[:1], config)[0])
 
 

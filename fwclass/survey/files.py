@@ -44,7 +44,7 @@ def find_files(
     return sorted(matching, key=lambda p: (p.name, str(p)))
 
 
-def without(
+def without_excluded(
     places: Sequence[Location], exclude: Iterable[str], directory: Path | Url, where: Path, params: StoreParams
 ) -> tuple[list[Location], tuple[str, ...]]:
     """Those of `places` that no pattern of ``survey.exclude`` matches, and the names of the others.

@@ -26,7 +26,7 @@ from fwclass.store.url import Url, is_url, url_of
 from fwclass.survey.bounds import flat_bounds
 from fwclass.survey.check_point_file import check_point_file
 from fwclass.survey.file_digests import Digests
-from fwclass.survey.files import box_text, find_files, in_any_form, joint_bounds, without
+from fwclass.survey.files import box_text, find_files, in_any_form, joint_bounds, without_excluded
 from fwclass.survey.layout import FileDigests, Strip, Survey
 from fwclass.survey.numbering import assign_numbers
 from fwclass.survey.reference import (
@@ -108,7 +108,7 @@ def open_survey(
     that ``survey.exclude`` leaves out; `InputError` for names that two of them share, and where none does."""
     asked = config.survey.sources, directory, "survey.sources"
     matching = digests.find(*asked, config) if digests else find_files(*asked, config.path, config.store)
-    places, excluded = without(matching, config.survey.exclude, directory, config.path, config.store)
+    places, excluded = without_excluded(matching, config.survey.exclude, directory, config.path, config.store)
     opened = open_all(places, config, copied, deep=digests is not None)
     require_distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]

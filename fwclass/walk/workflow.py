@@ -31,6 +31,7 @@ class Workflow:
     configuration that it runs by; with it classes, labels and training areas need not be in the survey's file.
     `only_judges`: it says how good the survey is and delivers no echoes, for which the sources' returns are enough
     where `survey.echoes` is ``auto``. `study`: what a walk of its own selects, trains and judges besides `stages`.
+    `choose`: the configuration with the features that such a walk chooses among those that it is given.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Workflow:
     settle: Callable[[Config], Config] | None = None
     only_judges: bool = False
     study: tuple[Stage, ...] = ()
+    choose: Callable[[Config, Runner], Config] | None = None
 
     @property
     def all_stages(self) -> tuple[Stage, ...]:

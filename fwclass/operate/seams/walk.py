@@ -28,7 +28,6 @@ from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
 from fwclass.run.progress import Display
 from fwclass.store.run_location import RunLocation, address_of
-from fwclass.study.selection import with_selected
 from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import tasks_of, until_tiles
 from fwclass.walk.workflow import Workflow, after_tiles
@@ -104,10 +103,9 @@ def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Di
 def _make_plan(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple[Stage, ...]) -> Plan:
     """The plan of a finished run, whose parts of `stages` are looked at."""
     plan = until_tiles(workflow.begin(config), look, workflow.stages)
-    if workflow.name == "xiong2018":
-        _, config = with_selected(config, look.beside())
-        names = config.features_asked
-        plan = replace(plan, config=config, names=names, tiled=replace(plan.layout, config=config))
+    if workflow.choose is not None:
+        config = workflow.choose(config, look.beside())
+        plan = replace(plan, config=config, names=config.features_asked, tiled=replace(plan.layout, config=config))
     for stage in stages:
         look.do(stage.tasks(plan))
     return plan

@@ -25,7 +25,7 @@ from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.he_claims import CLAIMS, COMBINED
 from fwclass.study.papers.he_work import describe_sample, judge_filter, terrain_of
 from fwclass.survey.file_digests import Digests
-from fwclass.survey.files import without
+from fwclass.survey.files import without_excluded
 from fwclass.survey.gather import directory_of
 from fwclass.survey.layout import FileDigests, Survey
 
@@ -48,7 +48,7 @@ def with_samples(plan: Plan, store: Store) -> Plan:
         )
     directory, digests = directory_of(config, Path()), Digests(store)
     matching = digests.find(config.survey.sources, directory, "survey.sources", config)
-    places, _ = without(matching, config.survey.exclude, directory, config.path, config.store)
+    places, _ = without_excluded(matching, config.survey.exclude, directory, config.path, config.store)
     samples: dict[str, tuple[Location, FileDigests]] = {}
     for place in places:
         path = local(place)
