@@ -130,6 +130,13 @@ class Table(Mapping[str, NDArray]):
             self._columns[name] = array
         self._rows = rows or 0
 
+    @classmethod
+    def _of(cls, columns: dict[str, NDArray], rows: int) -> Table:
+        """A table of columns that have their types and one length already."""
+        table = cls.__new__(cls)
+        table._columns, table._rows = columns, rows if columns else 0
+        return table
+
     def __getitem__(self, name: str) -> NDArray:
         try:
             return self._columns[name]
@@ -153,11 +160,12 @@ class Table(Mapping[str, NDArray]):
 
     def select(self, names: Iterable[str]) -> Table:
         """The same rows with the columns `names` alone, in that order."""
-        return Table({n: self[n] for n in names})
+        return self._of({n: self[n] for n in names}, self._rows)
 
     def take(self, index: NDArray) -> Table:
         """Rows by integer index, boolean mask or slice-like array."""
-        return Table({n: v[index] for n, v in self._columns.items()})
+        columns = {n: np.ascontiguousarray(v[index]) for n, v in self._columns.items()}
+        return self._of(columns, len(next(iter(columns.values()), ())))
 
     def with_columns(self, columns: Mapping[str, ArrayLike]) -> Table:
         """The same rows with `columns` added, or put in the place of those of the same name."""
@@ -166,7 +174,7 @@ class Table(Mapping[str, NDArray]):
     @classmethod
     def empty(cls, names: Iterable[str]) -> Table:
         """A table of no rows with the columns `names`, in their types."""
-        return cls({n: np.empty(0, column(n).dtype) for n in names})
+        return cls._of({n: np.empty(0, column(n).dtype) for n in names}, 0)
 
     @classmethod
     def concat(cls, tables: Iterable[Table]) -> Table:
@@ -178,7 +186,7 @@ class Table(Mapping[str, NDArray]):
         for part in parts[1:]:
             if list(part) != names:
                 raise ValueError(f"tables differ in columns: {names} and {list(part)}")
-        return cls({n: np.concatenate([p[n] for p in parts]) for n in names})
+        return cls._of({n: np.concatenate([p[n] for p in parts]) for n in names}, sum(p.rows for p in parts))
 
 
 def canonical_key(table: Table) -> NDArray[np.uint64]:

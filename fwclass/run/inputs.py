@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -150,8 +151,11 @@ class PartInputs:
         if box is not None:
             mine = by_stage.setdefault(base, [])
             mine += [n for n in ("x", "y") if n not in mine]
-        paths = {stage: self._store.path(stage, part, TABLE) for stage in (base, *(s for s in by_stage if s != base))}
+        paths = {base: self._store.path(base, part, TABLE)}
         groups = groups_touching(paths[base], box)
+        if box is not None and not groups:  # most neighbours of a sparse tile: nothing of theirs is opened
+            return Table.empty(dict.fromkeys(itertools.chain(*by_stage.values())))
+        paths |= {stage: self._store.path(stage, part, TABLE) for stage in by_stage if stage != base}
         arrays: dict[str, NDArray] = {}
         for stage, names in by_stage.items():
             arrays |= dict(read_kept(paths[stage], names, groups))
