@@ -79,7 +79,8 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
         for p, s in zip(places, opened, strict=True)
     )
     _refuse_same_file(strips)
-    standard = all(s.standard_gps_time for s in opened)
+    timed = [s for s in full if not isinstance(s, LasSource) or s.header.has_gps_time]
+    standard = bool(timed) and all(s.standard_gps_time for s in timed)
     flown = digests.find(config.survey.trajectory.files, directory, "survey.trajectory.files", config)
     require_distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
@@ -95,7 +96,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     waves, both = config.survey.echoes != "returns", zip(places, opened, strict=True)
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}
     more_files: dict[str, Any] = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
-    weekly = tuple(s.path.name for s in full if isinstance(s, LasSource) and not s.standard_gps_time)
+    weekly = tuple(s.path.name for s in timed if isinstance(s, LasSource) and not s.standard_gps_time)
     more = more_files | {"overruled": overruled_systems(config, full), "weekly": weekly, "excluded": excluded}
     more["heightless"] = without_heights(config, full, crs)
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more)
