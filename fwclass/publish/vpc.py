@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,9 @@ ADJUSTED = 1_000_000_000
 
 LEAP_SECONDS = 18
 """GPS time less UTC since 2017; a survey of 2012 is dated two seconds off."""
+
+DATE_LINE = 180.0
+"""Degrees of longitude."""
 
 DIGITS = 6
 """Of figures; as many behind the point of degrees are 0.1 m."""
@@ -86,6 +90,30 @@ class _Place:
         return [[round(float(a), DIGITS), round(float(b), DIGITS)] for a, b in zip(x, y, strict=True)]
 
 
+def _outline(ring: list[list[float]], globe: bool) -> tuple[dict[str, Any], list[float]]:
+    """Geometry and box of a tile; one that the date line crosses is cut there, and the box's west is greater than its
+    east (RFC 7946, 3.1.9 and 5.2)."""
+    low, high = np.min(ring, axis=0).tolist(), np.max(ring, axis=0).tolist()
+    if globe and high[0] - low[0] > DATE_LINE:
+        on = [[x + 2 * DATE_LINE if x < 0 else x, y] for x, y in ring]
+        pieces = [_cut(on, 1.0), [[round(x - 2 * DATE_LINE, DIGITS), y] for x, y in _cut(on, -1.0)]]
+        (west, _), (east, _) = np.min(pieces[0], axis=0).tolist(), np.max(pieces[1], axis=0).tolist()
+        box = [west, low[1], east, high[1]]
+        return {"type": "MultiPolygon", "coordinates": [[piece] for piece in pieces]}, box
+    return {"type": "Polygon", "coordinates": [ring]}, [*low, *high]
+
+
+def _cut(ring: list[list[float]], side: float) -> list[list[float]]:
+    """What of a closed convex ring lies to the west of the date line (`side` 1), or to the east (-1)."""
+    out: list[list[float]] = []
+    for (x, y), (to_x, to_y) in pairwise(ring):
+        if side * (x - DATE_LINE) <= 0:
+            out.append([x, y])
+        if (x - DATE_LINE) * (to_x - DATE_LINE) < 0:
+            out.append([DATE_LINE, round(y + (to_y - y) * (DATE_LINE - x) / (to_x - x), DIGITS)])
+    return [*out, out[0]]
+
+
 def _to_globe(crs: pyproj.CRS) -> pyproj.Transformer | None:
     """What brings coordinates to longitude and latitude; None where nothing does, as from a plant's own grid."""
     try:
@@ -103,8 +131,7 @@ def _item(
     standard_time: bool,
     first: bool,
 ) -> dict[str, Any]:
-    ring = place.corners(tile["bounds"])
-    low, high = np.min(ring, axis=0).tolist(), np.max(ring, axis=0).tolist()
+    geometry, box = _outline(place.corners(tile["bounds"]), place.to_globe is not None)
     properties: dict[str, Any] = {
         **_date(tile["times"] if standard_time and tile["times"] and dates(*tile["times"]) else None),
         "pc:count": tile["points"],
@@ -125,8 +152,8 @@ def _item(
         "stac_version": STAC,
         "stac_extensions": list(EXTENSIONS),
         "id": Path(name).name.removesuffix(".copc.laz"),
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-        "bbox": [*low, *high],
+        "geometry": geometry,
+        "bbox": box,
         "properties": properties,
         "links": [],
         "assets": assets,

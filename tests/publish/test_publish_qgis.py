@@ -16,6 +16,7 @@ import numpy as np
 import pyogrio
 import pyproj
 import pytest
+import shapely
 from pystac.validation.local_validator import LocalValidator
 
 from fwclass.grid import Box, Window
@@ -107,6 +108,22 @@ def test_a_grid_that_is_tied_to_no_place_is_listed_in_its_own_coordinates(tmp_pa
     write_vpc({"tiles/1_1.copc.laz": FACTS}, tmp_path / "none.vpc", None, point_schema(()))
     item, without = (json.loads((tmp_path / n).read_text())["features"][0] for n in ("s.vpc", "none.vpc"))
     assert item["geometry"] == without["geometry"] and "plant grid" in item["properties"]["proj:wkt2"]
+
+
+@pytest.mark.parametrize("code", [32760, 3031])
+def test_a_tile_on_the_date_line_lies_there_and_not_around_the_globe(tmp_path: Path, code: int) -> None:
+    crs = pyproj.CRS(code)
+    x, y = pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(180, -76)
+    tile = FACTS | {"bounds": [x - 50, y - 30, 1.0, x + 50, y + 30, 9.0]}
+    write_vpc({"tiles/1_1.copc.laz": tile}, tmp_path / "s.vpc", crs, point_schema(()))
+    item = json.loads((tmp_path / "s.vpc").read_text())["features"][0]
+    west, south, east, north = item["bbox"]
+    assert 179.99 < west < 180 and -180 < east < -179.99 and -76.001 < south < -76 < north < -75.999
+    pieces = [shapely.Polygon(piece[0]) for piece in item["geometry"]["coordinates"]]
+    assert [piece.bounds[::2] for piece in pieces] == [(west, 180.0), (-180.0, east)]
+    size = pyproj.Geod(ellps="WGS84")
+    assert sum(abs(size.geometry_area_perimeter(p)[0]) for p in pieces) == pytest.approx(6000, rel=0.05)
+    assert not list(LocalValidator().item_validator("1.1.0").iter_errors(item | {"stac_version": "1.1.0"}))
 
 
 def test_colours_spread_over_what_is_common() -> None:
