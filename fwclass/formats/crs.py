@@ -53,7 +53,9 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     elif crs.is_geographic:
         faults.append("the CRS is in degrees: project the file to metres first")
     elif units := units_of(crs):
-        faults.append(f"the CRS is in {', '.join(units)}: a survey's files must be in metres, x, y and z")
+        faults.append(
+            f"the CRS is in {', '.join(units)}: a survey brings them into metres by read.project_to (`fwclass init`)"
+        )
     return crs
 
 

@@ -1,6 +1,8 @@
-"""Places and beams from degrees, or from the middle of the earth, into a projected system."""
+"""Places and beams from degrees, from feet, or from the middle of the earth, into a projected system in metres."""
 
 from __future__ import annotations
+
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from pyproj.crs.coordinate_system import Ellipsoidal3DCS
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
+from fwclass.formats.crs import units_of
 from fwclass.units import METRES_PER_NS
 
 Floats = NDArray[np.float64]
@@ -19,6 +22,9 @@ REACH = 100.0
 
 LONGER = 1.5
 """From so many times light's way in air on, a beam is none."""
+
+LIKE = 20
+"""Percent, PROJ's confidence in a code whose name differs; unit and datum are looked at again."""
 
 NORTH_END, SOUTH_END = 84.0, -80.0
 """Latitudes [degrees] beyond which there are no UTM zones but the polar systems."""
@@ -40,9 +46,10 @@ def project(source: CRS, target: CRS, places: Floats, where: object = "") -> Flo
 
     Parameters
     ----------
-    source : geographic (longitude, latitude [degrees], height [m]), geocentric [m], or projected.
-    target : projected, in metres. What it says of heights is not followed: they stay as they are, and of geocentric
-        places they are those above the source's own ellipsoid.
+    source : geographic (longitude, latitude [degrees]), geocentric [m], or projected. Heights are in the unit that it
+        names for them, else in that of a projected system's x and y, else in metres.
+    target : projected, in metres. What it says of heights is not followed: they become metres and stay what they are,
+        and of geocentric places they are those above the source's own ellipsoid.
     places : those that are not finite stay so.
     where : named in errors.
 
@@ -51,6 +58,7 @@ def project(source: CRS, target: CRS, places: Floats, where: object = "") -> Flo
     """
     points = np.asarray(places, np.float64).reshape(-1, 3)
     x, y, z = points.T
+    z = z * height_unit(source)
     try:
         flat = target.to_2d()
         if not flat.is_projected or any(abs(a.unit_conversion_factor - 1.0) > 1e-9 for a in flat.axis_info):
@@ -85,6 +93,40 @@ def project(source: CRS, target: CRS, places: Floats, where: object = "") -> Flo
             do="name the system of this area",
         )
     return there
+
+
+def height_unit(crs: CRS) -> float:
+    """Metres in a unit of the heights of `crs`."""
+    axes = [a for a in crs.axis_info if a.direction == "up"] or (crs.axis_info if crs.is_projected else [])
+    return float(axes[0].unit_conversion_factor) if axes else 1.0
+
+
+def metric_twin(crs: CRS) -> str:
+    """The same projection, of the same datum, in metres, with heights of the same zero where these have a code:
+    ``EPSG:32118+5703``; "" where no code is known for it."""
+    parts = [CRS(part) for part in crs.sub_crs_list] if crs.is_compound else [crs]
+    if not parts[0].is_projected:
+        return ""
+    codes = [_metric_code(part) for part in parts]
+    return "EPSG:" + "+".join(str(code) for code in codes if code is not None) if codes[0] is not None else ""
+
+
+def _metric_code(crs: CRS) -> int | None:
+    """The code of `crs` with lengths in metres."""
+    plain = crs.to_json_dict()
+    for axis in plain["coordinate_system"]["axis"]:
+        axis["unit"] = "metre"
+    for one in plain.get("conversion", {}).get("parameters", ()):
+        unit = one.get("unit")
+        if isinstance(unit, dict) and unit.get("type") == "LinearUnit":
+            one |= {"value": one["value"] * unit["conversion_factor"], "unit": "metre"}
+    for named in (plain, plain.get("conversion", {})):
+        named.pop("id", None)
+        named["name"] = re.sub(r" \((ft|ftUS|foot|US [Ss]urvey f(ee|oo)t)\)", "", named.get("name", ""))
+    code = CRS.from_json_dict(plain).to_epsg(LIKE)
+    known = None if code is None else CRS.from_epsg(code)
+    same = known is not None and not units_of(known) and str(known.datum) == str(crs.datum)
+    return code if same else None
 
 
 def project_beams(source: CRS, target: CRS, places: Floats, steps: Floats, where: object = "") -> tuple[Floats, Floats]:

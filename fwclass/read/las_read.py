@@ -13,6 +13,7 @@ from fwclass.read.packet_references import References, pulses_of
 from fwclass.read.packets import DAMAGED, FAULTS, VECTOR_RANGE, Packets, gather_packets, looked_into
 from fwclass.read.params import ReadParams
 from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, flags_of, gps_times, scan_angles
+from fwclass.read.projection import metres_of
 from fwclass.read.return_counts import NUMBER_FAULTS
 from fwclass.read.segments import Rows, segment_links
 from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
@@ -36,7 +37,8 @@ def check_las(source: LasSource, params: ReadParams) -> None:
                 refs = References.of(points)
                 counts += np.bincount(looked_into(source, refs), minlength=len(FAULTS))
                 with np.errstate(invalid="ignore"):
-                    times.append(float(np.median(np.linalg.norm(refs.step, axis=1))) / METRES_PER_NS)
+                    steps = np.linalg.norm(refs.step * metres_of(source), axis=1)
+                    times.append(float(np.median(steps)) / METRES_PER_NS)
                 if counts[0] > counts[DAMAGED]:
                     return
     reasons = ", ".join(f"{n} returns: {FAULTS[i]}" for i, n in enumerate(counts) if n and i) or source.waves.why_not

@@ -16,6 +16,7 @@ from fwclass.read.las import LASZIP, PLAIN, LasSource
 from fwclass.read.layout import lay_out
 from fwclass.read.packet_kernels import first_anchors, gather
 from fwclass.read.packet_references import References
+from fwclass.read.projection import metres_of
 from fwclass.units import METRES_PER_NS
 
 FAULTS = (
@@ -130,7 +131,7 @@ def judge(source: LasSource, refs: References, shared: tuple[int, ...] = ()) -> 
     if shared:
         key = (index.astype(np.uint64) << np.uint64(56)) | refs.offset
         mark("packet shared by too many returns", np.isin(key, np.array(shared, np.uint64)))
-    mark("no sane return location or beam vector", ~_sane(table, refs))
+    mark("no sane return location or beam vector", ~_sane(table, refs, metres_of(source)))
     return fault
 
 
@@ -172,9 +173,10 @@ def _repeat(source: LasSource, table: _Lookup, first: References, second: Refere
     return same
 
 
-def _sane(table: _Lookup, refs: References) -> NDArray[np.bool_]:
-    """The location lies within one segment's length of the segment, and the vector is as long as light demands."""
-    length = np.sqrt((refs.step**2).sum(axis=1)) / METRES_PER_NS
+def _sane(table: _Lookup, refs: References, metres: tuple[float, float, float]) -> NDArray[np.bool_]:
+    """The location lies within one segment's length of the segment, and the vector, `metres` a unit of x, y and z, is
+    as long as light demands."""
+    length = np.sqrt(((refs.step * metres) ** 2).sum(axis=1)) / METRES_PER_NS
     lasts = (table.samples * table.spacing)[refs.descriptor]
     near = (refs.location >= -lasts) & (refs.location <= 2 * lasts)
     return near & (length >= VECTOR_RANGE[0]) & (length <= VECTOR_RANGE[1])

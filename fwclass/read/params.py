@@ -18,8 +18,8 @@ class ReadParams(Params):
     max_span_points : points of the longest span that memory allows.
     missing_packets : ``error`` stops at a file that declares waveforms none of which can be read; ``keep`` takes
         its returns as echoes.
-    project_to : projected system (EPSG:…, or WKT) that places and beams of files in degrees, or geocentric, are brought
-        into; null: such files are refused.
+    project_to : projected system in metres (EPSG:…, or WKT) that places and beams of files in degrees, in feet, or
+        geocentric, are brought into; null: such files are refused.
     use_flagged : take points that their source flags as withheld or synthetic like all others; else no ground is made
         of them, and they neither train nor are tested.
     sensor_ranges : take the distances from the sensor that pulses carry; false: where these are wrong.

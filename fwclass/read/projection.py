@@ -1,4 +1,5 @@
-"""Sources in degrees, or counted from the middle of the earth, brought into a projected system as they are read."""
+"""Sources in degrees, in feet, or counted from the middle of the earth, brought into a projected system as they are
+read."""
 
 from __future__ import annotations
 
@@ -8,12 +9,16 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from fwclass.formats.crs import units_of
 from fwclass.formats.flat import GEOCENTRIC, HIGHEST, LONGEST, not_flat
-from fwclass.formats.projected import project, project_beams
+from fwclass.formats.projected import Floats, height_unit, project, project_beams
 from fwclass.read.base import Source
 from fwclass.waveforms import Waveforms
 
 AXES = "xyz"
+
+EDGE_POINTS = 5
+"""Along each edge of a box that is brought into another system."""
 
 
 def to_project(source: Source, crs: Any) -> bool:
@@ -30,6 +35,36 @@ def to_project(source: Source, crs: Any) -> bool:
     if own.is_geocentric:
         return not_flat(None, low, high) == GEOCENTRIC
     return max(map(abs, (low[0], high[0]))) <= LONGEST and max(map(abs, (low[1], high[1]))) <= HIGHEST
+
+
+def is_brought(crs: Any) -> bool:
+    """Whether places of the system are none of metres on a plane, so that ``read.project_to`` brings them into one."""
+    return crs is not None and bool(crs.is_geocentric or units_of(crs))
+
+
+def metres_of(source: Source) -> tuple[float, float, float]:
+    """Metres in a unit of x, y and z of a `source` that is brought into another projected system; 1 of all others."""
+    if source.target is None or not source.crs.is_projected:
+        return 1.0, 1.0, 1.0
+    flat = float(source.crs.axis_info[0].unit_conversion_factor)
+    return flat, flat, height_unit(source.crs)
+
+
+def brought(source: Source, places: Floats) -> Floats:
+    """`places` (n, 3) of `source` in the system that it is read in."""
+    if source.target is None:
+        return places
+    return project(source.crs, CRS.from_user_input(source.target), places, source.path)
+
+
+def box_brought(source: Source, bounds: tuple[float, ...]) -> tuple[float, ...]:
+    """`bounds` (xmin, ymin, zmin, xmax, ymax, zmax) of `source` in the system that it is read in: those of the box
+    around its box, with what curves between."""
+    if source.target is None:
+        return bounds
+    sides = [np.linspace(bounds[k], bounds[k + 3], EDGE_POINTS) for k in range(3)]
+    there = brought(source, np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3))
+    return (*there.min(axis=0).tolist(), *there.max(axis=0).tolist())
 
 
 def project_waveforms(waves: Waveforms, source: Source, target: str) -> Waveforms:

@@ -14,7 +14,7 @@ from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.projection import project_waveforms
+from fwclass.read.projection import is_brought, project_waveforms
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
@@ -31,10 +31,9 @@ PADDED = "waveform padded with zeros at its end (left out)"
 
 def with_settings(source: Source, params: ReadParams) -> Source:
     """`source` as the settings have it read: with its beams turned round where `params.mirror_beams`, without its
-    distances from the sensor unless `params.sensor_ranges`, brought into `params.project_to` where it is in degrees or
-    geocentric."""
-    flat = source.crs is None or not (source.crs.is_geographic or source.crs.is_geocentric)
-    target = None if flat else params.project_to
+    distances from the sensor unless `params.sensor_ranges`, brought into `params.project_to` where it is in degrees, in
+    feet, or geocentric."""
+    target = params.project_to if is_brought(source.crs) else None
     return replace(source, mirrored=params.mirror_beams, ranged=params.sensor_ranges, target=target)
 
 

@@ -32,7 +32,7 @@ from fwclass.radiometry.ranges import check_pointing, pointing_error
 from fwclass.radiometry.soundness import altitude_faults
 from fwclass.radiometry.stage import radiometry
 from fwclass.read.beams import sensor_height
-from fwclass.read.projection import to_project
+from fwclass.read.projection import is_brought, to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
@@ -88,6 +88,8 @@ def decompose_file(
     params = _params(settings)
     with unchanged(source, trajectory):
         opened = open_source(source)
+        if is_brought(opened.crs):
+            crs = crs or params["read"].project_to
         system = given_crs(crs, "--crs") if crs is not None else opened.crs
         if to_project(opened, system):
             settings += (f"read.project_to={json.dumps(crs)}",)

@@ -6,21 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from fwclass.formats.projected import project
 from fwclass.grid import Box
 from fwclass.read.pls_read import pulse_bounds
+from fwclass.read.projection import box_brought
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.source import BeamSource, Source, open_source
 from fwclass.read.stage import read_cloud
 from fwclass.survey.files import joint_bounds
-from fwclass.survey.systems import system_of
 
 CLOUD_ROWS = 2_000_000
 """Points of a cloud read at a time."""
-
-EDGE_POINTS = 5
-"""Along each edge of a box that is brought into another system."""
-
 
 LOOKED_AT = 100_000
 """Points at the start of a file that its header is held against."""
@@ -54,12 +49,5 @@ def _true_bounds(source: Source) -> tuple[float, ...]:
 
 
 def flat_bounds(source: Source) -> tuple[float, ...]:
-    """Where a file's points lie in the system that it is read in, `_true_bounds`; of one that is brought into another
-    the box around its box, with what curves between."""
-    bounds, system = _true_bounds(source), system_of(source)
-    if source.target is None or system is None:
-        return bounds
-    sides = [np.linspace(bounds[k], bounds[k + 3], EDGE_POINTS) for k in range(3)]
-    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-    there = project(source.crs, system, grid, source.path)
-    return (*there.min(axis=0).tolist(), *there.max(axis=0).tolist())
+    """Where a file's points lie, `_true_bounds`, in the system that it is read in."""
+    return box_brought(source, _true_bounds(source))

@@ -13,6 +13,7 @@ from fwclass.errors import ConfigError, InputError, first_few, several, visible
 from fwclass.formats.crs import crs_of_wkt, doubtful_system, units_of
 from fwclass.formats.flat import refuse_source
 from fwclass.formats.grid_files import without_paths
+from fwclass.formats.projected import metric_twin
 from fwclass.read.source import Source, refuse_other_system
 from fwclass.run.runner import Runner
 
@@ -65,8 +66,9 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
                 where=path,
                 expected="a projected CRS with x, y and z in metres: every distance here is one",
                 got=f"{crs.name}, in {', '.join(units)}",
-                do="convert the files (for example with PDAL's filters.reprojection) and run again; or, if they name "
-                "their unit wrongly, --set survey.crs=EPSG:<code>, or EPSG:<code>+<code of heights>",
+                do=f"--set read.project_to={metric_twin(crs) or 'EPSG:<code>'} brings them into metres as they are "
+                "read; or, if they name their unit wrongly, --set survey.crs=EPSG:<code>, or EPSG:<code>+<code of "
+                "heights>",
             )
         if not any(crs.equals(known, ignore_axis_order=True) for known, _ in systems):  # whatever they call it
             systems.append((crs, path))

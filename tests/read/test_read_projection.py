@@ -53,6 +53,27 @@ def in_degrees(path, ground, sensor):
     )
 
 
+FEET = 1200.0 / 3937.0
+
+
+def in_feet(path, ground, sensor, heights=6360):
+    """A LAS file in US survey feet of UTM zone 16, or with heights in metres."""
+    n, unit = len(ground), np.array([FEET, FEET, FEET if heights == 6360 else 1.0])
+    up = (sensor - ground) / np.linalg.norm(sensor - ground, axis=1, keepdims=True)
+    rng = np.random.default_rng(2)
+    at = rng.uniform(24.0, 26.0, n)
+    return write_las(
+        path,
+        ground / unit,
+        waveforms=[digitise(gaussian(60, [(120.0, t, 3.5)], 10.0) + rng.normal(0, 1.0, 60)) for t in at],
+        pulse=np.arange(n),
+        location=at,
+        step=METRES_PER_NS * up / unit,
+        gps_time=1e-4 * np.arange(n),
+        keys={3072: 32666, 4096: heights},
+    )
+
+
 def geocentric(path, ground, sensor):
     """A Pulse file that counts from the middle of the earth."""
     here, there = converted(sensor, 4978), converted(ground, 4978)
@@ -80,6 +101,18 @@ def test_echoes_lie_where_the_truth_is_in_the_system_that_is_named(tmp_path, wri
     assert 300 <= len(places) <= 303
     off = np.array([np.linalg.norm(places - there, axis=1).min() for there in ground])
     assert np.median(off) < 0.01 and np.quantile(off, 0.99) < 0.02
+
+
+@pytest.mark.parametrize("heights", [6360, 5703])
+def test_waveforms_in_feet_are_metres_where_the_truth_is(tmp_path, heights):
+    ground, sensor = (place - np.array([0.0, 1e6, 0.0]) for place in truth())  # in the United States
+    path = in_feet(tmp_path / "a.las", ground, sensor, heights)
+    ended = fwclass("decompose", path, tmp_path / "o.laz", "--set", "read.project_to=EPSG:32616+5703")
+    assert ended.returncode == 0, ended.stderr
+    las = laspy.read(tmp_path / "o.laz")
+    off = np.array([np.linalg.norm(las.xyz - there, axis=1).min() for there in ground])
+    assert np.median(off) < 0.01 and np.quantile(off, 0.99) < 0.02
+    assert [p.to_epsg() for p in las.header.parse_crs().sub_crs_list] == [32616, 5703]
 
 
 def test_beams_in_metres_through_places_in_degrees_are_refused(tmp_path):

@@ -10,7 +10,8 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from fwclass.classify.context import halo_of
 from fwclass.conf.sets import feature_set
 from fwclass.errors import FwclassError, InputError, first_few, several, visible
 from fwclass.features.names import FeatureRequest, is_feature
+from fwclass.formats.projected import metric_twin
 from fwclass.operate.draft.areas import AreaSplit, ClassPlaces, best_split, outer_box
 from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import survey_facts
@@ -32,7 +34,8 @@ from fwclass.read.info_together import alike_faults
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.polygons import is_polygon_file
-from fwclass.read.source import is_beam_file, open_source
+from fwclass.read.projection import box_brought, brought, is_brought
+from fwclass.read.source import Source, is_beam_file, open_source
 from fwclass.survey.gather import refuse_unusable, require_distinct
 from fwclass.survey.systems import with_heights
 from fwclass.workflows import workflow_of
@@ -82,13 +85,14 @@ NO_CLASS = {0: "never classified", 1: "unclassified", 7: "noise", 12: "overlap",
 @dataclass
 class Holdings:
     """What the files hold together: `facts` of each file of points or pulses, `polygons` beside them, systems as they
-    are `named`."""
+    are `named`, and the `target` that files in feet are brought into: what lies where is told in it."""
 
     facts: list[dict[str, Any]] = field(default_factory=list)
     polygons: list[Path] = field(default_factory=list)
     places: ClassPlaces = field(default_factory=ClassPlaces)
     codes: Counter[int] = field(default_factory=Counter)
     named: dict[str, CRS | None] = field(default_factory=dict)
+    target: str | None = None
 
     @cached_property
     def waveforms(self) -> bool:
@@ -130,17 +134,21 @@ def look_into(files: Sequence[Path]) -> Holdings:
     """Read all `files` once more than their headers: classes and where they lie; `InputError` naming all that cannot
     be read."""
     holdings, faults = Holdings(), list[InputError]()
+    holdings.target = _target(files)
     for path in files:
         if is_polygon_file(path) and not is_beam_file(path):
             holdings.polygons.append(path)
             continue
         try:
-            facts = info(path)
+            facts, source = info(path), open_source(path)
+            if is_brought(source.crs):
+                source = replace(source, target=holdings.target)
             if set(facts.get("classes") or ()) - {"0"}:
-                _count_places(path, holdings)
+                _count_places(source, holdings)
+            if facts.get("bounds") and source.target is not None:
+                facts["bounds"] = list(box_brought(source, tuple(facts["bounds"])))
             holdings.facts.append(facts)
-            if (name := _system(facts.get("crs"))) not in holdings.named:
-                holdings.named[name] = open_source(path).crs
+            holdings.named.setdefault(_system(facts.get("crs")), source.crs)
         except InputError as fault:
             faults.append(fault)
     where = os.path.commonpath([p.resolve().parent for p in files]) if faults else ""
@@ -154,13 +162,22 @@ def look_into(files: Sequence[Path]) -> Holdings:
     return holdings
 
 
-def _count_places(path: Path, holdings: Holdings) -> None:
-    source = open_source(path)
+def _target(files: Sequence[Path]) -> str | None:
+    """What all `files` in feet are brought into: the same projection in metres; None where they are of several."""
+    systems = set()
+    for path in files:
+        with suppress(InputError):
+            if is_brought(crs := None if is_polygon_file(path) and not is_beam_file(path) else open_source(path).crs):
+                systems.add(metric_twin(crs))
+    return (systems.pop() or None) if len(systems) == 1 else None
+
+
+def _count_places(source: Source, holdings: Holdings) -> None:
     if not isinstance(source, LasSource):
         return
     with PointReader(source) as reader:
         for _, points in reader.blocks():
-            x, y, _ = coordinates(source, points)
+            x, y, _ = brought(source, np.stack(coordinates(source, points), axis=1)).T
             codes = np.asarray(points["classification"], np.uint8)
             holdings.places.add(x, y, codes)
             holdings.codes.update(dict(enumerate(np.bincount(codes).tolist())))
@@ -194,6 +211,7 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None, director
         *_system_lines(holdings),
         *_label_lines(holdings, classes, left),
         f"  features: {features}    # a set of `fwclass features --list`, or a list of columns",
+        *_reading_lines(holdings),
         *_area_lines(classes, split),
         *(WITH_WAVEFORMS if holdings.waveforms else ()),
     ]
@@ -295,6 +313,13 @@ def _system_lines(holdings: Holdings) -> list[str]:
         return [f"  crs: null    # heights of all are those of the files that name theirs; the files name: {words}"]
     example = next((name for name in systems if name.startswith("EPSG:")), "EPSG:25832")
     return [f"  crs: null    # TO DO: give one for all, e.g. {example}; the files name: {words}"]
+
+
+def _reading_lines(holdings: Holdings) -> list[str]:
+    if holdings.target is None:
+        return []
+    words = "m: what files in another unit are brought into as they are read; strips are delivered as they came"
+    return ["", "read:", f"  project_to: {_quoted(holdings.target)}    # {words}"]
 
 
 def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[str, str]) -> list[str]:

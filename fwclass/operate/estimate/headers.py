@@ -14,6 +14,7 @@ from fwclass.graph.stage import Plan
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
+from fwclass.read.projection import box_brought, brought
 from fwclass.read.source import BeamSource, PulseSource, Source, open_source
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -152,7 +153,7 @@ def survey_facts(config: Config, root: Path, copied: bool = False) -> SurveyFact
 
 def facts_of(source: Source) -> SourceFacts:
     """Of an opened file; `InputError` where its header gives no extent."""
-    xmin, ymin, _, xmax, ymax, _ = source.bounds
+    xmin, ymin, _, xmax, ymax, _ = bounds = source.bounds
     if not all(map(math.isfinite, (xmin, ymin, xmax, ymax))) or xmin > xmax or ymin > ymax:
         raise InputError(
             "the header does not say where the file's points lie",
@@ -164,6 +165,7 @@ def facts_of(source: Source) -> SourceFacts:
     pulses = source.n_records if isinstance(source, PulseSource | BeamSource) else 0
     waves = source.has_waves and source.waves.kind != "none"
     rim = [max(0.001, scale / 2) for scale in source.scales[:2]]  # points of [x - scale / 2, x + scale / 2) lie at x
+    xmin, ymin, _, xmax, ymax, _ = box_brought(source, bounds)
     box = Box(xmin, ymin, xmax + rim[0], ymax + rim[1])
     size = source.waves.available if waves else 0
     return SourceFacts(source.path, source.n_points, pulses, waves, size, box, point_format=source.point_format)
@@ -184,7 +186,8 @@ def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
     occupied: dict[Tile, tuple[Box, int]] = {}
     with PointReader(source) as reader:
         for first in range(0, source.n_points, CLOUD_ROWS):
-            x, y, _ = coordinates(source, reader.read(first, min(source.n_points, first + CLOUD_ROWS)))
+            points = reader.read(first, min(source.n_points, first + CLOUD_ROWS))
+            x, y, _ = brought(source, np.stack(coordinates(source, points), axis=1)).T
             tiles, inverse = np.unique(np.stack(grid.indices(x, y), axis=1), axis=0, return_inverse=True)
             order = np.argsort(inverse.reshape(-1), kind="stable")
             starts = np.flatnonzero(np.r_[True, np.diff(inverse.reshape(-1)[order]) > 0])
@@ -203,7 +206,7 @@ def sample_points(source: LasSource, points: int, facts: SourceFacts | None = No
     first = max(0, (source.n_points - points) // 2)
     with PointReader(source) as reader:
         read = reader.read(first, min(source.n_points, first + points))
-    x, y, _ = coordinates(source, read)
+    x, y, _ = brought(source, np.stack(coordinates(source, read), axis=1)).T
     even = source.n_points / max(1.0, sum(b.area for b, _ in (facts or facts_of(source)).where))
     edge = math.sqrt(PER_CELL / even)
     _, counts = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)

@@ -173,7 +173,8 @@ def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
             where=path,
             expected="a projected coordinate system in metres: the scales of the features are metres",
             got=f"{crs.name}; {units.source}",
-            do="convert the file first (for example with PDAL's filters.reprojection)",
+            do="run it as a survey, which brings it into metres (fwclass init), or convert it first (for example with "
+            "PDAL's filters.reprojection)",
         )
 
 

@@ -1,0 +1,106 @@
+"""A survey in feet: drafted, planned and run in metres, like the same survey that came in metres."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import lasmaker
+import laspy
+import numpy as np
+import pytest
+import yaml
+from commandline import fwclass
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from fwclass.formats.projected import metric_twin, project
+
+FEET = 1200.0 / 3937.0
+PLANE = {"metres": 32118, "feet": 2263}
+"""New York Long Island; x and y in feet are those in metres, divided."""
+
+
+def cloud(n: int = 6000) -> NDArray[np.float64]:
+    """Points of a slope with sheds on it, in whole steps of 0.01 feet [m]."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, 60, n), rng.uniform(0, 40, n)
+    z = 20 + 0.05 * x + 3.0 * ((x // 10 % 2 == 1) & (y // 10 % 2 == 1)) + rng.normal(0, 0.02, n)
+    return np.round(np.c_[300_230 + x, 60_910 + y, z] / (0.01 * FEET)) * 0.01 * FEET
+
+
+def survey(place: Path, unit: str, heights: str) -> Path:
+    """The cloud as a survey of one file whose x and y are in a unit, and whose heights are."""
+    place.mkdir()
+    xyz = cloud() / np.array([FEET if of == "feet" else 1.0 for of in (unit, unit, heights)])
+    keys = {3072: PLANE[unit], 4096: 6360 if heights == "feet" else 5703}
+    times = 3e8 + 1e-3 * np.arange(len(xyz))
+    step = 0.01 if unit == heights == "feet" else 0.0001
+    lasmaker.write_las(place / "a.las", xyz, point_format=6, gps_time=times, keys=keys, scale=step, classification=2)
+    return place
+
+
+@pytest.mark.parametrize(("unit", "heights"), [("feet", "feet"), ("metres", "feet")])
+def test_a_survey_in_feet_is_drafted_and_run_as_one_in_metres(tmp_path: Path, unit: str, heights: str) -> None:
+    tiles = []
+    for name, place in {
+        "m": survey(tmp_path / "m", "metres", "metres"),
+        "f": survey(tmp_path / "f", unit, heights),
+    }.items():
+        drafted = fwclass("init", place, "--to", place / "s.yaml")
+        assert drafted.returncode == 0, drafted.stderr
+        text = (place / "s.yaml").read_text()
+        assert yaml.safe_load(text).get("read", {}) == ({"project_to": "EPSG:32118+5703"} if name == "f" else {})
+        assert "2.5/m2 on 0.0024 km2" in text
+        assert fwclass("plan", place / "s.yaml", "--workflow", "ground", "--out", place / "r").returncode == 0
+        tiles.append(json.loads((place / "r" / "plan" / "plan.json").read_text())["tiles"])
+        ended = fwclass("run", place / "s.yaml", "--workflow", "ground", "--out", place / "r", "--workers", 0)
+        assert ended.returncode == 0, ended.stderr
+    (made,) = (tmp_path / "f" / "r" / "laz" / "tiles").glob("*.laz")
+    tile, like = laspy.read(made), laspy.read(tmp_path / "m" / "r" / "laz" / "tiles" / made.name)
+    assert [part.to_epsg() for part in tile.header.parse_crs().sub_crs_list] == [32118, 5703]
+    order, same = (np.argsort(np.asarray(one["pulse"])) for one in (tile, like))
+    assert np.abs(tile.xyz[order] - like.xyz[same]).max() <= 0.001 + 1e-9
+    alike = np.asarray(tile.classification)[order] == np.asarray(like.classification)[same]
+    assert alike.mean() > 0.998 and (np.asarray(tile.classification) == 2).sum() > 3000
+    strip, source = (laspy.read(tmp_path / "f" / part) for part in ("r/laz/strips/a.laz", "a.las"))
+    assert (strip.X == source.X).all() and (strip.Z == source.Z).all()
+    assert strip.header.parse_crs().equals(source.header.parse_crs())
+    assert tiles[0] == tiles[1]
+
+
+def test_a_run_of_feet_tells_the_setting_that_brings_them_into_metres(tmp_path: Path) -> None:
+    place = survey(tmp_path / "f", "feet", "feet")
+    (place / "s.yaml").write_text("survey: {name: s, sources: ['*.las']}\n")
+    words = ("run", place / "s.yaml", "--workflow", "quality", "--out", place / "r", "--workers", 0)
+    refused = fwclass(*words)
+    assert refused.returncode == 1 and "--set read.project_to=EPSG:32118+5703 brings" in refused.stderr
+    assert fwclass(*words, "--set", "read.project_to=EPSG:32118+5703").returncode == 0
+    refused = fwclass(*words, "--set", "read.project_to=EPSG:2263")
+    assert refused.returncode == 1 and "not in metres" in refused.stderr, refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("feet", "metres"),
+    [
+        ("EPSG:2263+6360", "EPSG:32118+5703"),
+        ("EPSG:2235", "EPSG:26957"),  # a false easting that was rounded in feet
+        ("EPSG:2868", "EPSG:2762"),  # international feet
+        ("EPSG:25832+5702", "EPSG:25832"),  # NGVD29 has no code in metres
+        ("EPSG:2992", ""),
+        ("EPSG:4326", ""),
+    ],
+)
+def test_the_same_projection_in_metres(feet: str, metres: str) -> None:
+    crs = CRS.from_user_input(feet)
+    assert metric_twin(crs) == metres
+    if metres and crs.axis_info[0].unit_conversion_factor != 1.0:
+        place = np.array([[985_000.0, 200_000.0, 100.0]])
+        unit = crs.axis_info[0].unit_conversion_factor
+        assert np.abs(project(crs, CRS.from_user_input(metres), place) - place * unit).max() < 1e-3
+
+
+def test_heights_in_feet_over_degrees_become_metres() -> None:
+    place = np.array([[-73.9, 40.7, 100.0]])
+    (there,) = project(CRS.from_user_input("EPSG:4269+6360"), CRS.from_epsg(32118), place)
+    assert there[2] == pytest.approx(100.0 * FEET)
