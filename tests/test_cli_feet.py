@@ -89,6 +89,7 @@ def test_a_run_of_feet_tells_the_setting_that_brings_them_into_metres(tmp_path: 
         ("EPSG:25832+5702", "EPSG:25832"),  # NGVD29 has no code in metres
         ("EPSG:2992", ""),
         ("EPSG:4326", ""),
+        ("+proj=lcc +lat_0=40 +lon_0=-74 +lat_1=41 +lat_2=40.6 +ellps=GRS80 +towgs84=0,0,0 +units=us-ft", ""),
     ],
 )
 def test_the_same_projection_in_metres(feet: str, metres: str) -> None:

@@ -114,6 +114,8 @@ def metric_twin(crs: CRS) -> str:
 def _metric_code(crs: CRS) -> int | None:
     """The code of `crs` with lengths in metres."""
     plain = crs.to_json_dict()
+    if "coordinate_system" not in plain:  # bound to another by its writer's shift: no code has that
+        return None
     for axis in plain["coordinate_system"]["axis"]:
         axis["unit"] = "metre"
     for one in plain.get("conversion", {}).get("parameters", ()):
