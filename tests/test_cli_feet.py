@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import lasmaker
 import laspy
 import numpy as np
+import pyogrio
 import pytest
 import yaml
 from commandline import fwclass
@@ -105,3 +107,25 @@ def test_heights_in_feet_over_degrees_become_metres() -> None:
     place = np.array([[-73.9, 40.7, 100.0]])
     (there,) = project(CRS.from_user_input("EPSG:4269+6360"), CRS.from_epsg(32118), place)
     assert there[2] == pytest.approx(100.0 * FEET)
+
+
+def test_check_points_and_breaklines_in_feet_are_metres(tmp_path: Path) -> None:
+    """Both lie on the ground; by heights in feet they would hang tens of metres above it."""
+    place = survey(tmp_path / "f", "feet", "feet")
+    x, y = np.random.default_rng(5).uniform((1, 1), (9, 39), (40, 2)).T
+    points = np.c_[300_230 + x, 60_910 + y, 20 + 0.05 * x] / FEET
+    (place / "c.csv").write_text("x,y,z\n" + "".join(f"{a:.3f},{b:.3f},{c:.3f}\n" for a, b, c in points))
+    line = np.array([[300_235, 60_912, 20.25], [300_235, 60_948, 20.25]]) / FEET
+    wkb = struct.pack("<BII", 1, 1002, 2) + line.astype("<f8").tobytes()
+    shapes = np.array([wkb, None], object)[:-1]
+    pyogrio.raw.write(
+        place / "l.gpkg", shapes, [], np.array([], object), geometry_type="LineString Z", crs="EPSG:2263", driver="GPKG"
+    )
+    (place / "s.yaml").write_text(
+        "survey: {name: s, sources: ['*.las']}\nread: {project_to: EPSG:32118+5703}\nbreaklines: {file: l.gpkg}\n"
+        "quality: {check_points: {file: c.csv, crs: EPSG:2263+6360}}\n"
+    )
+    ended = fwclass("run", place / "s.yaml", "--workflow", "ground", "--out", place / "r", "--workers", 0)
+    assert ended.returncode == 0 and "of one kind" not in ended.stderr, ended.stderr
+    report = json.loads((place / "r" / "report.json").read_text())
+    assert abs(report["quality"]["check_points"]["all"]["mean"]) < 0.03

@@ -10,6 +10,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from fwclass.formats.projected import height_unit
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.water import near_echoes
@@ -42,11 +43,13 @@ def read_breaklines(
     near: tuple[float, float, float, float],
 ) -> Result:
     """Places every `step` [m] at most along the lines in the box `near` [m], with heights between those of their
-    points."""
+    points, in metres by the unit that their own system has for heights."""
     path = here.file()
     shapes, z = read_lines(open_polygons(path, layer))
     if own_crs is not None and crs is not None:
-        shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+        own = CRS.from_wkt(own_crs)
+        shapes, _ = reproject(shapes, own, CRS.from_wkt(crs), path)
+        z = z * height_unit(own)
     knots = knots_along(shapes.x, shapes.y, z, shapes.ring_start, step, near)
     write_arrays(here.directory / FILE, {n: quantise(v) for n, v in zip("xyz", knots, strict=True)})
     outside = lines_outside(shapes.x, shapes.y, shapes.ring_start, near)
@@ -109,7 +112,7 @@ def breaklines_needed(plan: Plan) -> list[Name]:
 
 READ_BREAKLINES = Stage(
     BREAKLINES,
-    2,
+    3,
     "survey",
     "part",
     read_breaklines,

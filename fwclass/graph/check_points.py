@@ -58,7 +58,7 @@ def has_check_points(plan: Plan) -> bool:
 
 MEASURE_CHECK_POINTS = Stage(
     CHECK_POINTS,
-    4,
+    5,
     "survey",
     "part",
     compare_heights,

@@ -43,7 +43,7 @@ class CheckPointParams(Params):
     Attributes
     ----------
     file : text with x, y, z and, if there is one, a class code, relative to `survey.directory`; null for none.
-    crs : system of x and y, where it is not the survey's; heights are the survey's in any case.
+    crs : system of x and y, where it is not the survey's; heights are the survey's, or in the unit that it names.
     reach : ground echoes so near to a point make the triangle that it is held against [m].
     """
 

@@ -11,6 +11,7 @@ from pyproj import CRS, Transformer
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
+from fwclass.formats.projected import height_unit
 from fwclass.grid import Box
 from fwclass.read.text import read_text
 from fwclass.store.remote_file import local
@@ -71,7 +72,8 @@ def check_point_file(
 
 
 def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> CheckPoints:
-    """Check points in the survey's system `crs` (WKT), from a text file in `own_crs`, or in the survey's.
+    """Check points in the survey's system `crs` (WKT), from a text file in `own_crs`, or in the survey's. Heights
+    become metres, of the zero that they have.
 
     `InputError`: no text of x, y, z, a point without one of them, or more than `MOST` points.
     """
@@ -86,9 +88,11 @@ def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Check
             expected=f"x, y and z, at most {FAR:.0e}",
             do="complete it, or remove it",
         )
-    x, y = cloud.x, cloud.y
+    x, y, z = cloud.xyz
     if own_crs is not None and crs is not None:
-        move = Transformer.from_crs(CRS.from_wkt(own_crs).to_2d(), CRS.from_wkt(crs).to_2d(), always_xy=True)
+        own = CRS.from_wkt(own_crs)
+        z = z * height_unit(own)
+        move = Transformer.from_crs(own.to_2d(), CRS.from_wkt(crs).to_2d(), always_xy=True)
         x, y = move.transform(x, y)
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             raise InputError(
@@ -97,4 +101,4 @@ def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Check
                 do=f"check {SETTING}.crs, and the order of the columns",
             )
     code = np.full(len(x), -1) if cloud.label is None else cloud.label.astype(np.int64)
-    return CheckPoints(x, y, cloud.z, code, cloud.names)
+    return CheckPoints(x, y, z, code, cloud.names)
