@@ -23,10 +23,11 @@ from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Model, class_index
 from fwclass.schema import Table
 from fwclass.street.answers import Answer
-from fwclass.street.frames import Geometry, Placed, Track
+from fwclass.street.frames import Geometry, Placed
 from fwclass.street.params import StreetParams
 from fwclass.street.ring import Ring, Seen, feature_names
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 from fwclass.survey.files import matching_paths
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import fit_classifier

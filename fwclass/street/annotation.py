@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.paths import open_regular
-from fwclass.street.frames import Frame, Placed, Track
+from fwclass.street.frames import Frame, Placed
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 from fwclass.units import number_of
 
 HEAD = ("begin", "end", "y0", "y1", "z0", "z1", "kind", "class")

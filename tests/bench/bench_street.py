@@ -29,10 +29,10 @@ from fwclass.graph.street import Rows, Split, fit_model, sample_of
 from fwclass.model import class_index
 from fwclass.single_file.street.online import Loop
 from fwclass.street.answers import Writer
-from fwclass.street.frames import Track
 from fwclass.street.ring import Ring, feature_names
 from fwclass.street.simulate import simulate_frames
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 
 RADII = (0.1, 0.3, 0.5, 0.8)
 

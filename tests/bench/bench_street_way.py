@@ -12,8 +12,9 @@ from dataclasses import replace
 
 from fwclass import conf
 from fwclass.conf.street import scanner
-from fwclass.street.frames import Frame, Track
+from fwclass.street.frames import Frame
 from fwclass.street.simulate import simulate_frames
+from fwclass.street.track import Track
 
 
 def settings(seed: int, pitch: float, metres: float) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from fwclass.graph.street_recordings import LasRecording, TrajectoryFiles, open_
 from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.info import describe, info
 from fwclass.single_file.street.output import OURS, SUMMARY
-from fwclass.street.frames import Track
+from fwclass.street.track import Track
 
 FRAMES = 60
 NORTH = np.radians(30.0)

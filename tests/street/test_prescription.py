@@ -9,10 +9,11 @@ from streetmaker import config
 
 from fwclass.street import prescription
 from fwclass.street.answers import Answer, make_answer
-from fwclass.street.frames import Frame, Scan, Track
+from fwclass.street.frames import Frame, Scan
 from fwclass.street.prescription import Prescriber, seen_again, segments
 from fwclass.street.prescription_map import write_map
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 
 
 def answers(speed=1.0, frames=80):

@@ -14,10 +14,11 @@ from streetmaker import config, drive
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import open_recording
 from fwclass.single_file.street.info import info
-from fwclass.street.frames import Frame, Scan, Track
+from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_parquet import ParquetRecording, write_recording
 from fwclass.street.soundness import recording_faults
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 
 SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
 

@@ -10,8 +10,9 @@ from scipy.spatial import cKDTree
 from streetmaker import with_features
 
 from fwclass import conf
-from fwclass.street.frames import Frame, Geometry, Scan, Track, levels_of
+from fwclass.street.frames import Frame, Geometry, Scan, levels_of
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 
 
 def street_params(**changed):

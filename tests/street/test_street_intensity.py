@@ -17,9 +17,10 @@ from fwclass.single_file.street.info import info
 from fwclass.single_file.street.train import train
 from fwclass.store.models import load_model
 from fwclass.street.answers import ANSWERS
-from fwclass.street.frames import Scan, Track
+from fwclass.street.frames import Scan
 from fwclass.street.recording_parquet import write_recording
 from fwclass.street.stream import Decoder, encode_frame
+from fwclass.street.track import Track
 
 FULL = 255.0
 BRIGHT = ("street.split=random", f"street.intensity={FULL:g}")

@@ -25,9 +25,10 @@ from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.output import working_in
 from fwclass.street.answers import ANSWERS, read_answers
-from fwclass.street.frames import WANDER, Frame, Scan, Track
+from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_parquet import write_recording
 from fwclass.street.stream import HEAD, MAGIC, Decoder, encode_frame
+from fwclass.street.track import WANDER, Track
 
 
 def run_online(tmp_path, source=None, name="on", **changed):

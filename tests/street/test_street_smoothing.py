@@ -13,9 +13,9 @@ from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.train import train
 from fwclass.store.models import load_model
 from fwclass.street.answers import ANSWERS
-from fwclass.street.frames import Track
 from fwclass.street.smoothing import Smoother
 from fwclass.street.sphere_kernels import LEVELS, UNIT
+from fwclass.street.track import Track
 
 SMOOTH = ("street.smooth=0.3",)
 TURNED = {"mounting.yaw": 12, "mounting.pitch": -5}

@@ -10,11 +10,12 @@ import pytest
 from streetmaker import config
 
 from fwclass.conf.street import scanner
-from fwclass.street.frames import Frame, Track
+from fwclass.street.frames import Frame
 from fwclass.street.params import StreetParams
 from fwclass.street.simulate import simulate_frames
 from fwclass.street.soundness import recording_faults
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 from fwclass.street.way import MOST_EDGES, Way
 
 

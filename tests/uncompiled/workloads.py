@@ -71,9 +71,9 @@ from fwclass.simulate.flight import plan_strips
 from fwclass.simulate.params import SimulateParams
 from fwclass.simulate.stage import simulate_strip
 from fwclass.stage import Chunk
-from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.street.simulate import simulate_frames
+from fwclass.street.track import Track
 from fwclass.train.baselines.trees import pair_children
 from fwclass.train.importance import drops
 from fwclass.train.params import TrainParams

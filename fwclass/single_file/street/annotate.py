@@ -14,10 +14,11 @@ from fwclass.publish.files import check_free, whole
 from fwclass.publish.street_pictures import draw_slice
 from fwclass.store.unchanged import unchanged
 from fwclass.street.annotation import HEAD, Box, Labeller, annotated_end, overlaps, read_boxes
-from fwclass.street.frames import Frame, Track
+from fwclass.street.frames import Frame
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_parquet import write_recording
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 
 MOST_SHOWN = 200_000
 """Returns of a picture; of more, evenly chosen ones."""

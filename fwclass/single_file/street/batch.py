@@ -29,9 +29,10 @@ from fwclass.single_file.street.output import finish
 from fwclass.store.models import load_model, load_same, model_digest
 from fwclass.store.unchanged import unchanged
 from fwclass.street.answers import ANSWERS, END, Writer, read_answers
-from fwclass.street.frames import Geometry, Placed, Scan, Track
+from fwclass.street.frames import Geometry, Placed, Scan
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import seen_again, segments
+from fwclass.street.track import Track
 
 FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 6
 PART = "frames.bin"

@@ -11,9 +11,9 @@ import numpy as np
 from fwclass.errors import InputError
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
 from fwclass.store.unchanged import unchanged
-from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
+from fwclass.street.track import Track
 
 
 def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> dict[str, Any]:

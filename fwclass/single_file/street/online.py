@@ -31,9 +31,10 @@ from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
 from fwclass.store.unchanged import unchanged
 from fwclass.street.answers import ANSWERS, END, Answer, Writer
-from fwclass.street.frames import Frame, Geometry, Recording, Scan, Track
+from fwclass.street.frames import Frame, Geometry, Recording, Scan
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import Prescriber, Segment, seen_again
+from fwclass.street.track import Track
 
 WARM = 40
 """Frames that everything is gone through with before anything is listened to, so that nothing compiles later."""
