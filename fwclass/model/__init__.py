@@ -8,9 +8,8 @@ from fwclass.model.base import FORMAT, LEAF, Model, sample_matrix
 from fwclass.model.boosted import Boosted, scores_of
 from fwclass.model.contextual import Contextual
 from fwclass.model.forest import Forest, Tree, assemble
-from fwclass.model.layered import LAYERS, Layered
+from fwclass.model.layered import LAYERS, Layered, TwoLayer
 from fwclass.model.machines import KernelMachine, LinearMachine, Machine, Preparation
-from fwclass.model.two_layer import TwoLayer
 
 __all__ = [
     "FORMAT",

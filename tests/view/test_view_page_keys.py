@@ -16,7 +16,7 @@ from smallsurvey import deliver
 from viewedpage import PIXELS, SECTION, opened, served, text
 
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_span import span_of
+from fwclass.delivery.viewed_columns import span_of
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from viewedpage import opened, served, text
 from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_span import ColourSpan
+from fwclass.delivery.viewed_columns import ColourSpan
 
 
 def test_a_stray_value_flattens_no_colour_and_the_ends_know_of_it() -> None:
