@@ -58,10 +58,8 @@ def cells_across(blocks: NDArray[np.int64], edge: float, params: ObjectParams) -
 class ObjectCells:
     """Cells with a tested echo of a judged class, in order.
 
-    Attributes
-    ----------
-    place : int64 (cells, 3), index of the class, row and column in the global grid.
-    counts : int64 (cells, 3), echoes of the class in the reference, in the answer, and in both.
+    `place`: int64 (cells, 3), index of the class, row and column in the global grid. `counts`: int64 (cells, 3), echoes
+    of the class in the reference, in the answer, and in both.
     """
 
     place: NDArray[np.int64]

@@ -17,10 +17,8 @@ LAYERS = ("coarse", "fine")
 class Layered(Model):
     """A model of two layers.
 
-    Attributes
-    ----------
-    coarse, fine : the layers, the first and the second.
-    card : the first one's, and besides ``layers`` (digest of each) and what a kind has.
+    `coarse`, `fine`: the layers, the first and the second. `card`: the first one's, and besides ``layers`` (digest of
+    each) and what a kind has.
     """
 
     layout: ClassVar[Mapping[str, tuple[str, int]]] = {}

@@ -20,10 +20,7 @@ QUANTILES = (0.01, 0.99)
 def ranges_of(X: NDArray[np.float32], names: Sequence[str]) -> dict[str, list[float] | None]:
     """Usual values of training rows.
 
-    Parameters
-    ----------
-    X : float32 (rows, features), NaN where a feature has no value.
-    names : of the features, in order.
+    `X`: float32 (rows, features), NaN where a feature has no value. `names`: of the features, in order.
 
     Returns
     -------

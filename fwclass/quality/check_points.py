@@ -49,10 +49,7 @@ def ground_heights(
     plane; NaN where no triangle holds it. Of echoes at one place the lowest counts, so that the order of the
     echoes, and what lies beyond, changes nothing.
 
-    Parameters
-    ----------
-    points : x and y of the points, each (n,) [m].
-    ground : x, y and z of the ground echoes, each (m,) [m].
+    `points`: x and y of the points, each (n,) [m]. `ground`: x, y and z of the ground echoes, each (m,) [m].
     """
     height, near = np.full(len(points[0]), np.nan), np.full(len(points[0]), np.nan)
     x, y = (millimetres(c) for c in ground[:2])

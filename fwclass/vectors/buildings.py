@@ -29,10 +29,7 @@ COLUMNS = (
 def footprints(pieces: Iterable[Table], cell: float, params: FootprintParams) -> Shapes:
     """The buildings among pieces of cells; what is too small or too low is none.
 
-    Parameters
-    ----------
-    pieces : cells of each (`cells.pieces`), at least one.
-    cell : their edge [m].
+    `pieces`: cells of each (`cells.pieces`), at least one. `cell`: their edge [m].
 
     Returns
     -------

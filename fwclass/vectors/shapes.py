@@ -19,10 +19,8 @@ CORNERS = ("component", "ring", "x", "y")
 class Shapes:
     """Objects of one kind.
 
-    Attributes
-    ----------
-    rows : a row an object.
-    corners : `CORNERS` of their polygons; `component` is the object's row, `ring` 0 its outline, others its holes.
+    `rows`: a row an object. `corners`: `CORNERS` of their polygons; `component` is the object's row, `ring` 0 its
+    outline, others its holes.
     """
 
     rows: Table
