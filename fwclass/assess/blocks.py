@@ -16,8 +16,10 @@ from fwclass.model import ClassDef, class_index, code_index
 class BlockCounts:
     """Confusion matrices of blocks, sorted by place; only blocks with a reference class.
 
-    `place`: int64 (blocks, 2), column and row of the block in the global grid. `counts`: int64 (blocks, classes,
-    classes + 1), rows reference, columns predicted, last those without a class.
+    Attributes
+    ----------
+    place : int64 (blocks, 2), column and row of the block in the global grid.
+    counts : int64 (blocks, classes, classes + 1), rows reference, columns predicted, last those without a class.
     """
 
     place: NDArray[np.int64]

@@ -36,8 +36,10 @@ FIGURES = ("overall_accuracy", "kappa", "mean_iou")
 def intervals(blocks: ArrayLike) -> dict[str, Any] | None:
     """95 % intervals of overall accuracy, kappa and mean IoU; None with fewer than `LEAST` blocks that hold an echo.
 
-    `blocks`: (blocks, classes, classes) or (blocks, classes, classes + 1) counts, rows reference, columns predicted; a
-    last extra column counts rows that got none of the classes. Blocks without a count do not take part.
+    Parameters
+    ----------
+    blocks : (blocks, classes, classes) or (blocks, classes, classes + 1) counts, rows reference, columns predicted; a
+        last extra column counts rows that got none of the classes. Blocks without a count do not take part.
 
     Returns
     -------
@@ -56,7 +58,9 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
 
     Both are drawn together, so that what is hard in both cancels: an interval without 0 says that one map is better.
 
-    `first`, `second`: as for `intervals`, block for block the same echoes; `ValueError` where their reference differs.
+    Parameters
+    ----------
+    first, second : as for `intervals`, block for block the same echoes; `ValueError` where their reference differs.
 
     Returns
     -------
@@ -114,7 +118,9 @@ def caution(blocks: int) -> str | None:
 def scores(matrices: ArrayLike) -> NDArray[np.float64]:
     """(matrices, 3) overall accuracy, kappa and mean IoU of each, as `confusion.figures` defines them; NaN for 0 / 0.
 
-    `matrices`: (matrices, classes, classes) or with one more column, as for `intervals`.
+    Parameters
+    ----------
+    matrices : (matrices, classes, classes) or with one more column, as for `intervals`.
     """
     m = np.asarray(matrices, float)
     classes = m.shape[1]

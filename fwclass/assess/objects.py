@@ -58,8 +58,10 @@ def cells_across(blocks: NDArray[np.int64], edge: float, params: ObjectParams) -
 class ObjectCells:
     """Cells with a tested echo of a judged class, in order.
 
-    `place`: int64 (cells, 3), index of the class, row and column in the global grid. `counts`: int64 (cells, 3), echoes
-    of the class in the reference, in the answer, and in both.
+    Attributes
+    ----------
+    place : int64 (cells, 3), index of the class, row and column in the global grid.
+    counts : int64 (cells, 3), echoes of the class in the reference, in the answer, and in both.
     """
 
     place: NDArray[np.int64]

@@ -58,7 +58,9 @@ def pure_share(blocks: NDArray[np.int64]) -> float | None:
 def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -> list[str]:
     """Sentences, each with why and what to do; none for a test that is large, mixed and apart.
 
-    `accuracy`: with ``blocks``, how many hold a tested echo, and ``pure_share``.
+    Parameters
+    ----------
+    accuracy : with ``blocks``, how many hold a tested echo, and ``pure_share``.
     """
     sentences, blocks, pure = [], int(accuracy["blocks"]), accuracy["pure_share"]
     edge = f"{params.block:g} m"

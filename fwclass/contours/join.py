@@ -15,9 +15,11 @@ from fwclass.contours.lines import Lines
 class LinePieces:
     """What is known of pieces without their vertices.
 
-    `ends`: int64 (n, 8) level, where it begins and ends (three numbers each, see `Lines`), and how many vertices it
-    has. `measures`: float64 (n, 6) length [m], twice the area about its first vertex [m²], x and y of its first and its
-    last vertex [m].
+    Attributes
+    ----------
+    ends : int64 (n, 8) level, where it begins and ends (three numbers each, see `Lines`), and how many vertices it has.
+    measures : float64 (n, 6) length [m], twice the area about its first vertex [m²], x and y of its first and its last
+        vertex [m].
     """
 
     ends: NDArray[np.int64]

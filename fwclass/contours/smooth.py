@@ -31,7 +31,9 @@ def smooth_terrain(dtm: NDArray[np.float32], cell: float, params: ContourParams)
     The mean of the terrain around, by weights near a Gaussian's, and nowhere more than ``most * interval`` (and half a
     `STEP`) from the terrain. Sums are of whole numbers: a node has the same height in every window that holds it.
 
-    `dtm`: (n, m) heights [m] of a window and `margin` cells around it; NaN where there is no terrain.
+    Parameters
+    ----------
+    dtm : (n, m) heights [m] of a window and `margin` cells around it; NaN where there is no terrain.
 
     Returns
     -------

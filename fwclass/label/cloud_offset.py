@@ -53,8 +53,10 @@ def compare_heights(echoes: Points, cloud: Points, box: Box) -> tuple[NDArray[np
 
     Sums are of whole millimetres: those of all tiles are the same whatever the tiles are.
 
-    `echoes`, `cloud`: x, y and z [m], (n,) and (m,), all that lie within `HALO` of `box`. `box`: of a tile, which has
-    the cells whose lower left corner lies in it.
+    Parameters
+    ----------
+    echoes, cloud : x, y and z [m], (n,) and (m,), all that lie within `HALO` of `box`.
+    box : of a tile, which has the cells whose lower left corner lies in it.
 
     Returns
     -------

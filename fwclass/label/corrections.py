@@ -31,7 +31,9 @@ def match_labels(echoes: Table, labels: Table, reach: float) -> tuple[NDArray[np
     A label is an echo's where strip, pulse and number are the same, and the echo lies at most `reach` [m] from where it
     lay when it was labelled: another run of the decomposition may have given the number to another echo.
 
-    `echoes`, `labels`: strip, pulse, echo_number, x, y, z [m]; at most one row of an echo in `labels`.
+    Parameters
+    ----------
+    echoes, labels : strip, pulse, echo_number, x, y, z [m]; at most one row of an echo in `labels`.
     """
     key = canonical_key(labels)
     order = np.argsort(key)

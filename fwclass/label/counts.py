@@ -180,8 +180,10 @@ def lacking(
 ) -> list[str]:
     """Why nothing can be learned from the labels, as sentences: classes and training areas without a labelled echo.
 
-    `whole`: `total` of the survey. `others`: codes of classes that other rows teach. Where there are any, training
-    areas may be without labels.
+    Parameters
+    ----------
+    whole : `total` of the survey.
+    others : codes of classes that other rows teach. Where there are any, training areas may be without labels.
     """
     without = [c for c, n in zip(classes, whole["train"], strict=True) if n == 0 and c.code not in others]
     sentences = _about_codes(whole, classes, others) + ([] if others else _about_boxes(whole, train))

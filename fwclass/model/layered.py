@@ -17,8 +17,10 @@ LAYERS = ("coarse", "fine")
 class Layered(Model):
     """A model of two layers.
 
-    `coarse`, `fine`: the layers, the first and the second. `card`: the first one's, and besides ``layers`` (digest of
-    each) and what a kind has.
+    Attributes
+    ----------
+    coarse, fine : the layers, the first and the second.
+    card : the first one's, and besides ``layers`` (digest of each) and what a kind has.
     """
 
     layout: ClassVar[Mapping[str, tuple[str, int]]] = {}

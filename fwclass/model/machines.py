@@ -17,8 +17,10 @@ from fwclass.model.boosted import scores_of
 class Preparation:
     """What becomes of a sample before a machine sees it: gaps are filled, then (value - shift) / scale.
 
-    `fill`: float64 (features,), stands for a missing value (NaN): the median of the training rows. `shift`, `scale`:
-    float64 (features,).
+    Attributes
+    ----------
+    fill : float64 (features,), stands for a missing value (NaN): the median of the training rows.
+    shift, scale : float64 (features,).
     """
 
     fill: NDArray[np.float64]

@@ -20,7 +20,10 @@ QUANTILES = (0.01, 0.99)
 def ranges_of(X: NDArray[np.float32], names: Sequence[str]) -> dict[str, list[float] | None]:
     """Usual values of training rows.
 
-    `X`: float32 (rows, features), NaN where a feature has no value. `names`: of the features, in order.
+    Parameters
+    ----------
+    X : float32 (rows, features), NaN where a feature has no value.
+    names : of the features, in order.
 
     Returns
     -------

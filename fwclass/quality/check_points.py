@@ -49,7 +49,10 @@ def ground_heights(
     plane; NaN where no triangle holds it. Of echoes at one place the lowest counts, so that the order of the
     echoes, and what lies beyond, changes nothing.
 
-    `points`: x and y of the points, each (n,) [m]. `ground`: x, y and z of the ground echoes, each (m,) [m].
+    Parameters
+    ----------
+    points : x and y of the points, each (n,) [m].
+    ground : x, y and z of the ground echoes, each (m,) [m].
     """
     height, near = np.full(len(points[0]), np.nan), np.full(len(points[0]), np.nan)
     x, y = (millimetres(c) for c in ground[:2])

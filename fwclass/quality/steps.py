@@ -30,7 +30,9 @@ NAMED = 3
 class HeightSteps:
     """Differences in height of planes of two files (or lines), counted by class, block by block.
 
-    `max_step`: differences up to this are of one surface [m].
+    Parameters
+    ----------
+    max_step : differences up to this are of one surface [m].
     """
 
     def __init__(self, max_step: float) -> None:

@@ -86,7 +86,9 @@ def largest_differences(
 class Comparison:
     """Pairs of planes of all strips, added up block by block, and a sample of them that is adjusted.
 
-    `total`: pairs that there are, of which about `params.most` are adjusted.
+    Parameters
+    ----------
+    total : pairs that there are, of which about `params.most` are adjusted.
     """
 
     def __init__(self, params: PlaneParams, total: int) -> None:

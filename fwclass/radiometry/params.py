@@ -15,8 +15,10 @@ RADIOMETRIC = ("range", "incidence", "cross_section", "backscatter", "reflectanc
 class TargetParams(Params):
     """A surface of known reflectance.
 
-    `polygon`: its outline in the survey's CRS [m], three or more corners; the last need not repeat the first.
-    `reflectance`: its diffuse reflectance at the laser's wavelength, a fraction.
+    Attributes
+    ----------
+    polygon : its outline in the survey's CRS [m], three or more corners; the last need not repeat the first.
+    reflectance : its diffuse reflectance at the laser's wavelength, a fraction.
     """
 
     polygon: tuple[tuple[float, float], ...] = Field(min_length=3)

@@ -32,8 +32,10 @@ def strip_sums(
 ) -> dict[str, list[float]]:
     """What the echoes of a tile tell, by strip: numbers that are added up over tiles (`RadiometrySound.of`).
 
-    `echoes`: strip, x, y, z, gps_time, beam_x, beam_y, beam_z. `columns`: what `radiometry` gave for them. `beams`:
-    (rows,) which have a beam of their source's own.
+    Parameters
+    ----------
+    echoes : strip, x, y, z, gps_time, beam_x, beam_y, beam_z. columns : what `radiometry` gave for them.
+    beams : (rows,) which have a beam of their source's own.
 
     Returns
     -------
@@ -107,8 +109,10 @@ def faults(
 ) -> list[str]:
     """What no sound survey shows, a sentence each.
 
-    `total`: of `by_strip`, float64 (16,) a strip. `names`: of the strips, by number. `flown`: there is a trajectory or
-    an altitude, so that every echo should have a range [m].
+    Parameters
+    ----------
+    total : of `by_strip`, float64 (16,) a strip. names : of the strips, by number.
+    flown : there is a trajectory or an altitude, so that every echo should have a range [m].
     """
     said = []
 

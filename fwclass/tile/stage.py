@@ -103,7 +103,9 @@ def repeats(table: Table) -> list[list[int]]:
     """How many echoes have place (to the millimetre) and GPS time of another, by pairs of strips: of files with a
     common rim, or of one file under two names.
 
-    `table`: x, y, z [m], gps_time [s] (NaN: one that is not known is like another) and strip.
+    Parameters
+    ----------
+    table : x, y, z [m], gps_time [s] (NaN: one that is not known is like another) and strip.
 
     Returns
     -------
@@ -132,9 +134,11 @@ def twice_measured(table: Table) -> list[list[int]]:
     """How many echoes are another strip's, moved: of one GPS time (to `TICK`, of the week, in whatever format), echo
     number and cell of `SAME_CELL`, by pairs of strips; those that `repeats` counts are left out.
 
-    `table`: x, y, z [m], gps_time [s] (NaN and 0: not known), echo_number and strip. Echoes that share all of this with
-    one of their own strip tell nothing. Nor do strips whose times are coarse, which no tile can tell: see
-    `count_times`.
+    Parameters
+    ----------
+    table : x, y, z [m], gps_time [s] (NaN and 0: not known), echo_number and strip. Echoes that share all of this with
+        one of their own strip tell nothing. Nor do strips whose times are coarse, which no tile can tell: see
+        `count_times`.
 
     Returns
     -------

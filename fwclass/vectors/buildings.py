@@ -29,7 +29,10 @@ COLUMNS = (
 def footprints(pieces: Iterable[Table], cell: float, params: FootprintParams) -> Shapes:
     """The buildings among pieces of cells; what is too small or too low is none.
 
-    `pieces`: cells of each (`cells.pieces`), at least one. `cell`: their edge [m].
+    Parameters
+    ----------
+    pieces : cells of each (`cells.pieces`), at least one.
+    cell : their edge [m].
 
     Returns
     -------

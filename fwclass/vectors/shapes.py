@@ -19,8 +19,10 @@ CORNERS = ("component", "ring", "x", "y")
 class Shapes:
     """Objects of one kind.
 
-    `rows`: a row an object. `corners`: `CORNERS` of their polygons; `component` is the object's row, `ring` 0 its
-    outline, others its holes.
+    Attributes
+    ----------
+    rows : a row an object.
+    corners : `CORNERS` of their polygons; `component` is the object's row, `ring` 0 its outline, others its holes.
     """
 
     rows: Table
