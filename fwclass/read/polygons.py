@@ -63,12 +63,13 @@ def open_polygons(path: Path, layer: str | None = None, setting: str = "survey.r
     """
     if not is_polygon_file(path):
         gpkg, own = (shlex.quote(name) for name in (f"{path.stem}.gpkg", path.name))
+        lines_of = "-where \"OGR_GEOMETRY='LINESTRING'\" " if path.suffix.lower() == ".dxf" else ""  # no texts, blocks
         raise InputError(
             "this is no file of polygons or lines that is read",
             where=path,
             expected="GeoParquet, GeoPackage, GeoJSON or Shapefile (.shp)",
             got=path.suffix or "no ending",
-            do=f"save it from QGIS as GeoPackage, or ogr2ogr -dim XYZ -a_srs EPSG:<code> {gpkg} {own}",
+            do=f"save it from QGIS as GeoPackage, or ogr2ogr -dim XYZ -a_srs EPSG:<code> {lines_of}{gpkg} {own}",
         )
     if path.suffix.lower() in PARQUET:
         return PolygonLayer(path, **geoparquet.header(path))

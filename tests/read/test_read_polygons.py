@@ -119,6 +119,8 @@ def test_a_shapefile_without_its_table(tmp_path):
 def test_another_ending_and_plain_parquet(tmp_path):
     with pytest.raises(InputError, match="no file of polygons or lines"):
         open_polygons(tmp_path / "a.kml")
+    with pytest.raises(InputError, match=r"OGR_GEOMETRY='LINESTRING'.* a\.gpkg a\.dxf"):  # a drawing has texts beside
+        open_polygons(tmp_path / "a.dxf")
     pq.write_table(pa.table({"klass": ["a"], "geometry": [b"x"]}), tmp_path / "a.parquet")
     with pytest.raises(InputError, match="without geographic metadata"):
         open_polygons(tmp_path / "a.parquet")
