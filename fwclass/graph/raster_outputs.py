@@ -38,12 +38,11 @@ MAX_CELLS = 1 << 35
 
 
 def map_classes(here: StageInputs, params: PublishParams) -> Result:
-    """Class and confidence of the highest echo, and the echoes, of every cell of one block of the fixed grid."""
+    """Class and confidence of the highest sound echo, and the echoes, of every cell of one block of the fixed grid."""
     window = Window.covering(here.tile.box, params.class_cell)
     points = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
-    rasters = class_rasters(
-        points["x"], points["y"], points["z"], points["classification"], points["confidence"], window
-    )
+    x, y, z = points["x"], points["y"], points["z"]
+    rasters = class_rasters(x, y, z, points["classification"], points["confidence"], points["noise"], window)
     write_rasters(here.directory, rasters._asdict(), window)
     return {"cells": int((rasters.classes > 0).sum())}
 
@@ -196,7 +195,7 @@ def _class_rasters(
             if not mosaic.touches(stripe):
                 continue
             laid = mosaic.laid(stripe)
-            there = laid["classes"] > 0
+            there = laid["echoes"] > 0
             density = np.where(there, laid["echoes"] / window.cell**2, np.nan).astype(np.float32)
             put(stripe, laid["classes"])
             sure(stripe, laid["confidence"])
@@ -214,7 +213,7 @@ def _class_rasters(
 
 MAP_CLASSES = Stage(
     "class-block",
-    2,
+    3,
     "block",
     "cell",
     map_classes,
@@ -222,13 +221,13 @@ MAP_CLASSES = Stage(
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.publish},
     silent=NO_BYTE,
-    reads=("z", "classification", "confidence"),
+    reads=("z", "classification", "confidence", "noise"),
     halo=0.0,
     area=lambda plan, block: Window.covering(block.box, plan.config.publish.class_cell).box,
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
-    8,
+    9,
     "survey",
     "cell",
     deliver_rasters,

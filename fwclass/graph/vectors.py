@@ -98,7 +98,9 @@ def find_trees(here: StageInputs, params: VectorParams) -> Result:
 
 
 def _read_window(here: StageInputs, window: Window) -> Table:
-    return here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
+    """Echoes of surfaces: a bird over a wood is no tree of its height."""
+    table = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
+    return table.take(~table["noise"])
 
 
 def _write(here: StageInputs, shapes: Shapes) -> None:
@@ -263,7 +265,7 @@ CHOOSE_CELL = Stage(
 )
 FIND_BUILDINGS = Stage(
     "buildings",
-    2,
+    3,
     "block",
     "echo",
     find_buildings,
@@ -271,7 +273,7 @@ FIND_BUILDINGS = Stage(
     parts=survey_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=_arguments,
-    reads=("classification", "confidence", "height_above_ground"),
+    reads=("classification", "confidence", "height_above_ground", "noise"),
     halo=lambda plan: MARGIN * plan.config.vectors.cells[-1],
     area=_largest_cells,
     after=(CELL,),
@@ -280,9 +282,9 @@ FIND_BUILDINGS = Stage(
 FIND_TREES = replace(
     FIND_BUILDINGS,
     name="tree-tops",
-    version=5,
+    version=6,
     function=find_trees,
-    reads=("classification", "confidence", "height_above_ground", "echo_number", "number_of_echoes"),
+    reads=("classification", "confidence", "height_above_ground", "noise", "echo_number", "number_of_echoes"),
     when=lambda plan: "trees" in vector_layers(plan),
     halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),
 )

@@ -13,9 +13,13 @@ from fwclass.kernel import kernel
 NO_CONFIDENCE = 255
 """Of a cell without an echo, or whose class has no confidence (NaN); else it is in percent."""
 
+NOTHING = np.iinfo(np.int64).min
+"""Height [mm] of a cell without an echo, which no echo of this height changes."""
+
 
 class ClassRasters(NamedTuple):
-    """Rasters of a window, row 0 in the south: class code (0 without an echo), its confidence [%], number of echoes."""
+    """Rasters of a window, row 0 in the south: class code (0 without an echo that is no noise), its confidence [%],
+    number of echoes."""
 
     classes: NDArray[np.uint8]
     confidence: NDArray[np.uint8]
@@ -28,9 +32,11 @@ def class_rasters(
     z: NDArray[np.float64],
     classification: NDArray[np.uint8],
     confidence: NDArray[np.float32],
+    noise: NDArray[np.bool_],
     window: Window,
 ) -> ClassRasters:
-    """Class and confidence of the highest echo in every cell, and the number of all of them.
+    """Class and confidence of the highest echo in every cell that is no noise, as in the surface model, and the number
+    of all of them.
 
     Among echoes of one height (to the millimetre) the smallest code wins, of one code the least sure one, so the rows'
     order does not count; echoes outside the window and those without a class (0) are left out.
@@ -40,10 +46,11 @@ def class_rasters(
     classes = np.zeros(window.shape, np.uint8)
     sure = np.full(window.shape, NO_CONFIDENCE, np.uint8)
     echoes = np.zeros(window.shape, np.uint32)
-    top = np.full(window.shape, np.iinfo(np.int64).min)
+    top = np.full(window.shape, NOTHING)
     percent = np.rint(np.nan_to_num(100 * confidence.astype(np.float64), nan=NO_CONFIDENCE)).astype(np.uint8)
     code = np.ascontiguousarray(classification, np.uint8)
-    _highest(col, row, millimetres(z), code, percent, classes, sure, echoes, top)
+    height = np.where(noise, NOTHING, millimetres(z))
+    _highest(col, row, height, code, percent, classes, sure, echoes, top)
     return ClassRasters(classes, sure, echoes)
 
 

@@ -181,15 +181,17 @@ def test_another_shape_is_refused(params: PublishParams, tmp_path: Path) -> None
 
 
 cell = Window(1.0, 10, 20, 3, 2)
-echo = st.tuples(st.integers(8000, 15000), st.integers(18000, 24000), st.integers(-3, 3), st.sampled_from([0, 2, 5, 6]))
+places = st.integers(8000, 15000), st.integers(18000, 24000), st.integers(-3, 3)
+echo = st.tuples(*places, st.sampled_from([0, 2, 5, 6]), st.booleans())
 
 
-def slow_class_raster(rows: list[tuple[int, int, int, int]]) -> np.ndarray:
-    """The rule as it is written: per cell the highest, then the smallest code."""
+def slow_class_raster(rows: list[tuple[int, int, int, int, bool]]) -> np.ndarray:
+    """The rule as it is written: per cell the highest that is no noise, then the smallest code."""
     out = np.zeros(cell.shape, np.uint8)
     for r in range(cell.nrows):
         for c in range(cell.ncols):
-            here = [(-z, k) for x, y, z, k in rows if k and x // 1000 - cell.col == c and y // 1000 - cell.row == r]
+            sound = [e for e in rows if e[3] and not e[4]]
+            here = [(-z, k) for x, y, z, k, _ in sound if (y // 1000 - cell.row, x // 1000 - cell.col) == (r, c)]
             out[r, c] = min(here)[1] if here else 0
     return out
 
@@ -201,8 +203,9 @@ def test_the_highest_echo_gives_the_class_in_any_order(rows: list, data: st.Data
     wanted = slow_class_raster(rows)
     for some in (rows, shuffled):
         x, y, z, k = (np.array([r[i] for r in some], float) for i in range(4))
+        noise = np.array([r[4] for r in some], bool)
         sure = (np.abs(z) / 4 + k / 100).astype(np.float32)
-        made = class_rasters(x / 1000, y / 1000, z / 1000, k.astype(np.uint8), sure, cell)
+        made = class_rasters(x / 1000, y / 1000, z / 1000, k.astype(np.uint8), sure, noise, cell)
         assert np.array_equal(made.classes, wanted)
         inside = [r for r in some if r[3] and 0 <= r[0] // 1000 - 10 < 3 and 0 <= r[1] // 1000 - 20 < 2]
         assert made.echoes.sum() == len(inside)

@@ -12,6 +12,7 @@ import lasmaker
 import numpy as np
 import pyogrio
 import pytest
+import rasterio
 import shapely
 from commandline import fwclass
 
@@ -39,18 +40,24 @@ HOUSES = [
 ]
 
 
-def survey(place: Path, density: float = 5.0, code: int = 6, name: str = "building") -> Path:
-    """``a.las``, 120 m × 80 m of flat land with houses, and ``s.yaml``."""
+def survey(place: Path, density: float = 5.0, code: int = 6, name: str = "building", birds: bool = False) -> Path:
+    """``a.las``, 120 m × 80 m of flat land with houses, and of the same class `birds`; and ``s.yaml``."""
     rng = np.random.default_rng(3)
     number = int(density * 120 * 80)
     x, y = rng.uniform(0, 1, (2, number)) * [[120], [80]]
     on = shapely.contains_xy(shapely.MultiPolygon(HOUSES), x, y)
     z = 200 + 0.02 * x + 7.0 * on
     xyz = np.c_[500_000 + x, 5_400_000 + y, z]
+    if birds:
+        xyz, on = np.r_[xyz, BIRDS + np.array([500_000, 5_400_000, 0])], np.append(on, np.ones(len(BIRDS), bool))
     place.mkdir(parents=True, exist_ok=True)
     lasmaker.write_las(place / "a.las", xyz, point_format=6, classification=np.where(on, code, 2))
     (place / "s.yaml").write_text(CONFIG.replace("CODE", str(code)).replace("CLASS", name))
     return place
+
+
+BIRDS = np.array([[66.5, 62.5, 270.0], [30.5, 40.5, 270.0], [90.5, 70.5, 275.0], [10.5, 70.5, 280.0]])
+"""The first over a house, the others over open land."""
 
 
 def run(place: Path, out: str, *words: object):
@@ -128,3 +135,14 @@ def test_a_survey_whose_buildings_are_none_has_an_empty_layer(place: Path, tmp_p
     run(tmp_path / "s", "r", "--set", "vectors.buildings.least_height=50")
     assert len(pyogrio.read_dataframe(tmp_path / "s/r/vectors.gpkg", layer="buildings")) == 0
     assert len(geopandas.read_parquet(tmp_path / "s/r/vectors/buildings.parquet")) == 0
+
+
+def test_birds_are_no_trees_and_hide_no_class(tmp_path: Path):
+    place = survey(tmp_path, 1.5, code=5, name="tree", birds=True)
+    run(place, "r")
+    crowns = pyogrio.read_dataframe(place / "r/vectors.gpkg", layer="crowns")
+    assert len(crowns) and crowns.height.max() < 8
+    with rasterio.open(place / "r/rasters/classes.tif") as classes, rasterio.open(place / "r/rasters/dsm.tif") as dsm:
+        x, y = BIRDS[1:, :2].T + np.array([[500_000], [5_400_000]])
+        where = rasterio.transform.rowcol(classes.transform, x, y)
+        assert (classes.read(1)[where] == 2).all() and (dsm.read(1)[where] < 205).all()
