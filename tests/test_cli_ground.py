@@ -162,6 +162,17 @@ def test_feet_give_the_same_ground_as_metres(tmp_path, fwclass):
     assert np.median(heights[roof]) == pytest.approx(6.0, abs=0.2)
 
 
+@pytest.mark.parametrize(("code", "east", "north"), [("EPSG:2229", 6_480_000, 1_840_000), ("EPSG:2263+6360", 9e5, 2e5)])
+def test_a_file_in_feet_lies_where_its_system_is(tmp_path, fwclass, code, east, north):
+    """Metres were taken for feet: sound files ended with exit code 4."""
+    xyz = (scene(2000)[0] - scene(2000)[0].min(axis=0)) / FOOT + [east, north, 300]
+    wkt = CRS.from_user_input(code).to_wkt("WKT1_GDAL")
+    source = write_las(tmp_path / "a.las", xyz, point_format=6, scale=0.001, keys=None, wkt=wkt)
+    for name, given in (("ground", source), ("normalize", tmp_path / "ground.laz")):
+        code, _, err = fwclass(name, given, tmp_path / f"{name}.laz")
+        assert code == 0 and "used from" not in err, err
+
+
 def test_degrees_are_refused(tmp_path, fwclass):
     xyz, _ = scene(100)
     source = write_las(tmp_path / "a.las", xyz, point_format=6, keys=None, wkt=CRS.from_epsg(4979).to_wkt())

@@ -242,7 +242,8 @@ def place_of_cloud(cloud: PointCloud) -> dict[str, Any]:
     if looks_like_degrees(cloud):
         remark = "the coordinates look like degrees, and were taken for metres: reproject the file first"
         return {"remarks": [remark], "elsewhere": True}
-    low, high = ([float(f(a[cloud.usable])) for a in (cloud.x, cloud.y, cloud.z)] for f in (np.min, np.max))
+    axes = (cloud.x, cloud.units.xy), (cloud.y, cloud.units.xy), (cloud.z, cloud.units.z)
+    low, high = ([float(f(a[cloud.usable])) / unit for a, unit in axes] for f in (np.min, np.max))
     own, header, of_file = (getattr(cloud.source, name, None) for name in ("crs", "header", "faults"))
     return place_facts(cloud.crs, low, high, header, own, of_file or ())
 
