@@ -113,6 +113,11 @@ def test_parts_of_scipy_are_loaded_when_they_are_used() -> None:
     assert not loaded & {"ndimage", "sparse", "spatial", "special", "linalg", "optimize", "interpolate"}, loaded
 
 
+def test_looking_at_a_file_does_not_load_what_reckons_with_arrow() -> None:
+    child = "import fwclass.read.info, sys; sys.exit('pyarrow.compute' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", child], check=False).returncode == 0
+
+
 def test_a_command_reads_points_without_a_way_to_the_network_and_a_program_keeps_it() -> None:
     """`requests` takes as long to load as all else of laspy; what another stage or program imports, it gets."""
     own = "import fwclass, laspy.copc, requests, sys; sys.exit(laspy.copc.requests is not requests)"

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer, undamaged
+from fwclass.lazy_module import LazyModule
 from fwclass.read.beam_source import LONGEST, BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
@@ -23,6 +24,11 @@ from fwclass.read.raw_columns import (
     check_columns,
     kind_of_direction,
 )
+
+if TYPE_CHECKING:
+    import pyarrow.compute as pc
+else:
+    pc = LazyModule("pyarrow.compute")
 
 MAGIC = b"PAR1"
 EXPECTED = f"a table with lists of at most {LONGEST} samples"
