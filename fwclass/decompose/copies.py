@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitting import fit_waveforms, signal_of
-from fwclass.decompose.params import DecomposeParams, PulseParams
+from fwclass.decompose.params import CopyParams, DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.pulse_sample import of_channel, rows_of
 from fwclass.decompose.sample_parity import estimate_even_pulse, evened
@@ -25,27 +25,13 @@ from fwclass.waveforms import Waveforms
 
 Floats = NDArray[np.float64]
 
-FEWEST, MOST = 200, 2000
-"""Waveforms of a bright echo whose records reach a delay that tell of a copy there, at least and at most."""
-
 MOST_VALUES = 1_000_000
-"""Samples of these waveforms, about, at most."""
-
-BRIGHT = 30.0
-"""Standard deviations of its noise by which such an echo stands out."""
-
-BEHIND, BESIDE = 2.5, 1.5
-"""Pulse widths behind an echo from which on a copy is no part of its shape, and from a copy to where there is none."""
-
-LEAST, SURE, ALIKE, HIGHEST = 0.015, 5.0, 0.12, 0.5
-"""Share of the echo's height by which a copy stands out of what is beside, at least (0.007 at most on three receivers),
-and in standard errors; by how much of itself that share may differ between waveforms, and what it is at most: two
-surfaces of a scene differ more, and a second surface is as bright."""
+"""Samples of the waveforms that tell of a copy, about, at most."""
 
 ERROR_OF_MEDIAN = 1.2533
 """Standard error of a median over that of a mean."""
 
-MOST_COPIES, ROUNDS = 3, 4
+ROUNDS = 4
 STRAY, SMOOTH = 2.0, 0.02
 """Times the usual by which a waveform departs that has an echo where the copy is, and the least singular value that
 counts of the samples before, as a share of the largest."""
@@ -66,7 +52,7 @@ def estimate_single_pulse(
     if fit.recovery == "keep":
         return pulse
     even = evened(waves, pulse)
-    copies = {c.key: c.copies for c in (_measure(c, pulse, even, fit) for c in pulse.channels)}
+    copies = {c.key: c.copies for c in (_measure(c, pulse, even, fit, params.copies) for c in pulse.channels)}
     if not any(copies.values()):
         return pulse
     known = replace(pulse, channels=tuple(replace(c, copies=copies[c.key]) for c in pulse.channels))
@@ -149,29 +135,31 @@ def _later(values: Floats, copies: tuple[tuple[int, float], ...], waves: Wavefor
     return total
 
 
-def _measure(channel: Channel, pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> Channel:
+def _measure(
+    channel: Channel, pulse: SystemPulse, waves: Waveforms, params: DecomposeParams, bounds: CopyParams
+) -> Channel:
     mine = of_channel(waves, channel, pulse.channels, len(waves.samples) + 1)
     mine = rows_of(mine, np.flatnonzero(np.diff(mine.offsets) > 1))
-    if mine.pulses.rows < FEWEST:
+    if mine.pulses.rows < bounds.waveforms:
         return channel
     highest = np.maximum.reduceat(mine.samples, mine.offsets[:-1])
-    bright = np.flatnonzero((highest < channel.clip) & (highest > channel.baseline + BRIGHT * channel.noise))
-    if len(bright) < FEWEST:
+    bright = np.flatnonzero((highest < channel.clip) & (highest > channel.baseline + bounds.bright * channel.noise))
+    if len(bright) < bounds.waveforms:
         return channel
-    most = min(MOST, max(MOST_VALUES // int(np.diff(mine.offsets)[bright].max()), FEWEST))
+    most = min(bounds.most_waveforms, max(MOST_VALUES // int(np.diff(mine.offsets)[bright].max()), bounds.waveforms))
     mine = rows_of(mine, bright[:: -(-len(bright) // most)])
     own = pulse.of(channel)
-    for _ in range(MOST_COPIES):
+    for _ in range(bounds.most):
         once, _ = without_copies(mine, replace(pulse, channels=(channel,)), params)
         fits = fit_waveforms(once, params, pulse)
         order = np.lexsort((fits.time, -fits.amplitude, fits.row))
         row, at = np.unique(fits.row[order], return_index=True)
         time, height = fits.time[order][at] / channel.sample_spacing, fits.amplitude[order][at]
         level = np.nan_to_num(fits.baseline)[row]
-        delay = _delay(once, row, time, height, level, channel, own.fwhm / channel.sample_spacing)
+        delay = _delay(once, row, time, height, level, channel, own.fwhm / channel.sample_spacing, bounds)
         if not delay:
             break
-        copies = _shares(mine, once, row, time, channel, delay, own.fwhm / channel.sample_spacing)
+        copies = _shares(mine, once, row, time, channel, delay, own.fwhm / channel.sample_spacing, bounds)
         if not copies:
             break
         channel = replace(channel, copies=tuple(sorted(channel.copies + copies)))
@@ -186,11 +174,12 @@ def _delay(
     level: Floats,
     channel: Channel,
     width: float,
+    bounds: CopyParams,
 ) -> float:
     """Delay [samples] of what follows the highest echoes, at `time` [samples] of rows `row`, always as high beside
     them; 0 where nothing does."""
     length = np.diff(waves.offsets)[row]
-    delays = np.arange(BEHIND * width, length.max() - 1.0, 0.5)
+    delays = np.arange(bounds.behind * width, length.max() - 1.0, 0.5)
     if len(delays) == 0:
         return 0.0
     place = time[:, None] + delays
@@ -201,20 +190,20 @@ def _delay(
     samples = waves.samples.astype(np.float64)
     value = samples[first] * (1.0 - part) + samples[np.minimum(first + 1, len(samples) - 1)] * part
     share = np.where(inside, (value - level[:, None]) / height[:, None], np.nan)
-    enough = inside.sum(axis=0) >= FEWEST
+    enough = inside.sum(axis=0) >= bounds.waveforms
     if not enough.any():
         return 0.0
     delays, share = delays[enough], share[:, enough]
     middle = np.nanmedian(share, axis=0)
     spread = SIGMA_PER_MAD * np.nanmedian(np.abs(share - middle), axis=0)
-    aside = round(BESIDE * width / 0.5)
+    aside = round(bounds.beside * width / 0.5)
     padded = np.concatenate([np.full(aside, middle[0]), middle, np.full(aside, middle[-1])])
     beside = np.maximum(padded[: len(middle)], padded[2 * aside :])
     above = middle - beside
     best = int(np.argmax(above))
     error = ERROR_OF_MEDIAN * spread[best] / np.sqrt(inside[:, enough][:, best].sum())
     own = np.sqrt(max(spread[best] ** 2 - float(np.median((channel.noise / height) ** 2)), 0.0))
-    sure = above[best] > max(LEAST, SURE * error) and own < ALIKE * middle[best]
+    sure = above[best] > max(bounds.least, bounds.sure * error) and own < bounds.scatter * middle[best]
     return float(delays[best]) if sure else 0.0
 
 
@@ -226,15 +215,16 @@ def _shares(
     channel: Channel,
     delay: float,
     width: float,
+    bounds: CopyParams,
 ) -> tuple[tuple[int, float], ...]:
     """Delays [samples] about `delay` and shares that make the copy of `once` in it, by least squares over the samples
     where it lies; waveforms that have something else there do not count."""
     lags = np.arange(int(np.floor(delay - width)), int(np.ceil(delay + width)) + 1)
-    window = np.arange(-int(np.ceil(BESIDE * width)), int(np.ceil(BESIDE * width)) + 1)
+    window = np.arange(-int(np.ceil(bounds.beside * width)), int(np.ceil(bounds.beside * width)) + 1)
     at = np.rint(time + delay).astype(np.int64)[:, None] + window
     length = np.diff(waves.offsets)[row]
     whole = (at[:, -1] < length) & (at[:, 0] - lags[-1] >= 0)
-    if whole.sum() < FEWEST:
+    if whole.sum() < bounds.waveforms:
         return ()
     at = at[whole] + waves.offsets[row][whole][:, None]
     signal = once.samples.astype(np.float64) - channel.baseline
@@ -243,7 +233,7 @@ def _shares(
     kept = np.ones(len(at), np.bool_)
     shares = np.zeros(len(lags))
     for _ in range(ROUNDS):
-        if kept.sum() < FEWEST // 2:
+        if kept.sum() < bounds.waveforms // 2:
             return ()
         left, values, right = np.linalg.svd(before[kept].reshape(-1, len(lags)), full_matrices=False)
         some = values > SMOOTH * values[0]
@@ -251,6 +241,6 @@ def _shares(
         rough = np.sqrt(((there - before @ shares) ** 2).mean(axis=1))
         usual = float(np.median(rough))
         kept = rough < STRAY * usual
-    if abs(shares.sum()) > HIGHEST:
+    if abs(shares.sum()) > bounds.highest:
         return ()
     return tuple((int(lag), round(float(share), 6)) for lag, share in zip(lags, shares, strict=True))

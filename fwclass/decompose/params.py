@@ -12,6 +12,69 @@ FEWEST = 8
 """Echoes below which not even a width is believed."""
 
 
+class CopyParams(Params):
+    """When a receiver records every echo once more (`copies`); the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    waveforms, most_waveforms : of a bright echo, whose records reach a delay, that tell of a copy there.
+    bright : height by which such an echo stands out, in standard deviations of the noise.
+    behind, beside : distance of a copy from its echo at least, and of what it is held against from it, in pulse widths.
+    least, sure : share of the echo's height by which a copy stands out of what is beside, and in standard errors.
+    scatter : by how much of itself that share may differ between waveforms.
+    highest : share that a copy has at most; what is higher is a second surface.
+    most : delays of a channel.
+    """
+
+    waveforms: int = Field(ge=2, le=10_000_000)
+    most_waveforms: int = Field(ge=2, le=10_000_000)
+    bright: float = Field(gt=0.0)
+    behind: float = Field(gt=0.0, le=1000.0)
+    beside: float = Field(gt=0.0, le=1000.0)
+    least: float = Field(ge=0.0, le=1.0)
+    sure: float = Field(ge=0.0)
+    scatter: float = Field(gt=0.0, le=1.0)
+    highest: float = Field(gt=0.0, le=1.0)
+    most: int = Field(ge=1, le=100)
+
+
+class ParityParams(Params):
+    """When samples of even and of odd number have two gains (`sample_parity`); the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    waveforms : bright ones of either kind, whose highest sample has an even or an odd number, that tell it.
+    pieces : parts along a strip that are asked on their own.
+    bright : sum of a waveform's samples, in standard deviations of its noise.
+    least, most, sure : half the difference of both gains that is made good, at least, at most, in standard errors.
+    alike, chance : share of it, or standard errors, by which what both kinds of waveforms tell may differ.
+    """
+
+    waveforms: int = Field(ge=2, le=10_000_000)
+    pieces: int = Field(ge=1, le=1000)
+    bright: float = Field(gt=0.0)
+    least: float = Field(ge=0.0, lt=1.0)
+    most: float = Field(gt=0.0, lt=1.0)
+    sure: float = Field(ge=0.0)
+    alike: float = Field(ge=0.0, le=1.0)
+    chance: float = Field(ge=0.0)
+
+
+class BeamLengthParams(Params):
+    """What lengths of beam vectors may be (`beam_lengths`); the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    moved : distance along the beam by which a length may move an echo [m].
+    walk : share by which lengths may differ within a strip.
+    unlike : share by which they may differ from light's way in air.
+    """
+
+    moved: float = Field(gt=0.0, le=1000.0)
+    walk: float = Field(ge=0.0, le=1.0)
+    unlike: float = Field(ge=0.0, le=1.0)
+
+
 class PulseParams(Params):
     """Parameters of the estimate of the system's pulse; the numbers are in `conf/base.yaml`.
 
@@ -26,6 +89,7 @@ class PulseParams(Params):
     isolation : share of an echo's height by which its waveform may rise again elsewhere.
     tail : time after the peak that the pulse is followed [ns]; up to four times as long where it still is not over.
     worth : least mean gain of chi-square, per echo that the shape was not made of, that a measured shape must bring.
+    copies, parity : when echoes recorded once more, and two gains in turn, are taken off.
     """
 
     shape: Literal["auto", "gaussian", "measured"]
@@ -39,6 +103,8 @@ class PulseParams(Params):
     isolation: float = Field(gt=0.0, lt=1.0)
     tail: float = Field(ge=0.0, le=1000.0)
     worth: float = Field(ge=0.0)
+    copies: CopyParams
+    parity: ParityParams
 
     @model_validator(mode="after")
     def _one_width(self) -> PulseParams:
@@ -80,6 +146,7 @@ class DecomposeParams(Params):
     white_noise : correlation of neighbouring quiet samples up to which noise counts as white; above it the last echoes
         of a pulse that no return explains must stand out of the noise as it is.
     iterations, tolerance : end of the fit: steps, and gain of chi-square in one step.
+    beam_lengths : what is told of lengths of beam vectors.
     """
 
     detection: float = Field(gt=0.0)
@@ -104,6 +171,7 @@ class DecomposeParams(Params):
     white_noise: float = Field(ge=0.0, le=1.0)
     iterations: int = Field(ge=1, le=10_000)
     tolerance: float = Field(gt=0.0)
+    beam_lengths: BeamLengthParams
 
 
 class BathymetryParams(Params):

@@ -121,7 +121,7 @@ def measure_placement(
     return replace(
         placement,
         recurring=recurring,
-        uneven=uneven_echoes(sample, fits),
+        uneven=uneven_echoes(sample, fits, params.beam_lengths),
         alternate=alternate_heights(sample, fits),
         descriptors=descriptor_heights(sample, fits),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.channel_rows import channel_rows
-from fwclass.decompose.params import PulseParams
+from fwclass.decompose.params import ParityParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.pulse_sample import of_channel, rows_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
@@ -22,23 +22,6 @@ from fwclass.units import SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
 
 Floats = NDArray[np.float64]
-
-FEWEST = 200
-"""Bright waveforms whose highest sample has an even number, and an odd one, that tell gains, of the whole strip."""
-
-PIECES = 4
-"""Parts along a strip that are asked on their own, as a file may be joined of two receivers'."""
-
-BRIGHT = 10.0
-"""Standard deviations of its noise by which the sum of a bright waveform's samples stands out."""
-
-LEAST, MOST, SURE = 0.0025, 0.2, 5.0
-"""Half the difference of both gains that is made good, at least, at most, and in its standard errors: 0.0003 at most on
-three receivers."""
-
-ALIKE, CHANCE = 0.5, 3.0
-"""Share of it, or standard errors, by which what both kinds of waveforms tell may differ. A short pulse at one phase of
-the samples has another sign where its highest sample has another number."""
 
 TRIMMED, ROUNDS = 4.0, 3
 
@@ -52,7 +35,10 @@ def estimate_even_pulse(waves: Waveforms, params: PulseParams, recorded: SystemP
     Depends on the set of waveforms only.
     """
     pulse = estimate_pulse(waves, params, recorded)
-    gains = {c.key: _gains(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c) for c in pulse.channels}
+    gains = {
+        c.key: _gains(of_channel(waves, c, pulse.channels, len(waves.samples) + 1), c, params.parity)
+        for c in pulse.channels
+    }
     pulse = _with_gains(pulse, gains)
     if not any(c.parity for c in pulse.channels):
         return pulse
@@ -88,22 +74,24 @@ def _signs(waves: Waveforms) -> Floats:
     return 1.0 - 2.0 * (number & 1)
 
 
-def _gains(waves: Waveforms, channel: Channel) -> tuple[float, float]:
+def _gains(waves: Waveforms, channel: Channel, params: ParityParams) -> tuple[float, float]:
     """Gain of a channel's samples of even number over the mean of both, less 1, and by how much it differs between
     quarters of the strip; each 0 where that is not sure."""
-    quarters = np.array_split(np.argsort(waves.pulses["pulse"], kind="stable"), PIECES)
-    known = [one for q in quarters if (one := _parity(rows_of(waves, q), channel, FEWEST // PIECES))]
-    whole = _sure(*(_parity(waves, channel, FEWEST) or NONE))
+    quarters = np.array_split(np.argsort(waves.pulses["pulse"], kind="stable"), params.pieces)
+    known = [
+        one for q in quarters if (one := _parity(rows_of(waves, q), channel, params.waveforms // params.pieces, params))
+    ]
+    whole = _sure(*(_parity(waves, channel, params.waveforms, params) or NONE), params)
     (low, doubt), (high, doubt_too) = (min(known), max(known)) if known else (NONE, NONE)
-    return whole if abs(whole) <= MOST else 0.0, _sure(high - low, float(np.hypot(doubt, doubt_too)))
+    return whole if abs(whole) <= params.most else 0.0, _sure(high - low, float(np.hypot(doubt, doubt_too)), params)
 
 
-def _sure(value: float, error: float) -> float:
+def _sure(value: float, error: float, params: ParityParams) -> float:
     """`value`, or 0 where it is little, or no more than chance."""
-    return value if abs(value) > SURE * error and abs(value) >= LEAST else 0.0
+    return value if abs(value) > params.sure * error and abs(value) >= params.least else 0.0
 
 
-def _parity(waves: Waveforms, channel: Channel, least: int) -> tuple[float, float] | None:
+def _parity(waves: Waveforms, channel: Channel, least: int, params: ParityParams) -> tuple[float, float] | None:
     """Gain of samples of even number over the mean of both, less 1, and its standard error; None where fewer than
     `least` bright waveforms of either kind tell it, or both kinds tell something else."""
     waves = rows_of(waves, np.flatnonzero(np.diff(waves.offsets) > 1))
@@ -119,7 +107,7 @@ def _parity(waves: Waveforms, channel: Channel, least: int) -> tuple[float, floa
     at_highest = samples == np.repeat(highest, length)
     number = np.add.reduceat(np.where(at_highest, 1, 0), first)
     peak = np.maximum.reduceat(np.where(at_highest, sign, -1.0), first)
-    some = (number == 1) & (highest < channel.clip) & (sums > BRIGHT * channel.noise * np.sqrt(used))
+    some = (number == 1) & (highest < channel.clip) & (sums > params.bright * channel.noise * np.sqrt(used))
     sums, turns, used, even = sums[some], turns[some], used[some], peak[some] > 0.0
     if min(even.sum(), (~even).sum()) < least:
         return None
@@ -134,6 +122,6 @@ def _parity(waves: Waveforms, channel: Channel, least: int) -> tuple[float, floa
     spread = np.linalg.pinv(known[kept].T @ known[kept])[1:, 1:] * sigma**2
     error = 0.5 * np.sqrt(max(float(spread.sum()), 0.0))
     alone = np.sqrt(np.maximum(spread.diagonal(), 0.0))
-    if abs(one - other) > max(ALIKE * abs(one + other), CHANCE * float(alone.max())):
+    if abs(one - other) > max(params.alike * abs(one + other), params.chance * float(alone.max())):
         return None
     return float(0.5 * (one + other)), float(error)

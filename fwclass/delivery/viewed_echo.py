@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass import conf
 from fwclass.classify.stage import classify
 from fwclass.decompose.params import DecomposeParams
 from fwclass.delivery.explain import deciding_values
@@ -60,7 +61,8 @@ class BehindEchoes:
         from fwclass.single_file.waveforms.shown import see
 
         waves = self.waves(strip, pulse)
-        params = DecomposeParams(**self._delivery.report["config"]["decompose"])
+        now = conf.section("decompose").model_dump()  # a run of an earlier version lacks what came since
+        params = DecomposeParams(**now | self._delivery.report["config"]["decompose"])
         system = pulse_of(strip, self._inputs)
         view = see(waves, params, system, (pulse,))
         picture, facts = pulse_picture(view, 0, system)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.assess.remarks import percent_words
-from fwclass.decompose.beam_lengths import OFF
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.errors import refuse_unsound
@@ -177,9 +176,9 @@ def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeP
     lines += _above(strips, "misplaced", TOLD_FROM, "neighbouring returns of one pulse", words)
     if some := [s for s in strips if (s["uneven_share"] or 0.0) > UNEVEN]:
         lines.append(
-            f"{_part(some, 'uneven', 'uneven_asked', 'echoes')} of a sample lie more than {OFF:g} m off along their "
-            "beam, as beam vectors are not as long as light's way, or not all of them, or are rounded: "
-            f"{LENGTHS} ({names_of(some)})"
+            f"{_part(some, 'uneven', 'uneven_asked', 'echoes')} of a sample lie more than "
+            f"{params.beam_lengths.moved:g} m off along their beam, as beam vectors are not as long as light's way, or "
+            f"not all of them, or are rounded: {LENGTHS} ({names_of(some)})"
         )
     if some := [s for s in strips if s["off_earth"]]:
         lines.append(

@@ -97,6 +97,8 @@ def test_the_order_of_the_waveforms_does_not_matter():
     mixed = rows_of(waves, np.random.default_rng(1).permutation(PULSES))
     one, other = (estimate_single_pulse(w, params, FIT, None).channels[0].copies for w in (waves, mixed))
     assert one == other != ()
+    surer = params.model_copy(update={"copies": params.copies.model_copy(update={"least": 0.3})})
+    assert estimate_single_pulse(waves, surer, FIT, None).channels[0].copies == ()
 
 
 def test_pulses_remember_them():

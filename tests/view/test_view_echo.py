@@ -60,6 +60,16 @@ def test_the_waveform_is_that_of_the_chunk_which_has_the_pulse(run: Path) -> Non
             behind.pulse(of, pulse)
 
 
+def test_the_waveform_of_a_run_that_lacks_a_setting_is_shown(run: Path) -> None:
+    """As one of an earlier version does."""
+    delivery = open_run(run)
+    part = min(p for s, p in Store(run, read_only=True).parts() if s == "read")
+    pulse = int(PartInputs(Store(run, read_only=True)).table("read", part, ("pulse",), "pulses.parquet")["pulse"][0])
+    told = BehindEchoes(delivery).pulse(int(part.split("-")[0]), pulse)
+    assert delivery.report["config"]["decompose"].pop("beam_lengths")
+    assert BehindEchoes(delivery).pulse(int(part.split("-")[0]), pulse) == told
+
+
 @pytest.mark.slow
 def test_the_fit_that_is_shown_is_the_one_whose_echoes_were_delivered(run: Path) -> None:
     """As many echoes, as high, of every fiftieth pulse."""
