@@ -23,6 +23,7 @@ from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.waveforms import Waveforms
 
 Floats = NDArray[np.floating]
+_Key = tuple[float, float, tuple[int, ...]]
 
 FEWEST = 200
 """Bright single echoes below which nothing is said."""
@@ -30,9 +31,14 @@ MOST_SAMPLES = 2_000_000
 BRIGHT = 2.0
 """Standard deviations of the noise from which a sample belongs to an echo here."""
 PARAMETERS = 3
-FITS, CUTS = 5, 5
-OUTLIER = 3.0
-"""Echoes that leave this many times what those of their height do hide another one."""
+ROUNDS, CUTS = 24, 100
+"""Fits and regressions at most."""
+SETTLED, LEAST = 0.005, 5e-5
+"""A fit may show a growth and a shape error that differ from those it weighed by by this share, or by `LEAST`."""
+STEEPEST = 0.8
+"""How much of a change of the shape error a fit may show again; the more, the farther is where the two agree."""
+OUTLIER = 2.0
+"""Echoes that leave more than so many times what those of their height do count as so many: they hide another one."""
 SURE = 3.0
 """Standard errors that the growth must reach to be believed; it is a sum over samples that also hold other faults."""
 ABSURD = 0.2
@@ -49,31 +55,47 @@ def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposePar
     """`pulse` whose channels tell how their noise grows with the signal, where bright single echoes show it; its shape
     error is then what is left. Depends on the set of waveforms only.
 
-    Both are right when a fit that weighs its samples by them leaves as much of faint as of bright echoes.
+    Both are right when a fit that weighs its samples by them leaves as much of faint as of bright echoes, and as much
+    under as beside them. A growth that a later fit no more shows is none.
     """
-    tried = pulse
-    for _ in range(FITS):
-        channels, shared = [], []
+    tried, doubted = pulse, set[_Key]()
+    before: dict[_Key | None, tuple[float, float]] = {}
+    for _ in range(ROUNDS):
+        channels, settled = [], True
+        weighed = {_owner(c): tried.of(c).shape_error for c in tried.channels}
+        shown: dict[_Key | None, float] = {}
         for channel in tried.channels:
-            own = tried.of(channel)
-            look = lookup(own, channel.sample_spacing, 1.0, 1.1, channel.autoregression)
-            echoes = _bright(waves, channel, tried, params, look.pulse_gain)
-            if echoes is None:
-                channels.append(channel)
-                continue
-            by, left, height = echoes
-            growth, error = _separate_noise(by, left, np.array([channel.growth, own.shape_error**2, 1.0]))
-            matters = growth * height > NOTICED * channel.noise**2
-            error = math.sqrt(error)
-            if error > ABSURD:
-                return pulse
-            own_pulse = channel.pulse and replace(channel.pulse, shape_error=error)
-            shared += [] if channel.pulse else [error]
-            channels.append(replace(channel, growth=growth if matters else 0.0, pulse=own_pulse))
-        tried = replace(tried, channels=tuple(channels), shape_error=max(shared, default=tried.shape_error))
-        if not any(c.growth > 0.0 or c.phi for c in channels):
+            look = lookup(tried.of(channel), channel.sample_spacing, 1.0, 1.1, channel.autoregression)
+            echoes, growth = _bright(waves, channel, tried, params, look.pulse_gain), channel.growth
+            if echoes is not None:
+                growth, square = _separate_noise(echoes, channel.noise**2, channel.key not in doubted)
+                shown[_owner(channel)] = max(shown.get(_owner(channel), 0.0), math.sqrt(square))
+            if channel.growth > 0.0 and growth == 0.0:
+                doubted.add(channel.key)
+            settled &= abs(growth - channel.growth) <= SETTLED * growth
+            channels.append(replace(channel, growth=growth))
+        if not any(c.growth > 0.0 or c.phi for c in channels) or max(shown.values(), default=0.0) > ABSURD:
             return pulse
+        settled &= all(abs(e - weighed[o]) <= max(SETTLED * e, LEAST) for o, e in shown.items())
+        agreed = weighed | {o: _agreed(weighed[o], e, *before.get(o, (weighed[o], e))) for o, e in shown.items()}
+        before = {o: (weighed[o], e) for o, e in shown.items()}
+        channels = [replace(c, pulse=c.pulse and replace(c.pulse, shape_error=agreed[c.key])) for c in channels]
+        tried = replace(tried, channels=tuple(channels), shape_error=agreed.get(None, tried.shape_error))
+        if settled:
+            break
     return tried
+
+
+def _owner(channel: Channel) -> _Key | None:
+    """The channel whose pulse it has; None: the strip's."""
+    return channel.key if channel.pulse else None
+
+
+def _agreed(weighed: float, shown: float, weighed_before: float, shown_before: float) -> float:
+    """Where a fit shows the shape error that it weighs by, by a straight line through the last two (Wegstein 1958)."""
+    change = weighed - weighed_before
+    slope = min(max((shown - shown_before) / change, -1.0), STEEPEST) if change else 0.0
+    return min(max((shown - slope * weighed) / (1.0 - slope), 0.0), ABSURD)
 
 
 def with_misfit(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> SystemPulse:
@@ -122,40 +144,65 @@ def _single(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Deco
     return _Single(left, signal[use], row[use], np.where(one, height, np.nan))
 
 
+class _Bright(NamedTuple):
+    """Of the samples that a bright single echo reaches, and of those beside it, a row each: what (growth, square of the
+    shape error, noise) add to their mean square over what the fit takes it for, (rows, 3); that mean square, and its
+    degrees of freedom, (rows,). The median height of samples under echoes [DN]."""
+
+    by: Floats
+    left: Floats
+    freedom: Floats
+    height: float
+
+
 def _bright(
     waves: Waveforms, channel: Channel, pulse: SystemPulse, params: DecomposeParams, pulse_gain: float
-) -> tuple[Floats, Floats, float] | None:
-    """Of every waveform of the channel with one bright echo, over the samples that it reaches: what (growth, square of
-    the shape error, noise) add to the sum of the squared residuals over their variance, shape (n, 3), and what that sum
-    has beyond its degrees of freedom; both over these. Also the median height [DN]."""
-    single = _single(waves, channel, pulse, params)
-    noise, rows = channel.autoregression, len(single.height)
-    reached = single.signal > BRIGHT * channel.noise
-    left, row, signal = single.left[reached], single.row[reached], single.signal[reached]
-    growing, shape = noise.innovation * signal, (pulse_gain * signal) ** 2
-    plain = np.full(len(row), channel.noise**2 * noise.innovation)
+) -> _Bright | None:
+    """The waveforms of the channel with one bright echo; None where fewer than `FEWEST` have samples beside it, too."""
+    single, noise = _single(waves, channel, pulse, params), channel.autoregression
+    rows, reached = len(single.height), single.signal > BRIGHT * channel.noise
+    growing, shape = noise.innovation * np.maximum(single.signal, 0.0), (pulse_gain * single.signal) ** 2
+    plain = np.full(len(single.row), channel.noise**2 * noise.innovation)
     variance = plain + channel.growth * growing + pulse.of(channel).shape_error ** 2 * shape
-    count = np.bincount(row, minlength=rows)
-    use = count > 2 * PARAMETERS
-    if use.sum() < FEWEST:
-        return None
-    chi, *by = (np.bincount(row, v / variance, rows)[use] for v in (left**2, growing, shape, plain))
-    freedom = count[use] - PARAMETERS
-    return np.stack(by, axis=1) / count[use, None], chi / freedom - 1.0, float(np.median(signal))
+    under, beside = (np.bincount(single.row[m], minlength=rows) for m in (reached, ~reached))
+    bright = under > 2 * PARAMETERS
+    parts: list[tuple[NDArray, ...]] = []
+    for samples, count, spent in ((reached, under, PARAMETERS), (~reached, beside, 1)):
+        use, row = bright & (count > 2 * PARAMETERS), single.row[samples]
+        if use.sum() < FEWEST:
+            return None
+        sums = (np.bincount(row, (v / variance)[samples], rows)[use] for v in (growing, shape, plain, single.left**2))
+        *by, chi = sums
+        parts.append((np.stack(by, axis=1) / count[use, None], chi / (count[use] - spent), count[use] - spent))
+    height = float(np.median(single.signal[reached & bright[single.row]]))
+    whole = [np.concatenate(p) for p in zip(*parts, strict=True)]
+    return _Bright(whole[0], whole[1], whole[2], height)
 
 
-def _separate_noise(by: Floats, left: Floats, known: Floats) -> tuple[float, float]:
-    """(growth of the variance [DN], square of the shape error) from `_bright` echoes that were weighed by `known`.
+def _separate_noise(echoes: _Bright, variance: float, grows: bool) -> tuple[float, float]:
+    """(growth of the variance [DN], square of the shape error) of a channel whose noise has a `variance` [DN^2]; 0 for
+    a growth that is not sure, does not matter, or is not asked for (`grows`)."""
+    if grows:
+        (growth, square, _), error = _shares(echoes, 0)
+        if growth > SURE * error and growth * echoes.height > NOTICED * variance:
+            return float(growth), float(square)
+    return 0.0, float(_shares(echoes, 1)[0][0])
 
-    What all echoes leave alike is noise that differs between waveforms.
-    """
-    total = left + by @ known
-    inliers, both = np.ones(len(by), np.bool_), known
+
+def _shares(echoes: _Bright, first: int) -> tuple[Floats, float]:
+    """The factors of the columns from `first` on that foretell what is left, and the standard error of the first of
+    them. What noise leaves beside echoes is its share under them."""
+    by, half = echoes.by[:, first:], 0.5 * echoes.freedom
+    usual = scipy.special.gammainc(half + 1.0, OUTLIER * half)
+    usual += OUTLIER * scipy.special.gammaincc(half, OUTLIER * half)  # the mean of a chi-square that is cut so
+    foretold, both = np.full(len(by), np.median(echoes.left)), np.zeros(by.shape[1])
     for _ in range(CUTS):
-        rows, aim = by[inliers], total[inliers]
-        both = scipy.optimize.nnls(rows, aim)[0]
-        inliers = total < OUTLIER * (by @ both)
-    spread = float(((aim - rows @ both) ** 2).mean())
-    if both[0] > SURE * math.sqrt(spread * np.linalg.pinv(rows.T @ rows)[0, 0]):
-        return float(both[0]), float(both[1])
-    return 0.0, float(scipy.optimize.nnls(rows[:, 1:], aim)[0][0])
+        left = np.minimum(echoes.left / foretold, OUTLIER) / usual
+        before, both = both, scipy.optimize.nnls(by / foretold[:, None], left)[0]
+        foretold = np.maximum(by @ both, np.finfo(np.float64).tiny)
+        if np.allclose(both, before, rtol=1e-5, atol=1e-12):
+            break
+    rows = by / foretold[:, None]
+    inverse = np.linalg.pinv(rows.T @ rows)[0]
+    left = np.minimum(echoes.left / foretold, OUTLIER) / usual
+    return both, float(np.linalg.norm((rows @ inverse) * (left - 1.0)))
