@@ -75,6 +75,14 @@ def in_feet(part):
     part.scan_angle = np.rint(angle / 0.006).astype(np.int16)
 
 
+def thinned(part):
+    """Of three pulses of two returns one has both, one the first and one the second."""
+    rows = np.arange(len(part.points))
+    pulse = rows - (rows % 4 == 1)
+    part.gps_time, part.return_number, part.number_of_returns = 0.1 * pulse, 1 + rows % 2, np.full(len(rows), 2)
+    part.z = np.asarray(part.z)[pulse] - 0.3 * (rows % 4 == 1)
+
+
 def cut(part):
     part.number_of_returns[:], part.return_number[:] = 2, 1
 
@@ -93,6 +101,7 @@ def cut(part):
                 (still, 0, "all returns of b.las have one GPS time"),
                 (adjusted, 0, "GPS times of a.las are seconds of the week, those of b.las are not"),
                 (unnumbered, 0, "every return of b.las is numbered as its pulse's only one"),
+                (thinned, 0, "50 % are not followed (b.las): points were thinned one by one"),
                 (cut, 0, "some returns of pulses with several are missing in b.las"),
             )
         ),

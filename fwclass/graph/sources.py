@@ -27,7 +27,9 @@ from fwclass.decompose.water_column import water_counts
 from fwclass.decompose.width_walk import bright_widths, width_drift, width_walk
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
+from fwclass.read.base import Source
 from fwclass.read.beams import sensor_height
+from fwclass.read.las import LasSource
 from fwclass.read.params import ReadParams
 from fwclass.read.return_counts import count_returns
 from fwclass.read.source import PulseSource, open_source
@@ -131,15 +133,16 @@ def index_strip(here: StageInputs, params: ReadParams) -> Result:
 
 def store_span(here: StageInputs, params: ReadParams, span: Span) -> Result:
     """Pulses, returns and waveforms of one span."""
-    waves = read_span(open_source(here.file()), span, params)
+    source = open_source(here.file())
+    waves = read_span(source, span, params)
     write_table(here.directory / RETURNS, waves.returns)
     if waves.pulses.rows:
         write_table(here.directory / "pulses.parquet", waves.pulses)
         write_arrays(here.directory / "waveforms", {name: getattr(waves, name) for name in _ARRAYS})
-    return _facts(waves)
+    return _facts(waves, source)
 
 
-def _facts(waves: Waveforms) -> dict[str, Any]:
+def _facts(waves: Waveforms, source: Source) -> dict[str, Any]:
     """What was read, for a receipt."""
     return {
         "returns": waves.returns.rows,
@@ -147,7 +150,7 @@ def _facts(waves: Waveforms) -> dict[str, Any]:
         "waveforms": waves.pulses.rows,
         "returns_without_packet": int((~waves.returns["has_packet"]).sum()),
         "faults": {k: int(v) for k, v in sorted(waves.faults.items()) if v},
-        "values": count_returns(waves.returns, waves.scan_angle),
+        "values": count_returns(waves.returns, waves.scan_angle, isinstance(source, LasSource) and source.is_copc),
     }
 
 
@@ -277,10 +280,11 @@ def read_returns(
 
     `width`: of a pulse [ns] that nothing is fitted with.
     """
-    waves = read_span(open_source(here.file()), span, reading, waves=not left_aside)
+    source = open_source(here.file())
+    waves = read_span(source, span, reading, waves=not left_aside)
     pulse = SystemPulse.gaussian(width)
     result = decompose(waves, strip_of(here.part), params, pulse, UNKNOWN, bathymetry=bathymetry)
-    return {**_facts(waves), **_write_echoes(here, result)}
+    return {**_facts(waves, source), **_write_echoes(here, result)}
 
 
 def _write_echoes(here: StageInputs, result: tuple[Table, Table, Mapping[str, int]]) -> dict[str, Any]:

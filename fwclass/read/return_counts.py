@@ -55,6 +55,10 @@ NEAR_UNIT, OF_ONE_UNIT = 0.15, 1.3
 """Logarithm by which the ratio of slants may be off a foot's, and third quartile over first: in nine public files it is
 0.99 to 1.1 and 1.01 to 1.15, on a drone whose angles count from its own axes 0.6 and 2.5."""
 
+BACK = 0.05
+"""Share of steps back in time from which on a file is in another order (0 to 0.04 in files as they were measured, a
+half where they are sorted otherwise), and of times that several pulses share."""
+
 PAIRS = 100
 """Returns of a file that follow another before they tell in which order they are numbered; all fall in nine files."""
 
@@ -62,17 +66,21 @@ FINE = 20
 """mm; a lattice of so few among the first places is looked into no further."""
 
 
-def count_returns(returns: Table, scan_angle: NDArray[np.float32] | None = None) -> dict[str, Any]:
-    """Plain data of the returns of a span and their scan angles [degrees], as `join_counts` joins them.
+def count_returns(
+    returns: Table, scan_angle: NDArray[np.float32] | None = None, octree: bool = False
+) -> dict[str, Any]:
+    """Plain data of the returns of a span and their scan angles [degrees], as `join_counts` joins them. `octree`: the
+    file has them by depth, so that returns of a pulse are spans apart.
 
     ``intensities``: single returns by class of `EDGES` (the number of edges not above the value), where intensity is
     what a return's amplitude is, else empty. ``intensity``: least and greatest. ``times``: first and last GPS time [s],
     None without one. ``several``: returns of pulses with more than one. ``missing``: returns that such pulses lack at
     least. ``following``: among the first `PAIRED` of them, those that follow another of their pulse by number, and of
-    these the ones that do not lie higher. ``slants``: of these, aside of the vertical, how many have which ratio, by
-    class of `SLANTS`, of the slant by their places to that by their scan angle. ``lattice``: for x, y and z [mm] the
-    least and the greatest, and the longest step of which all are multiples from there on; 0 where all are alike, and at
-    most `FINE` where it need not be the longest.
+    these the ones that do not lie higher. ``kept``: of the first `PAIRED`, those that another of their pulse must
+    follow, and how many are followed; zeros where the file's order or its times do not tell. ``slants``: of those that
+    follow another, aside of the vertical, how many have which ratio, by class of `SLANTS`, of the slant by their places
+    to that by their scan angle. ``lattice``: for x, y and z [mm] the least and the greatest, and the longest step of
+    which all are multiples from there on; 0 where all are alike, and at most `FINE` where it need not be the longest.
     """
     number, of = (returns[n] for n in ("return_number", "number_of_returns"))
     intensity, time = returns["intensity"], returns["gps_time"]
@@ -86,6 +94,7 @@ def count_returns(returns: Table, scan_angle: NDArray[np.float32] | None = None)
         "times": [float(time.min()), float(time.max())] if len(time) else None,
         "several": int((of > 1).sum()),
         "missing": missing_returns(pairs),
+        "kept": [0, 0] if octree else count_kept(returns),
         **count_pairs(returns, scan_angle),
         "lattice": [lattice_of(returns[axis]) for axis in "xyz"],
     }
@@ -105,6 +114,7 @@ def join_counts(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         "several": sum(p["several"] for p in parts),
         "missing": sum(p["missing"] for p in parts),
         "following": [sum(p.get("following", (0, 0))[k] for p in parts) for k in (0, 1)],
+        "kept": [sum(p.get("kept", (0, 0))[k] for p in parts) for k in (0, 1)],
         "slants": [sum(column) for column in zip(*(p["slants"] for p in parts if "slants" in p), strict=True)],
         "lattice": [join_lattices(p["lattice"][k] for p in parts) for k in range(3)] if parts else None,
     }
@@ -203,6 +213,22 @@ def count_pairs(returns: Mapping[str, NDArray] | Table, scan_angle: NDArray[np.f
     aside = np.hypot(*(returns[axis][first] - returns[axis][second] for axis in "xy"))
     ratio = aside / fall[far] / np.tan(np.radians(angle[far]))
     return counts | {"slants": np.bincount(np.searchsorted(SLANTS, ratio), minlength=len(SLANTS) + 1).tolist()}
+
+
+def count_kept(returns: Table) -> list[int]:
+    """``kept`` of `count_returns`: what is thinned pulse by pulse keeps all that follow, what is thinned return by
+    return as many as returns are left."""
+    time, number, of = (returns[n] for n in ("gps_time", "return_number", "number_of_returns"))
+    some = np.flatnonzero((of > 1) & np.isfinite(time))[:PAIRED]
+    if len(some) < 2 or (np.diff(time[some]) < 0).mean() > BACK:
+        return [0, 0]
+    some = some[np.lexsort((number[some], time[some]))]
+    first, second = some[:-1], some[1:]
+    same = time[first] == time[second]
+    after = same & (number[first].astype(int) + 1 == number[second]) & (of[first] == of[second])
+    if (same & (number[first] == number[second])).mean() > BACK or not after.any():  # or each has its own time
+        return [0, 0]
+    return [int((number[first] < of[first]).sum()), int(after.sum())]
 
 
 def _pairs(returns: Mapping[str, NDArray] | Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

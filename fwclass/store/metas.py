@@ -53,6 +53,7 @@ _VALUES = {
     "several": COUNT,
     "missing": COUNT,
     "following?": (COUNT, COUNT),
+    "kept?": (COUNT, COUNT),
     "slants?": (COUNT,) * 62,
     "lattice": ((WHOLE, WHOLE, COUNT),) * 3,
 }

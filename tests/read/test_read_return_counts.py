@@ -96,6 +96,30 @@ def test_returns_that_follow_each_other():
     assert count_returns(backward)["following"] == [1000, 500]
 
 
+def test_points_thinned_one_by_one_are_not_pulses_thinned():
+    """The counts by number of return stay balanced, and nothing told of it."""
+    r = np.random.default_rng(2)
+    of = r.integers(1, 4, 4000)
+    pulse, number = np.repeat(np.arange(4000), of), np.concatenate([np.arange(1, n + 1) for n in of])
+    time = pulse * 1e-5
+    same = dict.fromkeys(("x", "y", "z", "vendor_amplitude"), np.full(len(pulse), np.nan))
+    table = Table({**same, "gps_time": time, "return_number": number, "number_of_returns": of[pulse]})
+    table = table.with_columns({"intensity": np.ones(len(pulse), int)})
+    must = int((number < of[pulse]).sum())
+    assert count_returns(table)["kept"] == [must, must]
+    by_pulse = table.take(np.flatnonzero(r.random(4000)[pulse] < 0.3))
+    before, after = count_returns(by_pulse)["kept"]
+    assert before == after > 0.25 * must
+    one_by_one = table.take(np.flatnonzero(r.random(len(pulse)) < 0.5))
+    before, after = count_returns(one_by_one)["kept"]
+    assert after / before == pytest.approx(0.5, abs=0.05)
+    shuffled = one_by_one.take(r.permutation(one_by_one.rows))
+    still, own = (one_by_one.with_columns({"gps_time": f * np.arange(one_by_one.rows)}) for f in (0.0, 1e-7))
+    for not_told in (shuffled, still, own):
+        assert count_returns(not_told)["kept"] == [0, 0]
+    assert count_returns(one_by_one, None, True)["kept"] == [0, 0]
+
+
 def test_returns_that_are_missing():
     pairs = np.zeros((16, 16), np.int64)
     pairs[1, 2], pairs[2, 2], pairs[3, 3] = 5, 3, 4
