@@ -125,11 +125,16 @@ class QualityError(FwclassError):
     exit_code = QUALITY
 
 
-def refuse_unsound(said: Sequence[str], accepted: bool, what: str, where: object, expected: str, do: str) -> None:
+ACCEPT = "--accept-implausible (plausibility.accept=true) takes it as it is"
+
+
+def refuse_unsound(
+    said: Sequence[str], accepted: bool, what: str, where: object, expected: str, do: str, accept: str = ACCEPT
+) -> None:
     """`QualityError` with the sentences `said` of what no sound input shows; nothing without any, or where they are
-    accepted."""
+    accepted. What to do ends with how to `accept` it."""
     if said and not accepted:
-        raise QualityError(what, where=where, expected=expected, got="; ".join(said), do=do)
+        raise QualityError(what, where=where, expected=expected, got="; ".join(said), do=f"{do}; {accept}")
 
 
 def refuse_named(
@@ -139,8 +144,7 @@ def refuse_named(
     are accepted (plausibility.accept). A way: name among the facts, what is wrong, what was expected, what to do."""
     for name, what, expected, do in ways:
         said = [facts[name]] if facts and facts[name] else []
-        also = "--accept-implausible (plausibility.accept=true) takes them as they are"
-        refuse_unsound(said, accepted, what, where, expected, f"{do}; {also}")
+        refuse_unsound(said, accepted, what, where, expected, do)
 
 
 def first_few(words: Sequence[str], most: int, between: str = ", ") -> str:

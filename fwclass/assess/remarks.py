@@ -150,8 +150,7 @@ def _refuse_chance(kappa: str, accepted: bool, where: object) -> None:
         "the classes agree with the reference no better than chance does",
         where,
         expected="kappa above 0, with its interval",
-        do="look whether the labels are those of these echoes, and at the confusion matrix; --accept-implausible "
-        "(plausibility.accept=true) takes it as it is",
+        do="look whether the labels are those of these echoes, and at the confusion matrix",
     )
 
 

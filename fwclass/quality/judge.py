@@ -20,8 +20,7 @@ def judge_check_points(facts: Mapping[str, Any] | None, accepted: bool, where: o
         "the check points' heights are not the survey's",
         where,
         expected="differences of decimetres at most in the mean",
-        do="bring both into one vertical system and unit; --accept-implausible (plausibility.accept=true) takes them "
-        "as they are",
+        do="bring both into one vertical system and unit",
     )
 
 

@@ -108,8 +108,7 @@ def judge_steps(facts: Mapping[str, Any], most: float, accepted: bool, where: ob
         "files or flight lines of the survey do not lie at one height",
         where,
         expected=f"steps of at most {most:g} m (plausibility.max_height_step)",
-        do="ask for a delivery that was adjusted as a whole, and look at the heights' datum of what came last; "
-        "--accept-implausible (plausibility.accept=true) takes them as they are",
+        do="ask for a delivery that was adjusted as a whole, and look at the heights' datum of what came last",
     )
 
 

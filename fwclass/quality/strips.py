@@ -297,7 +297,7 @@ def judge_strips(facts: Mapping[str, Any], accepted: bool, where: object) -> Non
         where,
         expected="one surface where two strips see it, and from one file to the next",
         do="look at quality.html (`fwclass run --workflow quality`), which tells where, and at the files' coordinate "
-        "systems (`fwclass info`); --accept-implausible (plausibility.accept=true) takes them as they are",
+        "systems (`fwclass info`)",
     )
 
 

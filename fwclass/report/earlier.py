@@ -54,6 +54,6 @@ def judge_sources(facts: Mapping[str, Any] | None, accepted: bool, where: object
         "sources of the delivery before are gone",
         where=f"{where}: survey.sources",
         expected="every file that was delivered before",
-        do="put them back and run again; if they are to be left out, nothing is to be done: the next delivery is held "
-        "against this one (--accept-implausible says so at once)",
+        do="put them back and run again; if they are to be left out, nothing is to be done",
+        accept="the next delivery is held against this one (--accept-implausible says so at once)",
     )

@@ -59,8 +59,7 @@ def judge_sunken(remarks: Sequence[str], bounds: PlausibilityParams, where: obje
         "what the file calls ground is not its lowest surface",
         where,
         expected=f"at most {100 * bounds.max_sunken:g} % of the points further below it",
-        do="look at the file's classes (`fwclass info`), or let the ground be looked for (--method smrf); "
-        "--accept-implausible (plausibility.accept=true) takes it as it is",
+        do="look at the file's classes (`fwclass info`), or let the ground be looked for (--method smrf)",
     )
 
 
@@ -97,8 +96,7 @@ def judge_halls(facts: Mapping[str, Any] | None, bounds: PlausibilityParams, whe
         expected=f"at most {100 * bounds.max_on_halls:g} % of the ground on flat things from which it goes down on all "
         "sides",
         do=f"look for wider buildings: ground.max_building_size={math.ceil(1.3 * halls['width'])}, or "
-        "ground.method=auto (--auto), which measures them; --accept-implausible (plausibility.accept=true) takes it as "
-        "it is",
+        "ground.method=auto (--auto), which measures them",
     )
 
 
@@ -194,8 +192,7 @@ def judge_ground(facts: Mapping[str, Any], bounds: PlausibilityParams, where: ob
         "the filter's ground is not what the reference calls ground",
         where,
         expected="agreement that chance does not give: kappa above 0",
-        do="look at survey.classes (code, codes) and at the labels' heights; --accept-implausible "
-        "(plausibility.accept=true) takes it as it is",
+        do="look at survey.classes (code, codes) and at the labels' heights",
     )
     refuse_unsound(
         [f"0 of {facts['echoes']:,}"] if facts["echoes"] and not facts["ground"] else [],
@@ -203,6 +200,5 @@ def judge_ground(facts: Mapping[str, Any], bounds: PlausibilityParams, where: ob
         "no echo is ground",
         where,
         expected="some, or there is no terrain and no height",
-        do="look at return numbers and units (`fwclass info`), or try another ground.method; --accept-implausible "
-        "(plausibility.accept=true) takes it as it is",
+        do="look at return numbers and units (`fwclass info`), or try another ground.method",
     )

@@ -207,6 +207,5 @@ def judge_place(place: Mapping[str, Any] | None, accepted: bool, where: object) 
         "the echoes do not lie where their coordinate system is",
         where,
         expected="places in the area that the system is used in, at heights where land is",
-        do="name the right system (--crs, survey.crs), or mend the files' coordinates; --accept-implausible "
-        "(plausibility.accept=true) takes them as they are",
+        do="name the right system (--crs, survey.crs), or mend the files' coordinates",
     )

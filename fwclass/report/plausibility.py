@@ -370,5 +370,5 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
                 f"more {words} than a sound survey has",
                 where=f"{worst['name']}{others}",
                 expected=f"at most {percent_words(most)} (plausibility.max_{kind})",
-                do=f"{hint}; --accept-implausible (plausibility.accept=true) takes them as they are",
+                do=hint,
             )

@@ -41,5 +41,5 @@ def judge_radiometry(said: Sequence[str], accepted: bool, where: object) -> None
         "trajectory or calibration are not those of the echoes",
         where,
         expected="what radiometry.sound allows (docs/radiometry.md)",
-        do="mend them; --accept-implausible (plausibility.accept=true) takes ranges and radiometry as they are",
+        do="mend them",
     )

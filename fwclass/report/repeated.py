@@ -132,7 +132,6 @@ def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) 
     it."""
     if facts is None:
         return
-    taking = "--accept-implausible (plausibility.accept=true) takes them as they are"
     once = "take every file once, and cut rims that files have in common off"
     within = [p for p in facts.get("pairs", ()) if (p["of_smaller"] or 0.0) > params.max_shared]
     if within and within[0]["echoes"] >= params.least:
@@ -142,7 +141,7 @@ def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) 
             "the sources have a file twice",
             where=first_few([f"{p['first']} and {p['second']}" for p in within], NAMED, "; "),
             expected=f"at most {100 * params.max_shared:g} % of a file's echoes in another (plausibility.max_shared)",
-            do=f"{once}; {taking}",
+            do=once,
         )
     if facts["share"] <= params.max_repeated:
         return
@@ -158,7 +157,7 @@ def judge_repeated(facts: Mapping[str, Any] | None, params: PlausibilityParams) 
         "the sources have too many echoes twice",
         where=_pairs(facts["files"], facts.get("pairs", ())),
         expected=f"at most {100 * params.max_repeated:g} % with place and time of another (plausibility.max_repeated)",
-        do=f"{advice}; {taking}",
+        do=advice,
     )
 
 

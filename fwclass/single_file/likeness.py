@@ -138,7 +138,8 @@ def judge_likeness(sentences: Sequence[str], accepted: bool, where: object) -> N
         "the two do not show the same points",
         where,
         expected="the same points, in one coordinate system",
-        do="mend it, and compare again; --accept-implausible takes the figures as they are",
+        do="mend it, and compare again",
+        accept="--accept-implausible takes the figures as they are",
     )
 
 

@@ -287,7 +287,7 @@ def judge_recording(faults: Sequence[str], accepted: bool, where: object) -> Non
         "the recording is not what it says",
         where,
         expected="what street.sound allows (docs/street.md)",
-        do="mend it, and run again; --accept-implausible (plausibility.accept=true) takes it as it is",
+        do="mend it, and run again",
     )
 
 
