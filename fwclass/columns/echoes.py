@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from fwclass.columns.record import NAN, Column, extra_byte, measured
+from typing import Any
 
-ECHOES = (
+from fwclass.columns.record import NAN, Column, measured, published
+
+_COLUMNS = (
     # who an echo is; (strip, pulse, echo_number) is unique and the canonical order
     Column("strip", "u2", "", "number of the source file, which follows from its name; report.json lists them"),
     Column(
@@ -12,7 +14,6 @@ ECHOES = (
         "u4",
         "",
         "index of the pulse in its strip, in order of first appearance in the file; without waveforms, of the return",
-        **extra_byte("pulse", "its place in the source file"),
     ),
     Column(
         "echo_number",
@@ -42,89 +43,36 @@ ECHOES = (
         "DN",
         "height of the fitted echo above the baseline; a kept return's vendor amplitude [dB] or intensity",
         low=0,
-        **extra_byte("amplitude DN", "height above the baseline", "u4", 0.1),
     ),
     measured(
         "amplitude_db",
         "dB",
         "10 log10 of amplitude over the strip's detection limit; vendor's value where read",
         source="RIEGL extra byte `Amplitude`",
-        **extra_byte("Amplitude", "above the detection limit", "i2", 0.01),
     ),
-    measured(
-        "width",
-        "ns",
-        "echo width, full width at half maximum",
-        low=0,
-        **extra_byte("echo width", "full width at half maximum", "u2", 0.01),
-    ),
-    measured(
-        "time",
-        "ns",
-        "time of the echo in its waveform, from the first sample of the pulse's first segment",
-        **extra_byte("echo time", "from the first sample"),
-    ),
-    measured(
-        "energy",
-        "DN ns",
-        "area under the fitted echo, times the segment's relative gain",
-        low=0,
-        **extra_byte("echo energy", "area under the echo"),
-    ),
-    measured(
-        "amplitude_sigma",
-        "DN",
-        "standard error of amplitude, from the fit's covariance",
-        low=0,
-        **extra_byte("amplitude sigma", "standard error of amplitude"),
-    ),
-    measured(
-        "width_sigma",
-        "ns",
-        "standard error of width, from the fit's covariance",
-        low=0,
-        **extra_byte("width sigma", "standard error of width"),
-    ),
-    measured(
-        "range_sigma",
-        "m",
-        "standard error of the echo's place along the beam, from the fit's covariance",
-        low=0,
-        **extra_byte("range sigma", "standard error of range"),
-    ),
+    measured("width", "ns", "echo width, full width at half maximum", low=0),
+    measured("time", "ns", "time of the echo in its waveform, from the first sample of the pulse's first segment"),
+    measured("energy", "DN ns", "area under the fitted echo, times the segment's relative gain", low=0),
+    measured("amplitude_sigma", "DN", "standard error of amplitude, from the fit's covariance", low=0),
+    measured("width_sigma", "ns", "standard error of width, from the fit's covariance", low=0),
+    measured("range_sigma", "m", "standard error of the echo's place along the beam, from the fit's covariance", low=0),
     measured(
         "deviation",
         "",
         "1000 x root mean square residual around the echo over its amplitude; 0 is the system's pulse",
         low=0,
         source="RIEGL extra byte `Deviation`",
-        **extra_byte("Deviation", "1000 x rms residual / amplitude", "u2"),
     ),
     measured("beam_range", "m", "distance from the sensor, where the source gives its place", low=0),
-    measured(
-        "baseline", "DN", "level of the waveform without echoes", **extra_byte("baseline", "level of the waveform")
-    ),
-    measured(
-        "noise_level",
-        "DN",
-        "standard deviation of the waveform's noise",
-        low=0,
-        **extra_byte("noise", "of the waveform"),
-    ),
-    measured(
-        "misfit",
-        "",
-        "reduced chi-square of the pulse's fit",
-        low=0,
-        **extra_byte("misfit", "reduced chi-square of the fit"),
-    ),
+    measured("baseline", "DN", "level of the waveform without echoes"),
+    measured("noise_level", "DN", "standard deviation of the waveform's noise", low=0),
+    measured("misfit", "", "reduced chi-square of the pulse's fit", low=0),
     Column(
         "fit_flags",
         "u1",
         "",
         "1 saturated, 2 overlapping, 4 poor fit, 8 at the segment's edge, 16 vendor return kept, "
         "32 far from the vendor's returns, 64 not fitted for want of a usable waveform, 128 implausible",
-        **extra_byte("fit flags", "bits, see docs/waveforms.md"),
     ),
     Column(
         "source_class",
@@ -139,37 +87,16 @@ ECHOES = (
         "1 the surface of water, 2 its bottom, placed behind the bent beam, 0 another echo",
         low=0,
         high=2,
-        **extra_byte("water", "1 surface, 2 bottom"),
     ),
     measured(
         "water_decay",
         "1/m",
         "how fast light fades in the pulse's water column, to and fro together, a metre along the beam",
         low=0,
-        **extra_byte("water decay", "of the column's light"),
     ),
-    measured(
-        "water_depth",
-        "m",
-        "how far a bottom lies below the surface of its pulse, vertically",
-        low=0,
-        **extra_byte("water depth", "of a bottom, vertical"),
-    ),
-    Column(
-        "stacked_pulses",
-        "u1",
-        "",
-        "pulses whose waveforms show the echo together; none alone does",
-        **extra_byte("stacked pulses", "that show the echo together"),
-    ),
-    Column(
-        "significance",
-        "f4",
-        "",
-        "height of the stacked echo over its standard deviation",
-        low=0,
-        **extra_byte("significance", "height over standard deviation"),
-    ),
+    measured("water_depth", "m", "how far a bottom lies below the surface of its pulse, vertically", low=0),
+    Column("stacked_pulses", "u1", "", "pulses whose waveforms show the echo together; none alone does"),
+    Column("significance", "f4", "", "height of the stacked echo over its standard deviation", low=0),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
     # samples of waveforms
     Column("sample", "u2", "", "number of the sample in its pulse, from 0"),
@@ -180,7 +107,6 @@ ECHOES = (
         "DN ns",
         "energy that was sent back here: the waveform freed of the system's pulse",
         low=0,
-        **extra_byte("returned energy", "energy sent back here"),
     ),
     Column("share", "f4", "", "of the energy of all samples of the pulse", low=0, high=1, las="share"),
     # returns, as read
@@ -216,3 +142,28 @@ ECHOES = (
     Column("gain", "f4", "", "volts a DN of the segment over those of the file's first waveform descriptor", low=0),
     Column("receiver", "u1", "", "waveform descriptor of the segment, which may stand for a receiver; 0 none is told"),
 )
+_EXTRA_BYTES: dict[str, tuple[Any, ...]] = {
+    "pulse": ("pulse", "its place in the source file"),
+    "amplitude": ("amplitude DN", "height above the baseline", "u4", 0.1),
+    "amplitude_db": ("Amplitude", "above the detection limit", "i2", 0.01),
+    "width": ("echo width", "full width at half maximum", "u2", 0.01),
+    "time": ("echo time", "from the first sample"),
+    "energy": ("echo energy", "area under the echo"),
+    "amplitude_sigma": ("amplitude sigma", "standard error of amplitude"),
+    "width_sigma": ("width sigma", "standard error of width"),
+    "range_sigma": ("range sigma", "standard error of range"),
+    "deviation": ("Deviation", "1000 x rms residual / amplitude", "u2"),
+    "baseline": ("baseline", "level of the waveform"),
+    "noise_level": ("noise", "of the waveform"),
+    "misfit": ("misfit", "reduced chi-square of the fit"),
+    "fit_flags": ("fit flags", "bits, see docs/waveforms.md"),
+    "water": ("water", "1 surface, 2 bottom"),
+    "water_decay": ("water decay", "of the column's light"),
+    "water_depth": ("water depth", "of a bottom, vertical"),
+    "stacked_pulses": ("stacked pulses", "that show the echo together"),
+    "significance": ("significance", "height over standard deviation"),
+    "returned_energy": ("returned energy", "energy sent back here"),
+}
+"""Of LAS: the name there, what is said of it, how it is stored."""
+
+ECHOES = published(_COLUMNS, _EXTRA_BYTES)

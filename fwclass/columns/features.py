@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.columns.record import Column, extra_byte, measured
+from fwclass.columns.record import Column, measured, published
 
 XIONG, WEINMANN = "Xiong 2018", "Weinmann 2015"
 PV = "Shi 2019, PV"
@@ -24,17 +24,9 @@ def _share(name: str, meaning: str, scales: str = ALL, source: str = "", **more:
     return _feature(name, "", meaning, scales, source, low=0, high=1, **more)
 
 
-FEATURES = (
+_COLUMNS = (
     # places without a scale
-    _feature(
-        "zc",
-        "m",
-        "z minus the lowest z of the 12 m x 10 m cell",
-        "",
-        "Fan 2013, 2.1",
-        low=0,
-        **extra_byte("zc", "above the lowest of its cell"),
-    ),
+    _feature("zc", "m", "z minus the lowest z of the 12 m x 10 m cell", "", "Fan 2013, 2.1", low=0),
     _feature("optimal_radius", "m", "the radius whose eigenentropy is lowest", "", WEINMANN, low=0),
     _feature("pulse_intensity_variance", "", "variance of the intensities of the pulse's echoes", "", PV, low=0),
     _feature("pulse_amplitude_variance", "DN2", "variance of the amplitudes of the pulse's echoes", "", PV, low=0),
@@ -43,11 +35,7 @@ FEATURES = (
     _feature("density", "1/m2", "N over the area of the circle or cell", "cg", low=0),
     _feature("reach", "m", "distance of the furthest of the nearest echoes", "k", low=0),
     _share(
-        "echo_ratio",
-        "echoes in the sphere / echoes in the vertical cylinder of its radius",
-        "r",
-        "Fan 2013, eq. 2",
-        **extra_byte("echo ratio", "echoes in sphere / in cylinder"),
+        "echo_ratio", "echoes in the sphere / echoes in the vertical cylinder of its radius", "r", "Fan 2013, eq. 2"
     ),
     # heights
     _feature("height_range", "m", "max z_i - min z_i", ALL, XIONG, low=0),
@@ -83,7 +71,6 @@ FEATURES = (
         "Fan 2013, A; Shi 2019, beta",
         low=0,
         high=90,
-        **extra_byte("inclination", "local normal to vertical"),
     ),
     _feature(
         "oriented_inclination",
@@ -120,3 +107,11 @@ FEATURES = (
     _feature("intensity_mean", "", "mean intensity", ALL, "Xiong 2018, AI", low=0),
     _feature("intensity_std", "", "standard deviation of intensity", ALL, low=0),
 )
+_EXTRA_BYTES: dict[str, tuple[Any, ...]] = {
+    "zc": ("zc", "above the lowest of its cell"),
+    "echo_ratio": ("echo ratio", "echoes in sphere / in cylinder"),
+    "inclination": ("inclination", "local normal to vertical"),
+}
+"""Of LAS: the name there, what is said of it, how it is stored."""
+
+FEATURES = published(_COLUMNS, _EXTRA_BYTES)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 NAN = float("nan")
@@ -56,9 +57,11 @@ class Column:
     las_scale: float = 1.0
 
 
-def extra_byte(name: str, about: str, dtype: str = "", scale: float = 1.0) -> dict[str, Any]:
-    """How a column is published in LAS, as arguments of `Column`."""
-    return {"las": name, "las_about": about, "las_dtype": dtype, "las_scale": scale}
+def published(columns: Iterable[Column], extra_bytes: Mapping[str, tuple[Any, ...]]) -> tuple[Column, ...]:
+    """`columns`, those of these names as LAS extra bytes: name there, what is said of it, how it is stored."""
+    fields = ("las", "las_about", "las_dtype", "las_scale")
+    about = {name: dict(zip(fields, of, strict=False)) for name, of in extra_bytes.items()}
+    return tuple(replace(column, **about.get(column.name, {})) for column in columns)
 
 
 def measured(name: str, unit: str, meaning: str, **more: Any) -> Column:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from fwclass.columns.record import PER_CODE, Column, extra_byte, measured
+from typing import Any
 
-RESULTS = (
+from fwclass.columns.record import PER_CODE, Column, measured, published
+
+_COLUMNS = (
     # ground
     Column("ground", "bool", "", "the ground filter took the echo for ground"),
     Column("noise", "bool", "", "the ground filter took the echo for no surface: far below its surroundings, or alone"),
-    measured(
-        "height_above_ground",
-        "m",
-        "z minus the terrain model under the echo",
-        **extra_byte("HeightAboveGround", "above the terrain model", "i2", 0.01),
-    ),
+    measured("height_above_ground", "m", "z minus the terrain model under the echo"),
     # thinning
     Column("sampled", "bool", "", "the classifier is asked about the echo; the others follow the nearest such one"),
     # the local surface, for radiometry
@@ -21,28 +18,14 @@ RESULTS = (
     measured("normal_y", "", "upward unit normal of the neighbourhood, north", low=-1, high=1),
     measured("normal_z", "", "upward unit normal of the neighbourhood, up", low=0, high=1),
     # radiometry
-    measured(
-        "range",
-        "m",
-        "distance from the sensor to the echo",
-        low=0,
-        **extra_byte("range", "from sensor to echo", "u4", 0.01),
-    ),
-    measured(
-        "incidence",
-        "deg",
-        "angle between the beam and the local normal",
-        low=0,
-        high=90,
-        **extra_byte("incidence angle", "beam to local normal", "u1", 0.5),
-    ),
+    measured("range", "m", "distance from the sensor to the echo", low=0),
+    measured("incidence", "deg", "angle between the beam and the local normal", low=0, high=90),
     measured(
         "cross_section",
         "m2",
         "backscatter cross-section sigma of the echo",
         low=0,
         source="Wagner 2006, eq. 9; Wagner 2008",
-        **extra_byte("cross section", "backscatter cross-section"),
     ),
     measured(
         "backscatter",
@@ -50,21 +33,18 @@ RESULTS = (
         "backscatter coefficient gamma = sigma / (A_i cos(incidence)); relative where no target calibrates it",
         low=0,
         source="Fan 2013, eq. 3; Wagner 2008",
-        **extra_byte("backscatter", "coefficient, 4 x reflectance"),
     ),
     measured(
         "reflectance",
         "dB",
         "10 log10 of the cross-section over that of a white matt surface that faces the beam",
         source="RIEGL extra byte `Reflectance`",
-        **extra_byte("Reflectance", "over white facing the beam", "i2", 0.01),
     ),
     Column(
         "radiometry_flags",
         "u1",
         "",
         "1 one of several echoes, 2 no range, 4 no normal, 8 incidence clipped, 16 saturated, 32 uncalibrated",
-        **extra_byte("radiometry flags", "bits, see docs/radiometry.md"),
     ),
     # classes
     Column("reference", "u1", "", "reference class code; 0 is none"),
@@ -83,21 +63,9 @@ RESULTS = (
     ),
     Column("boundary", "bool", "", "the echo lies where two classes meet, and the second of two layers answers"),
     Column("classification", "u1", "", "class code given by the model"),
+    measured("confidence", "", "share of the class: of the forest's votes, or the model's probability", low=0, high=1),
     measured(
-        "confidence",
-        "",
-        "share of the class: of the forest's votes, or the model's probability",
-        low=0,
-        high=1,
-        **extra_byte("confidence", "share of votes, or probability", "u1", 0.005),
-    ),
-    measured(
-        "entropy",
-        "",
-        "entropy of the shares of all classes over ln(classes): 0 sure, 1 undecided",
-        low=0,
-        high=1,
-        **extra_byte("entropy", "of the classes: 0 sure, 1 not", "u1", 0.005),
+        "entropy", "", "entropy of the shares of all classes over ln(classes): 0 sure, 1 undecided", low=0, high=1
     ),
     measured(
         "probability",
@@ -106,7 +74,6 @@ RESULTS = (
         low=0,
         high=1,
         scales=PER_CODE,
-        **extra_byte("probability", "share of this class", "u1", 0.005),
     ),
     # vectors
     Column("component", "u4", "", "number of what cells, or corners, belong to"),
@@ -123,3 +90,18 @@ RESULTS = (
     Column("object_echoes", "u4", "", "echoes that it is made of"),
     Column("outline", "u1", "", "1 right-angled, 2 simplified, 3 the outline of the cells"),
 )
+_EXTRA_BYTES: dict[str, tuple[Any, ...]] = {
+    "height_above_ground": ("HeightAboveGround", "above the terrain model", "i2", 0.01),
+    "range": ("range", "from sensor to echo", "u4", 0.01),
+    "incidence": ("incidence angle", "beam to local normal", "u1", 0.5),
+    "cross_section": ("cross section", "backscatter cross-section"),
+    "backscatter": ("backscatter", "coefficient, 4 x reflectance"),
+    "reflectance": ("Reflectance", "over white facing the beam", "i2", 0.01),
+    "radiometry_flags": ("radiometry flags", "bits, see docs/radiometry.md"),
+    "confidence": ("confidence", "share of votes, or probability", "u1", 0.005),
+    "entropy": ("entropy", "of the classes: 0 sure, 1 not", "u1", 0.005),
+    "probability": ("probability", "share of this class", "u1", 0.005),
+}
+"""Of LAS: the name there, what is said of it, how it is stored."""
+
+RESULTS = published(_COLUMNS, _EXTRA_BYTES)
