@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 import rasterio
 from commandline import fwclass
 from pyproj import CRS
+from smallsurvey import small_survey
 
 from fwclass import conf
 from fwclass.errors import QualityError
@@ -170,3 +172,15 @@ def test_commands_of_one_file_take_no_worse_system(tmp_path: Path) -> None:
             ended = fwclass(*words)
             assert ended.returncode == fault, (command, code, ended.stderr)
             assert not fault or "outside of the area that" in ended.stderr
+
+
+@pytest.mark.parametrize(("at", "off"), [(179, -20.0), (211, -2.0), (187, 20.0), (179, -0.5)])
+def test_points_outside_of_the_bounds_that_a_header_states_are_told(tmp_path: Path, at: int, off: float) -> None:
+    survey = small_survey(tmp_path)
+    raw = bytearray((tmp_path / "a.las").read_bytes())
+    struct.pack_into("<d", raw, at, struct.unpack_from("<d", raw, at)[0] + off)
+    (tmp_path / "a.las").write_bytes(raw)
+    ended = fwclass("run", survey, "--out", tmp_path / "r", "--workers", 0, "--workflow", "ground")
+    assert ended.returncode == 0, ended.stderr
+    told = "points of a.las lie outside of the bounds that the header states" in " ".join(ended.stderr.split())
+    assert told == (abs(off) > 1)

@@ -25,6 +25,9 @@ Bounds = tuple[Sequence[float], Sequence[float]]
 NAMED = 3
 """Files that are named."""
 
+SLACK = 1.0
+"""m, that points may lie outside of a header's bounds: some writers round these."""
+
 FEW, MANY = 0.1, 5
 """Share of the files up to which those outside of the largest place are few, and the number from which they are many:
 one file of two or three may be a site of its own."""
@@ -96,8 +99,23 @@ def file_places(
         "elsewhere": "" if all_away else _of_files({files[k]: text for k, text in away.items()}, len(files)),
         "overruled": _of_files({files[k]: text for k, text in odd.items() if text}, len(files)),
     }
-    said = (*facts.values(), apart, heights_taken(survey.heightless, survey.crs))
+    beyond = [files[s.number] for s in survey.strips if _beyond(bounds.get(s.number), survey.stated.get(s.path.name))]
+    headers = (
+        f"points of {first_few(beyond, NAMED)} lie outside of the bounds that the header states: programs that go by "
+        "headers do not show them, also of the copy in laz/strips, which has the same header"
+        if beyond
+        else ""
+    )
+    said = (*facts.values(), apart, headers, heights_taken(survey.heightless, survey.crs))
     return {"remarks": [text for text in said if text], **facts, "alone": apart if alone else ""}
+
+
+def _beyond(bounds: Bounds | None, stated: Sequence[float] | None) -> bool:
+    """Points with `bounds` lie outside of the box that is `stated`."""
+    if bounds is None or stated is None:
+        return False
+    low, high = (np.array(side) for side in bounds)
+    return bool((low < np.array(stated[:3]) - SLACK).any() or (high > np.array(stated[3:]) + SLACK).any())
 
 
 def judge_file_places(facts: Mapping[str, Any] | None, params: PlausibilityParams, where: object) -> None:

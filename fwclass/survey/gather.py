@@ -97,8 +97,9 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}
     more_files: dict[str, Any] = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
     weekly = tuple(s.path.name for s in timed if isinstance(s, LasSource) and not s.standard_gps_time)
+    stated = {s.path.name: s.bounds for s in full if isinstance(s, LasSource) and s.target is None}
     more = more_files | {"overruled": overruled_systems(config, full), "weekly": weekly, "excluded": excluded}
-    more["heightless"] = without_heights(config, full, crs)
+    more |= {"heightless": without_heights(config, full, crs), "stated": stated}
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more)
 
 

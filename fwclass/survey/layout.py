@@ -60,7 +60,7 @@ class Survey:
     what was to be flown, all None for nothing; `overruled`: by name of the file the system (WKT) that it names where
     the user names another; `weekly`: names of the files whose header calls their GPS times seconds of the week;
     `excluded`: names of the files that ``survey.exclude`` leaves out; `heightless`: of those that say nothing of
-    heights, where the others do.
+    heights, where the others do; `stated`: by name of the file the least and greatest x, y, z of its header [m].
     """
 
     strips: tuple[Strip, ...]
@@ -80,6 +80,7 @@ class Survey:
     weekly: tuple[str, ...] = ()
     excluded: tuple[str, ...] = ()
     heightless: tuple[str, ...] = ()
+    stated: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
