@@ -159,7 +159,7 @@ def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
 
 DELIVER_CATALOGUE = Stage(
     "publish-catalogue",
-    8,
+    9,
     "survey",
     "part",
     deliver_catalogue,

@@ -92,10 +92,14 @@ class _Place:
 
 def _outline(ring: list[list[float]], globe: bool) -> tuple[dict[str, Any], list[float]]:
     """Geometry and box of a tile; one that the date line crosses is cut there, and the box's west is greater than its
-    east (RFC 7946, 3.1.9 and 5.2)."""
+    east (RFC 7946, 3.1.9 and 5.2); one around a pole is all that lies no further from it."""
     low, high = np.min(ring, axis=0).tolist(), np.max(ring, axis=0).tolist()
     if globe and high[0] - low[0] > DATE_LINE:
         on = [[x + 2 * DATE_LINE if x < 0 else x, y] for x, y in ring]
+        if np.ptp(on, axis=0)[0] > DATE_LINE:
+            south, north = (-90.0, high[1]) if high[1] < 0 else (low[1], 90.0)
+            cap = [[-DATE_LINE, south], [DATE_LINE, south], [DATE_LINE, north], [-DATE_LINE, north]]
+            return {"type": "Polygon", "coordinates": [[*cap, cap[0]]]}, [*cap[0], *cap[2]]
         pieces = [_cut(on, 1.0), [[round(x - 2 * DATE_LINE, DIGITS), y] for x, y in _cut(on, -1.0)]]
         (west, _), (east, _) = np.min(pieces[0], axis=0).tolist(), np.max(pieces[1], axis=0).tolist()
         box = [west, low[1], east, high[1]]

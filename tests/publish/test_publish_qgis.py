@@ -126,6 +126,15 @@ def test_a_tile_on_the_date_line_lies_there_and_not_around_the_globe(tmp_path: P
     assert not list(LocalValidator().item_validator("1.1.0").iter_errors(item | {"stac_version": "1.1.0"}))
 
 
+@pytest.mark.parametrize(("code", "pole"), [(3031, -90), (3995, 90)])
+def test_a_tile_around_a_pole_holds_it(tmp_path: Path, code: int, pole: int) -> None:
+    tile = FACTS | {"bounds": [-60.0, -30.0, 1.0, 40.0, 70.0, 9.0]}
+    write_vpc({"tiles/1_1.copc.laz": tile}, tmp_path / "s.vpc", pyproj.CRS(code), point_schema(()))
+    item = json.loads((tmp_path / "s.vpc").read_text())["features"][0]
+    assert shapely.geometry.shape(item["geometry"]).bounds == tuple(item["bbox"])
+    assert item["bbox"][::2] == [-180, 180] and pole in item["bbox"] and abs(sum(item["bbox"][1::2])) > 179.99
+
+
 def test_colours_spread_over_what_is_common() -> None:
     spread = Spread()
     assert spread.shown() == [0.0, 1.0]
