@@ -59,6 +59,9 @@ they are not; a Leica's locations stretch by 0.001."""
 PIECES = 4
 """Parts along a strip that are asked for it, too, as clocks may drift."""
 
+DRIFTED = 0.05
+"""m between the constants of two parts of a strip that are told; a Leica's quarters differ by 6 mm."""
+
 MOST_BENT = 4.0
 """Second differences of so many times their median are no ground that tells anything of locations."""
 
@@ -153,11 +156,15 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             location = sample.pulses["anchor_time"].astype(np.float64)[fits.row[near]]
             pieces = np.array_split(np.arange(len(near)), PIECES)  # by pulse, as rows are
             stretch = _stretch(left, location) or max((_stretch(left[p], location[p]) for p in pieces), key=abs)
-            left = np.abs(left)
-            astray = float((left > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
+            drift = 0.0 if curve.phase or curve.alike else _drift([left[p] for p in pieces])
+            astray = float((np.abs(left) > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
             receivers = next((c.receivers for c in pulse.channels[int(k) : int(k) + 1]), ())
             curve = replace(
-                curve, astray=0.0 if curve.phase or curve.alike else astray, receivers=receivers, stretch=stretch
+                curve,
+                astray=0.0 if curve.phase or curve.alike else astray,
+                receivers=receivers,
+                stretch=stretch,
+                drift=drift,
             )
             curves += [curve] if curve.scatter < 0.5 * within else []
     return tuple(curves)
@@ -211,6 +218,19 @@ def _stretch(left: Floats, location: Floats) -> float:
     slope = float((x * y).sum()) / total
     error = math.sqrt(float(((y - slope * x) ** 2).sum()) / (len(x) - 2) / total)
     return slope if abs(slope) > STRETCHED + SURE * error else 0.0
+
+
+def _drift(pieces: list[Floats]) -> float:
+    """How much later than in the earliest part echoes are fitted in the latest [ns], of `pieces` of fitted times less
+    locations less the curve, of each (n,); negative where the latest comes first; 0 where it is not sure, or small."""
+    if min(map(len, pieces)) < TRIPLES:
+        return 0.0
+    middle, sigma = np.array([_robust(p) for p in pieces]).T
+    error = 1.2533 * sigma / np.sqrt([len(p) for p in pieces])
+    low, high = int(middle.argmin()), int(middle.argmax())
+    drift = float(middle[high] - middle[low])
+    sure = drift > DRIFTED / METRES_PER_NS + SURE * math.hypot(error[low], error[high])
+    return math.copysign(drift, high - low) if sure else 0.0
 
 
 def _nearest(gap: Floats, row: NDArray[np.int64], selected: NDArray[np.bool_]) -> NDArray[np.int64]:

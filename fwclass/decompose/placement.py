@@ -34,6 +34,8 @@ class OffsetCurve:
     alike : locations walk with the height, and places go with them: nothing is taken off.
     stretch : share by which fitted times grow faster than locations, of all the strip, or else of its worst quarter; 0
         where that is not sure.
+    drift : by how much the constant differs between two quarters of the strip [ns], later less earlier; 0 where that is
+        not sure or below 0.05 m, and where echoes are placed by their own returns.
     """
 
     sample_spacing: float
@@ -48,6 +50,7 @@ class OffsetCurve:
     receivers: tuple[int, ...] = ()
     alike: bool = False
     stretch: float = 0.0
+    drift: float = 0.0
 
     def at(self, amplitude: Floats) -> Floats:
         """Offset of echoes of these heights [ns]."""

@@ -261,5 +261,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=20)
-PLACES = Computation(name="places", version=12)
+PLACES = Computation(name="places", version=13)
 DECOMPOSE = Computation(name="decompose", version=20, writes=ECHO_COLUMNS)

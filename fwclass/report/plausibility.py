@@ -271,6 +271,15 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             "samples are not as far apart as the file says, or locations are not, and echoes lie too far from their "
             f"pulse's first return, or too near, by that share ({names_of(strips_once(s for s, _ in some))})"
         )
+    some = [(s, c) for s, c in offsets if c.get("drift")]
+    if some:
+        _, worst = max(some, key=lambda one: abs(one[1]["drift"]))
+        lines.append(
+            f"fitted times drift by {worst['drift']:+.2f} ns ({abs(worst['drift']) * METRES_PER_NS:.2f} m) against the "
+            f"vendor's locations between two quarters of the strip{channel_words(worst)}: a clock that drifts, or two "
+            "receivers in one file; one constant is taken off, so that echoes lie off by up to as much; write the "
+            f"parts to files of their own ({names_of(strips_once(s for s, _ in some))})"
+        )
     some = [(s, c) for s, c in offsets if c.get("astray", 0.0) > SCATTERED]
     if some:
         _, worst = max(some, key=lambda one: one[1]["astray"])

@@ -158,6 +158,7 @@ _PLACES = {
             "phase": FLAG,
             "alike?": FLAG,
             "stretch?": NUMBER,
+            "drift?": NUMBER,
             "heights": [NUMBER],
             "offsets": [NUMBER],
         }

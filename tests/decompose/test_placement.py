@@ -118,6 +118,25 @@ def test_a_sample_spacing_that_returns_contradict_is_told(tmp_path, begin, end):
         assert 0.008 < abs(stretch) < 0.016
 
 
+@pytest.mark.parametrize(
+    "late",
+    [0.0, np.linspace(-0.3, 0.3, PULSES), np.linspace(-1.2, 1.2, PULSES), 1.6 * (np.arange(PULSES) < PULSES / 2)],
+)
+def test_a_constant_that_changes_along_the_strip_is_told(tmp_path, late):
+    """By a clock that drifts by 1 and 4 % each way, or in a file joined of two."""
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t - walk(a) + late + rng.normal(0.0, 0.05, len(t)))
+    z, _, words, places = echoes(path)
+    drift = places["vendor_offset"][0]["drift"]
+    quarters = [np.median(part) for part in np.array_split(z, 4)]
+    assert ("drift by" in words) == bool(drift) == bool(np.any(late)), words
+    if drift:
+        assert abs(drift) == pytest.approx(np.ptp([np.median(part) for part in np.array_split(late, 4)]), abs=0.2)
+        assert np.sign(drift) == np.sign(late[0] - late[-1])
+        assert np.ptp(quarters) == pytest.approx(abs(drift) * METRES_PER_NS, abs=0.01)
+    else:
+        assert np.ptp(quarters) < 0.01
+
+
 def test_a_row_is_not_pulled_onto_its_return(tmp_path):
     """Vendor's locations scatter by 0.3 ns, 4.5 cm: the strip's curve is kept to, and the scatter stays out."""
     path = strip(tmp_path / "a.las", lambda t, a, rng: t - 1.0 + rng.normal(0.0, 0.2, len(t)))
