@@ -129,3 +129,22 @@ def test_check_points_and_breaklines_in_feet_are_metres(tmp_path: Path) -> None:
     assert ended.returncode == 0 and "of one kind" not in ended.stderr, ended.stderr
     report = json.loads((place / "r" / "report.json").read_text())
     assert abs(report["quality"]["check_points"]["all"]["mean"]) < 0.03
+
+
+def test_a_labelled_cloud_in_feet_labels_a_survey_in_feet(tmp_path: Path) -> None:
+    place = survey(tmp_path / "f", "feet", "feet")
+    held = laspy.read(place / "a.las")
+    held.classification = np.where(np.asarray(held.x) * FEET > 300_260, 6, 2)
+    held.write(place / "labelled.laz")
+    (place / "s.yaml").write_text(
+        "survey:\n  name: s\n  sources: [a.las]\n  reference: {kind: cloud, files: [labelled.laz]}\n  "
+        "features: [zc, echo_ratio_r100]\n"
+        "  classes: [{name: low, code: 2}, {name: high, code: 6}]\nread: {project_to: EPSG:32118+5703}\n"
+        "areas: {train: [[300200, 60900, 300300, 60925]], gap: 2}\n"
+        "train: {trees: 3}\nclassify: {context: {cells: []}}\n"
+    )
+    ended = fwclass("run", place / "s.yaml", "--out", place / "r", "--workers", 0, "--accept-implausible")
+    assert ended.returncode == 0, ended.stderr
+    sampling = json.loads((place / "r" / "report.json").read_text())["sampling"]
+    labelled = [int(one["labelled"]) for one in sampling["classes"]]
+    assert sum(labelled) == 6000 and min(labelled) > 2000

@@ -112,9 +112,11 @@ def codes_of_strips(receipts: Iterable[Receipt]) -> dict[int, Counter[int]]:
     return counted
 
 
-def split_reference(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Result:
+def split_reference(
+    here: StageInputs, params: TileParams, rows: tuple[int, int], project_to: str | None = None
+) -> Result:
     """Reference points of part of a file, in tile order."""
-    cloud = read_cloud(here.file(), *rows)
+    cloud = read_cloud(here.file(), *rows, project_to)
     return _write_split(here, cloud.with_columns({n: quantise(cloud[n]) for n in "xyz"}), params)
 
 
@@ -180,6 +182,12 @@ def _tile_settings(plan: Plan) -> Mapping[str, Any]:
     return {"params": plan.config.tile}
 
 
+def _brought_into(plan: Plan) -> Mapping[str, Any]:
+    """The system that a cloud in feet, or in degrees, is brought into as the strips are, where one is named."""
+    target = plan.config.read.project_to
+    return {} if target is None else {"project_to": target}
+
+
 def _blocks(plan: Plan) -> tuple[float, ...]:
     return tuple(sorted({float(plan.config.ground.block), float(plan.config.terrain.block)}))
 
@@ -204,7 +212,7 @@ SPLIT_REFERENCE = Stage(
     split_reference,
     when=_has_cloud,
     parts=_cloud_pieces,
-    arguments=_tile_settings,
+    arguments=lambda plan: {**_tile_settings(plan), **_brought_into(plan)},
     each=lambda plan, piece: {"rows": (piece.first, piece.last)},
     source=lambda plan, piece: (piece.path, piece.digests),
 )

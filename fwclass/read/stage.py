@@ -14,7 +14,7 @@ from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.projection import is_brought, project_waveforms
+from fwclass.read.projection import brought, is_brought, project_waveforms
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
@@ -82,9 +82,10 @@ def read_span(source: Source, span: Span, params: ReadParams, waves: bool = True
     return read if source.target is None else project_waveforms(read, source, source.target)
 
 
-def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Table:
+def read_cloud(path: str | Path, first: int = 0, last: int | None = None, project_to: str | None = None) -> Table:
     """Points [first, last) of a reference cloud: x, y, z [m], gps_time [s], source_class.
 
+    `project_to` is the system that places are brought into where the file's is none of metres on a plane.
     `gps_time` is NaN where the format has none.
     `last` None is the end of the file; a reach beyond the file is cut to it. `InputError` if the file holds no points.
     """
@@ -92,7 +93,8 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     last = source.n_points if last is None else min(last, source.n_points)
     with PointReader(source) as reader:
         points = reader.read(min(first, last), last)
-    x, y, z = coordinates(source, points)
+    placed = replace(source, target=project_to if is_brought(source.crs) else None)
+    x, y, z = brought(placed, np.stack(coordinates(source, points), axis=1)).T
     return Table(
         {
             "x": x,

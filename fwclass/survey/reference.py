@@ -27,7 +27,9 @@ from fwclass.read.polygons import (
     source_crs,
     values_of,
 )
+from fwclass.read.projection import box_brought
 from fwclass.read.source import open_source
+from fwclass.read.stage import with_settings
 from fwclass.store.atomic import write_bytes
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.digests import looks
@@ -52,8 +54,8 @@ def reference_clouds(
     if config.survey.reference.kind != "cloud":
         return ()
     files = digests.find(config.survey.reference.files, directory, "survey.reference.files", config)
-    opened = [open_source(local(p)) for p in files]
-    place = joint_bounds([s.bounds for s in opened])
+    opened = [with_settings(open_source(local(p)), config.read) for p in files]
+    place = joint_bounds([box_brought(s, s.bounds) for s in opened])
     if not place.grown(config.label.max_distance).touches(box):
         raise InputError(
             "the reference lies in another place than the survey",
