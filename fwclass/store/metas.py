@@ -66,13 +66,8 @@ _CUT = {"tiles": {TILE: (COUNT, COUNT)}, "rows": COUNT}
 _FIGURES = {
     "classes": [TEXT],
     "confusion": square(),
-    "overall_accuracy": FIGURE,
-    "kappa": FIGURE,
-    "mean_iou": FIGURE,
+    **dict.fromkeys(("overall_accuracy", "kappa", "mean_iou", "type_i?", "type_ii?", "total_error?"), FIGURE),
     **{name: [FIGURE] for name in ("producers_accuracy", "users_accuracy", "iou")},
-    "type_i?": FIGURE,
-    "type_ii?": FIGURE,
-    "total_error?": FIGURE,
     "unclassified?": [COUNT],
 }
 _BY_CLASS = ("confusion", "producers_accuracy", "users_accuracy", "iou", "unclassified")
@@ -113,64 +108,38 @@ _CARD = Related(
     _of_one_length("samples", of="classes"),
 )
 _CENSUS = {
-    "echoes": COUNT,
-    "unlabelled": COUNT,
-    "other": {CODE: COUNT},
-    "labelled": [COUNT],
-    "train": [COUNT],
-    "test": [COUNT],
-    "boxes": [[COUNT]],
-    "nearest": FIGURE,
+    **dict.fromkeys(("echoes", "unlabelled"), COUNT),
+    **{key: [COUNT] for key in ("labelled", "train", "test")},
+    **{"other": {CODE: COUNT}, "boxes": [[COUNT]], "nearest": FIGURE},
 }
 _FULLEST = Maybe({"echoes": COUNT, "most": COUNT, "corner": [NUMBER]})
 _PULSE = {
     "pulse": {
-        "shape": TEXT,
-        "echoes": COUNT,
-        "outgoing": COUNT,
+        **{"shape": TEXT, "echoes": COUNT, "outgoing": COUNT},
         **dict.fromkeys(("fwhm", "rise_time", "skew", "tail_share", "shape_error"), NUMBER),
     },
-    "noise": FIGURE,
     "channels": [
         {
-            "echoes": COUNT,
-            "outgoing": COUNT,
-            "fwhm": NUMBER,
-            "further_detection?": NUMBER,
-            "correlated?": FLAG,
+            **{"echoes": COUNT, "outgoing": COUNT, "fwhm": NUMBER, "further_detection?": NUMBER, "correlated?": FLAG},
             **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm", "misfit?"), FIGURE),
         }
     ],
-    "widths?": [(NUMBER, NUMBER)],
-    "drift?": [(NUMBER, NUMBER)],
-    "sampled": COUNT,
-    "quiet_samples": COUNT,
-    "noise_order": COUNT,
-    "noise_period?": COUNT,
-    "lag1": FIGURE,
+    **{key: [(NUMBER, NUMBER)] for key in ("widths?", "drift?")},
+    **dict.fromkeys(("sampled", "quiet_samples", "noise_order", "noise_period?"), COUNT),
+    **dict.fromkeys(("noise", "lag1"), FIGURE),
     **dict.fromkeys(("inflation", "noise_growth", "noise_periodic?"), NUMBER),
 }
 _PLACES = {
     "vendor_offset": [
         {
-            **dict.fromkeys(("sample_spacing", "saturation", "constant", "scatter"), NUMBER),
-            "echoes": COUNT,
-            "phase": FLAG,
-            "alike?": FLAG,
-            "stretch?": NUMBER,
-            "drift?": NUMBER,
-            "heights": [NUMBER],
-            "offsets": [NUMBER],
+            **dict.fromkeys(("sample_spacing", "saturation", "constant", "scatter", "stretch?", "drift?"), NUMBER),
+            **{"echoes": COUNT, "phase": FLAG, "alike?": FLAG, "heights": [NUMBER], "offsets": [NUMBER]},
         }
     ],
     "outgoing_time": Maybe(
         {
-            "from_outgoing": FLAG,
-            "range_from_outgoing": FLAG,
-            "evidence": TEXT,
-            "places_m": [NUMBER],
-            "ranges_m": [NUMBER],
-            "pulses": COUNT,
+            **{"from_outgoing": FLAG, "range_from_outgoing": FLAG, "evidence": TEXT, "pulses": COUNT},
+            **{key: [NUMBER] for key in ("places_m", "ranges_m")},
         }
     ),
 }
@@ -188,10 +157,7 @@ _TILE_FACTS = {
 META: dict[str, Shape] = {
     "index": {
         "spans": [(COUNT, COUNT, COUNT, COUNT, [KEY])],
-        "points": COUNT,
-        "pulses": COUNT,
-        "point_format": WHOLE,
-        "from_outgoing?": FLAG,
+        **{"points": COUNT, "pulses": COUNT, "point_format": WHOLE, "from_outgoing?": FLAG},
         "sensor?": Maybe((FINITE, FINITE)),
     },
     "read": _READ,
@@ -220,23 +186,14 @@ META: dict[str, Shape] = {
     "calibrate": {"calibration": CALIBRATION},
     "radiometry": {"sums": {NUMERAL: (NUMBER,) * 16}, "without_range": COUNT, "pointing_error": FIGURE},
     "polygons": {
-        "file": TEXT,
-        "features": COUNT,
-        "polygons": COUNT,
-        "values": {TEXT: COUNT},
-        "without_code": COUNT,
-        "without_polygon": COUNT,
-        "invalid": COUNT,
-        "reprojected": TEXT,
-        "bounds": Maybe(PLANE),
+        **dict.fromkeys(("features", "polygons", "without_code", "without_polygon", "invalid"), COUNT),
+        **{"file": TEXT, "reprojected": TEXT, "values": {TEXT: COUNT}, "bounds": Maybe(PLANE)},
     },
     "echo-labels": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
     "corrections": {"rows": COUNT, "taken_back": COUNT, "codes": {CODE: COUNT}, "tiles": {TILE: (COUNT, COUNT, FLAG)}},
     "label": {
         "codes?": {CODE: COUNT},
-        "ambiguous?": COUNT,
-        "corrected?": COUNT,
-        "by_echo?": COUNT,
+        **dict.fromkeys(("ambiguous?", "corrected?", "by_echo?"), COUNT),
         "above?": (COUNT,) * 201,
         "moved?": {"sums": _MOVES, "counts": _MOVES},
     },
@@ -248,11 +205,7 @@ META: dict[str, Shape] = {
         "evidence": Maybe({TEXT: FIGURE}),
     },
     "ground-filter": {
-        "rows": COUNT,
-        "ground": COUNT,
-        "noise": COUNT,
-        "seen": COUNT,
-        "last": COUNT,
+        **dict.fromkeys(("rows", "ground", "noise", "seen", "last"), COUNT),
         "pieces": [(TILE, COUNT)],
         "halls?": {"width": NUMBER, "ground": COUNT},
     },
@@ -264,9 +217,7 @@ META: dict[str, Shape] = {
     },
     "seams": {
         **dict.fromkeys(("cells", "cells_off", "cells_one_sided", "echoes", "flags_differ", "left_out"), COUNT),
-        "within": NUMBER,
-        "dtm_p999": FIGURE,
-        "dtm_worst": FIGURE,
+        **{"within": NUMBER, "dtm_p999": FIGURE, "dtm_worst": FIGURE},
         "across?": {"width": NUMBER, "echoes": COUNT, "flags_differ": COUNT},
     },
     "breaklines": dict.fromkeys(("lines", "outside", "knots"), COUNT),

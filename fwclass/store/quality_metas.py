@@ -18,35 +18,20 @@ CHECKED = {
     "repeated?": COUNT,
     "blunders?": {"count": COUNT, "points": [PLANE]},
     "nearest_echo": FIGURE,
-    "all": _HEIGHTS,
-    "open": _HEIGHTS,
-    "vegetated": _HEIGHTS,
+    **dict.fromkeys(("all", "open", "vegetated"), _HEIGHTS),
 }
 _MOVED = ("height", "roll", "pitch")
 _STRIP = Related(
     {
-        "name": TEXT,
-        "files": [TEXT],
-        "echoes": COUNT,
-        "times": Maybe(TIMES),
-        "azimuth": FIGURE,
-        "timed": FLAG,
-        "centre": PAIR,
-        "width": NUMBER,
-        "length": NUMBER,
-        "pairs": COUNT,
-        "group": WHOLE,
+        **{"name": TEXT, "files": [TEXT], "echoes": COUNT, "pairs": COUNT, "group": WHOLE},
+        **{"times": Maybe(TIMES), "timed": FLAG, "azimuth": FIGURE, "centre": PAIR, "width": NUMBER, "length": NUMBER},
         **{f"{n}{end}": FIGURE for n in _MOVED for end in ("", "_error")},
     },
     "an error of what is adjusted, and of nothing else",
     lambda strip: all((strip[n] is None) == (strip[f"{n}_error"] is None) for n in _MOVED),
 )
 QUALITY = {
-    "survey": TEXT,
-    "echoes": COUNT,
-    "noise": COUNT,
-    "noise_share": FIGURE,
-    "pulses": COUNT,
+    **{"survey": TEXT, "echoes": COUNT, "noise": COUNT, "noise_share": FIGURE, "pulses": COUNT},
     "density": {
         **dict.fromkeys(("cell", "area"), NUMBER),
         **dict.fromkeys(("echoes", "pulses", "spacing"), FIGURE),
@@ -54,10 +39,7 @@ QUALITY = {
     },
     "voids": {"area": NUMBER, "count": COUNT, "least": NUMBER, "share": FIGURE, "largest": _VOIDS},
     "strips": {
-        "by": TEXT,
-        "pairs": COUNT,
-        "adjusted": COUNT,
-        "apart": COUNT,
+        **{"by": TEXT, "pairs": COUNT, "adjusted": COUNT, "apart": COUNT},
         **dict.fromkeys(("rms", "left", "sigma"), FIGURE),
         "strips": [_STRIP],
         "between": [
@@ -79,16 +61,11 @@ QUALITY = {
     "remarks": REMARKS,
 }
 CALIBRATION = {
-    "constant": NUMBER,
-    "error": FIGURE,
-    "source": TEXT,
-    "target_echoes": COUNT,
-    "unit_error": FIGURE,
-    "others": FLAG,
+    **{"constant": NUMBER, "source": TEXT, "target_echoes": COUNT, "others": FLAG},
+    **dict.fromkeys(("error", "unit_error", "target_spread?"), FIGURE),
     "strips": [{"strip": COUNT, "gain": NUMBER, "error": FIGURE, "echoes": COUNT, "group": COUNT, "tied": FLAG}],
     "pairs": [
         {"first": COUNT, "second": COUNT, "cells": COUNT, **dict.fromkeys(("log_ratio", "error", "residual"), NUMBER)}
     ],
-    "target_spread?": FIGURE,
     "target_levels?": [(COUNT, NUMBER)],
 }

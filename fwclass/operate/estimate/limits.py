@@ -60,60 +60,25 @@ def allowed_mib(config: Config, workers: int, room: Room) -> float:
 
 def limits(config: Config, estimate: Estimate, workers: int, room: Room, best: Choice | None) -> list[Limit]:
     """All that must fit."""
-    worker = estimate.largest
-    needed = worker.memory_mib
-    bounds = [
-        Limit(
-            f"memory of a worker ({worker.name})",
-            needed,
-            allowed_mib(config, workers, room),
-            "MiB",
-            _advice(config, estimate, best),
-        ),
-        Limit(
-            f"memory of this machine ({estimate.workers} workers)",
-            needed * estimate.workers,
-            room.memory_mib,
-            "MiB",
-            "fewer --workers, or several machines (--scheduler)",
-        ),
-        Limit(
-            "disk",
-            estimate.bytes / 1e6,
-            room.free * config.plan.disk_share / 1e6,
-            "MB",
-            "another --out with more room, or free some",
-        ),
-    ]
-    longest = max(estimate.stages, key=lambda s: s.longest)
-    bounds.append(
-        Limit(
-            f"time of a part ({longest.name})",
-            longest.longest,
-            config.run.part_hours * 3600.0,
-            "s",
-            f"{_KEYS.get(longest.name, 'smaller tile.size')}, or a larger run.part_hours",
-        )
-    )
+    worker, longest = estimate.largest, max(estimate.stages, key=lambda s: s.longest)
     cells = next((s.amount.units for s in estimate.stages if s.name == "publish-rasters"), 0.0)
-    bounds.append(
-        Limit(
-            "cells of the delivered rasters",
-            cells,
-            float(MAX_CELLS),
-            "cells",
-            "larger terrain.cell and publish.class_cell, or the survey in several pieces",
-        )
-    )
-    return bounds
+    memory, allowed = worker.memory_mib, allowed_mib(config, workers, room)
+    hosts = "fewer --workers, or several machines (--scheduler)"
+    shorter = f"{_KEYS.get(longest.name, 'smaller tile.size')}, or a larger run.part_hours"
+    coarser = "larger terrain.cell and publish.class_cell, or the survey in several pieces"
+    disk, number = room.free * config.plan.disk_share / 1e6, estimate.workers
+    return [
+        Limit(f"memory of a worker ({worker.name})", memory, allowed, "MiB", _advice(config, estimate, best)),
+        Limit(f"memory of this machine ({number} workers)", memory * number, room.memory_mib, "MiB", hosts),
+        Limit("disk", estimate.bytes / 1e6, disk, "MB", "another --out with more room, or free some"),
+        Limit(f"time of a part ({longest.name})", longest.longest, config.run.part_hours * 3600.0, "s", shorter),
+        Limit("cells of the delivered rasters", cells, float(MAX_CELLS), "cells", coarser),
+    ]
 
 
 _KEYS = {
     "index": "cut the largest file in two",
-    "read": "smaller read.chunk_pulses",
-    "decompose": "smaller read.chunk_pulses",
-    "split": "smaller read.chunk_pulses",
-    "pulse": "smaller read.chunk_pulses",
+    **dict.fromkeys(("read", "decompose", "split", "pulse"), "smaller read.chunk_pulses"),
     "ground-filter": "smaller ground.block (another result) or thinner input",
     "terrain": "smaller terrain.block",
     "seams": "--set run.seam_check_echoes=0 leaves the check out",
