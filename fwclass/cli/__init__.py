@@ -38,29 +38,11 @@ from fwclass.errors import FAILED, INTERRUPTED, INTERRUPTS, FwclassError, system
 from fwclass.isolation import isolate
 from fwclass.redact import redacted
 
-__all__ = [
-    "backscatter",
-    "clean",
-    "cli",
-    "compile_kernels",
-    "difference",
-    "draft",
-    "features",
-    "files",
-    "ground",
-    "label",
-    "main",
-    "model",
-    "plan",
-    "schedule",
-    "seams",
-    "select",
-    "status",
-    "street",
-    "survey",
-    "view",
-]
-
+COMMANDS = (
+    *(backscatter, clean, compile_kernels, difference, draft, features, files, ground, label, model, plan, schedule),
+    *(seams, select, status, street, survey, view),
+)
+"""Modules that give `cli` its commands."""
 
 PATIENCE = 10.0
 """Seconds in which an interrupted command may end; until then further signals change nothing."""
