@@ -18,8 +18,9 @@ from commandline import fwclass
 from smallsurvey import small_survey
 from test_docs_commands import PAGES, ROOT, command_of, lines
 
+from fwclass.formats.wkb import box_wkb
 from fwclass.grid import Box
-from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.publish.gpkg import Layer, write_gpkg
 
 QUICK = ("train.trees=3", "train.samples_per_class=300", "publish.figure_pixels=200")
 TOWN = ("simulate.size=60", "simulate.strips=2", *QUICK, "areas.train=[[512000,5403000,512030,5403060]]", "areas.gap=2")

@@ -18,11 +18,12 @@ from fwclass.delivery.places import COLUMNS, away, echoes_in, no_echo, read_plac
 from fwclass.delivery.worklist import check_geopackage
 from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
+from fwclass.formats.wkb import box_wkb
 from fwclass.grid import Box, millimetres, whole_millimetres
 from fwclass.label.crossings import crossing_parts
 from fwclass.label.params import SuggestParams
 from fwclass.label.places import PlaceCounts, SuggestedPlace
-from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.schema import PLACE
 from fwclass.store.corrections import add_corrections, place_of, read_corrections
 from fwclass.store.run_location import RunLocation

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.errors import ConfigError, several
+from fwclass.formats.wkb import box_wkb
 from fwclass.grid import Box
 from fwclass.publish.files import check_free
-from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.store.run_location import RunLocation
 from fwclass.view.params import ViewParams
 

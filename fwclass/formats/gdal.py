@@ -14,6 +14,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fwclass.errors import FwclassError, full_or, is_control, visible
 from fwclass.isolation import away_from
 
@@ -118,18 +121,16 @@ def write_shapes(
     """Add polygons, lines or points (WKB) to a layer of a GeoPackage; both are made where they are not there. The same
     ones give the same bytes.
 
-    `fields`: numpy columns by name; object ones hold texts, NaN is written as null. `crs`: WKT, or None for an unknown
-    one.
+    `fields`: columns by name, arrays or lists of texts or of whole numbers; NaN is written as null. `crs`: WKT, or None
+    for an unknown one.
     """
-    import numpy as np
-
     place = path.absolute()
     with writing(place) as module:
         module.set_gdal_config_options({"OGR_CURRENT_DATE": _LAST_CHANGE})
         module.raw.write(
             str(place),
             np.array([*geometry, None], dtype=object)[:-1],
-            list(fields.values()),
+            [v if isinstance(v, np.ndarray) else _listed(v) for v in fields.values()],
             np.array(list(fields), dtype=object),
             layer=layer,
             driver="GPKG",
@@ -139,3 +140,7 @@ def write_shapes(
             dataset_options={"VERSION": "1.3"},  # what QGIS of 2022 knows
             layer_options={"SPATIAL_INDEX": "YES"},
         )
+
+
+def _listed(values: Sequence[Any]) -> NDArray:
+    return np.array(values, object if not values or isinstance(values[0], str) else np.int64)

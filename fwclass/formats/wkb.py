@@ -6,13 +6,14 @@ Every count is held against the bytes that are left before anything is made of i
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.grid import Box
 from fwclass.units import LAND
 
 LINE, MULTILINE = 2, 5
@@ -37,6 +38,9 @@ NAMES = {
     17: "Triangle",
 }
 _EWKB_Z, _EWKB_M, _EWKB_SRID, _EWKB_KIND = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
+
+_BOX = np.dtype([("order", "u1"), ("kind", "<u4"), ("rings", "<u4"), ("corners", "<u4"), ("xy", "<f8", (5, 2))])
+"""A polygon of one ring of four sides."""
 
 Ring = NDArray[np.float64]
 """(points, 2): x, y; the last point is the first again."""
@@ -274,6 +278,15 @@ def polygon_wkb(polygon: Iterable[Ring]) -> bytes:
     for ring in rings:
         parts += [struct.pack("<I", len(ring)), ring.astype("<f8").tobytes()]
     return b"".join(parts)
+
+
+def box_wkb(boxes: Sequence[Box]) -> list[bytes]:
+    """Boxes as polygons, little-endian well-known binary."""
+    out = np.zeros(len(boxes), _BOX)
+    out["order"], out["kind"], out["rings"], out["corners"] = 1, POLYGON, 1, 5
+    for k, b in enumerate(boxes):
+        out["xy"][k] = [(b.xmin, b.ymin), (b.xmax, b.ymin), (b.xmax, b.ymax), (b.xmin, b.ymax), (b.xmin, b.ymin)]
+    return [row.tobytes() for row in out]
 
 
 def point_wkb(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[bytes]:

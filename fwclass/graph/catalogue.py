@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.formats.crs import crs_of_wkt
+from fwclass.formats.wkb import box_wkb
 from fwclass.graph.assess import COUNT_CONFUSION
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES, class_names
 from fwclass.graph.overview import DELIVER_OVERVIEW, cloud_arguments, cloud_columns, overview_parts, overviews_of
@@ -19,7 +20,7 @@ from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.vectors import vector_layers
 from fwclass.grid import Box, TileGrid
 from fwclass.publish.files import whole
-from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.qgis import write_project
 from fwclass.publish.qgis_layers import OVERVIEW, cloud_styles, groups_of
 from fwclass.publish.qgis_style import style_file

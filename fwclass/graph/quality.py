@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from fwclass import __version__
 from fwclass.formats.crs import crs_of_wkt
-from fwclass.formats.wkb import point_wkb
+from fwclass.formats.wkb import box_wkb, point_wkb
 from fwclass.graph.check_points import CHECK_POINTS, FILE, has_check_points
 from fwclass.graph.coverage import area_coverage, read_area
 from fwclass.graph.ground import survey_blocks
@@ -26,7 +26,7 @@ from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
-from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread

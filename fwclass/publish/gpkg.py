@@ -7,19 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
 from fwclass.formats.gdal import write_shapes
-from fwclass.grid import Box
 from fwclass.publish.files import whole
 from fwclass.publish.laz import wkt
-
-RING = np.dtype([("order", "u1"), ("kind", "<u4"), ("rings", "<u4"), ("points", "<u4"), ("xy", "<f8", (5, 2))])
-"""ISO WKB of a polygon of four sides."""
-
-POLYGON = 3
 
 
 @dataclass(frozen=True)
@@ -44,17 +37,7 @@ def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> d
     with whole(path) as beside:
         beside.unlink(missing_ok=True)
         for layer in layers:
-            fields = {n: np.asarray(v, None if isinstance(v, np.ndarray) else object) for n, v in layer.fields.items()}
             system = wkt(crs) if crs is not None else None
-            write_shapes(beside, layer.name, layer.geometry, fields, system, layer.kind)
+            write_shapes(beside, layer.name, layer.geometry, layer.fields, system, layer.kind)
         size = beside.stat().st_size
     return {"path": str(path), "layers": [layer.name for layer in layers], "bytes": size}
-
-
-def box_wkb(boxes: Sequence[Box]) -> list[bytes]:
-    """Boxes as polygons."""
-    out = np.zeros(len(boxes), RING)
-    out["order"], out["kind"], out["rings"], out["points"] = 1, POLYGON, 1, 5
-    for k, b in enumerate(boxes):
-        out["xy"][k] = [(b.xmin, b.ymin), (b.xmax, b.ymin), (b.xmax, b.ymax), (b.xmin, b.ymax), (b.xmin, b.ymin)]
-    return [row.tobytes() for row in out]

@@ -16,7 +16,7 @@ import shapely
 
 from fwclass.errors import FwclassError
 from fwclass.formats.gdal import write_shapes
-from fwclass.formats.geopackage import points, write_layer
+from fwclass.formats.wkb import point_wkb
 
 PLACES = [(float(k), 0.0) for k in range(5_000)]
 
@@ -27,7 +27,8 @@ def shapes(path: Path) -> None:
 
 
 def layer(path: Path) -> None:
-    write_layer(path, "a", "Point", points(PLACES), {"n": range(len(PLACES))}, None)
+    """Whole numbers as a list."""
+    write_shapes(path, "a", point_wkb(*np.array(PLACES).T), {"n": list(range(len(PLACES)))}, None, "Point")
 
 
 def _limited(write: Callable[[Path], None], path: Path, words: object) -> None:

@@ -14,9 +14,10 @@ from smallsurvey import small_survey
 import fwclass as package
 from fwclass import conf
 from fwclass.formats.echo_labels import EchoLabels
+from fwclass.formats.wkb import box_wkb
 from fwclass.grid import Box
 from fwclass.label.places import PlaceCounts
-from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.read.polygons import open_polygons, read_polygons
 from fwclass.store.corrections import add_corrections, read_corrections
 

@@ -19,10 +19,11 @@ import pytest
 import shapely
 from pystac.validation.local_validator import LocalValidator
 
+from fwclass.formats.wkb import box_wkb
 from fwclass.grid import Box, Window
 from fwclass.publish.cog import write_cog
 from fwclass.publish.copc import write_tile_copc
-from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
+from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis import MapLayer, write_project

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import ConfigError, InputError, visible
-from fwclass.formats.geopackage import rectangles, write_layer
+from fwclass.formats.gdal import write_shapes
 from fwclass.formats.geoparquet import header
+from fwclass.formats.wkb import box_wkb
 from fwclass.graph.assess import BLOCKS
 from fwclass.operate.assess_runs import compare, counts_in
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
@@ -265,7 +266,7 @@ def write_places(path: Path, changes: ClassChanges, crs: str | None) -> None:
     places = changes.places()
     fields = {"changed": np.array([n for _, n in places], np.int64)}
     with whole(path) as beside:
-        write_layer(beside, "places", "Polygon", rectangles([box.bounds for box, _ in places]), fields, crs)
+        write_shapes(beside, "places", box_wkb([box for box, _ in places]), fields, crs)
 
 
 def describe(difference: Mapping[str, Any]) -> str:

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
-from fwclass.formats.geopackage import rectangles, write_layer
+from fwclass.formats.gdal import write_shapes
+from fwclass.formats.wkb import box_wkb
 from fwclass.graph.ground_auto import halo_of
+from fwclass.grid import Box
 from fwclass.operate.estimate.estimate import MIB
 from fwclass.operate.estimate.forecast import Forecast, as_json
 from fwclass.operate.estimate.picture import plan_picture
@@ -63,9 +65,9 @@ def write_gpkg(forecast: Forecast, path: Path) -> None:
         "echoes_with_halo": np.rint(around).astype(np.int64),
         "memory_mib": np.round(config.plan.base_mib + around * forecast.crowding * held / MIB, 1),
     }
-    write_layer(path, "tiles", "Polygon", squares(tiles, at, 0.0), fields, forecast.facts.crs)
+    write_shapes(path, "tiles", squares(tiles, at, 0.0), fields, forecast.facts.crs)
     halo = {"tile": fields["tile"], "halo_m": np.full(len(around), forecast.halo)}
-    write_layer(path, "halos", "Polygon", squares(tiles, at, forecast.halo), halo, forecast.facts.crs)
+    write_shapes(path, "halos", squares(tiles, at, forecast.halo), halo, forecast.facts.crs)
     blocks = spread_of(forecast.counts.pieces(forecast.facts), config.ground.block)
     at, reach = np.nonzero(blocks.occupied), halo_of(forecast.begun)
     fields = {
@@ -74,7 +76,7 @@ def write_gpkg(forecast: Forecast, path: Path) -> None:
         "echoes_with_halo": np.rint(blocks.grown(reach)[at]).astype(np.int64),
         "halo_m": np.full(len(at[0]), reach),
     }
-    write_layer(path, "blocks", "Polygon", squares(blocks, at, 0.0), fields, forecast.facts.crs)
+    write_shapes(path, "blocks", squares(blocks, at, 0.0), fields, forecast.facts.crs)
 
 
 def keys(spread: Spread, at: tuple[NDArray, ...]) -> NDArray:
@@ -83,9 +85,9 @@ def keys(spread: Spread, at: tuple[NDArray, ...]) -> NDArray:
     return np.array([f"{c}_{r}" for c, r in zip(cols, rows, strict=True)], object)
 
 
-def squares(spread: Spread, at: tuple[NDArray, ...], by: float) -> NDArray:
-    """Polygons of squares, grown by `by` [m], as well-known binary (n,)."""
+def squares(spread: Spread, at: tuple[NDArray, ...], by: float) -> list[bytes]:
+    """Polygons of squares, grown by `by` [m], as well-known binary."""
     cols, rows = spread.cols[at[0]], spread.rows[at[1]]
     low = (cols * spread.size - by, rows * spread.size - by)
     high = ((cols + 1) * spread.size + by, (rows + 1) * spread.size + by)
-    return rectangles(np.stack([*low, *high], axis=1))
+    return box_wkb([Box(*bounds) for bounds in np.stack([*low, *high], axis=1).tolist()])

@@ -6,8 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fwclass.errors import QualityError
-from fwclass.formats.geopackage import points, rectangles, write_layer
+from fwclass.formats.gdal import write_shapes
+from fwclass.formats.wkb import box_wkb, point_wkb
+from fwclass.grid import Box
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.measure import BlockShiftEffect
 from fwclass.operate.seams.shifted_squares import ShiftedSquare
@@ -142,21 +146,21 @@ def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
     Strips lie along the borders; ``part`` is the tile of the shifted grid, ``differ`` how many of its echoes do, in the
     stage with most of them. Echoes are those listed: stage, column, the run's value and the other.
     """
-    bounds: list[tuple[float, ...]] = []
+    bands: list[Box] = []
     fields: dict[str, list[Any]] = {"part": [], "differ": []}
     tiles = [s for s in result.bounded if s.parts == "tile"]
     for square in result.squares:
         wrong = max((s.at.get(square.tile.key, (0, 0))[1] for s in tiles), default=0)
         for band in square.bands:
-            bounds.append(band.bounds)
+            bands.append(band)
             fields["part"].append(square.tile.key)
             fields["differ"].append(wrong)
     listed = [{"stage": s.stage, **e} for s in result.bounded for e in s.examples]
     with whole(path) as beside:
-        write_layer(beside, "strips", "Polygon", rectangles(bounds), fields, crs)
+        write_shapes(beside, "strips", box_wkb(bands), fields, crs)
         if listed:
-            located = points((e["x"], e["y"]) for e in listed)
+            located = point_wkb(*(np.array([e[axis] for e in listed], np.float64) for axis in "xy"))
             names = ("stage", "part", "strip", "pulse", "echo_number", "column")
             columns: dict[str, list[Any]] = {n: [e[n] for e in listed] for n in names}
             columns |= {n: [str(e[n]) for e in listed] for n in ("run", "shifted")}
-            write_layer(beside, "echoes", "Point", located, columns, crs)
+            write_shapes(beside, "echoes", located, columns, crs, "Point")
