@@ -140,6 +140,8 @@ def test_of_one_file_too(tmp_path):
     ended = fwclass("ground", path.parent / "b.las", tmp_path / "g.las", "--crs", "EPSG:25832")
     assert ended.returncode == 4 and "numbered from the ground up" in ended.stderr, ended.stderr
     assert "! of " in fwclass("info", path.parent / "b.las").stdout
+    two_files(tmp_path, thinned)
+    assert "50 % are not followed: points were thinned one by one" in fwclass("info", path.parent / "b.las").stdout
     two_files(tmp_path, in_feet)
     ended = fwclass(*line, "--overwrite")
     assert ended.returncode == 4 and "heights are in feet" in ended.stderr, ended.stderr

@@ -20,7 +20,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.packet_references import References
 from fwclass.read.packets import FAULTS, judge
 from fwclass.read.points import BLOCK, PointReader, coordinates, flags_of, gps_times, scan_angles
-from fwclass.read.return_counts import MOST, count_pairs, pairs_of, pulses_without_last
+from fwclass.read.return_counts import MOST, count_kept, count_pairs, pairs_of, pulses_without_last
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
 
@@ -58,7 +58,7 @@ class PointCloud:
     flagged : bool (n,), withheld or synthetic.
     unfinished : points without a finite coordinate.
     absurd : points beyond any place on earth.
-    beams : what `return_counts.count_pairs` says of the first points of a LAS file; nothing for a text.
+    beams : what `return_counts.count_pairs` and `count_kept` say of the first points of a LAS file; nothing for a text.
     several, lastless : pulses with several returns of a LAS file, at least, and those whose last one is not there.
     cut_packets : what to tell of waveform packets that reach past the end of the packets there are.
     """
@@ -164,14 +164,15 @@ def returns_of(cloud: PointCloud) -> dict[str, NDArray[Any]]:
 
 
 def first_beams(source: LasSource, units: LinearUnits) -> dict[str, list[int]]:
-    """`return_counts.count_pairs` of the first points of a file that has some: times and angles are else not
-    unpacked."""
+    """`return_counts.count_pairs` and `count_kept` of the first points of a file that has some: times and angles are
+    else not unpacked."""
     with PointReader(source, _FIELDS | _BEAM_FIELDS) as reader:
         points = reader.read(0, min(source.n_points, BLOCK))
     x, y, z = coordinates(source, points)
     returns = {"x": x * units.xy, "y": y * units.xy, "z": z * units.z, "gps_time": gps_times(source, points)}
     returns |= {name: np.asarray(points[name]) for name in ("return_number", "number_of_returns")}
-    return count_pairs(returns, scan_angles(source, points))
+    kept = {} if source.is_copc else {"kept": count_kept(returns)}
+    return count_pairs(returns, scan_angles(source, points)) | kept
 
 
 def _cloud(

@@ -39,6 +39,7 @@ from fwclass.read.return_counts import (
     join_lattices,
     lattice_of,
     missing_returns,
+    thinned_fault,
     unit_fault,
 )
 from fwclass.read.segments import Rows, count_repeats
@@ -240,6 +241,8 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
         faults.append(f"returns below others of their pulse {fault}")
     if fault := backward_fault(tally.beams.get("following", (0, 0))):
         faults.append(f"{fault}: they are numbered from the ground up")
+    if fault := thinned_fault(tally.beams.get("kept", (0, 0))):
+        faults.append(f"{fault}: points were thinned one by one, not pulse by pulse")
     if n >= MANY and tally.gps[0] == tally.gps[1]:
         faults.append(f"all GPS times are {_time_text(tally.gps[0])} s: lines and pulses cannot be told by them")
     if tally.zero_intensity:

@@ -22,6 +22,7 @@ from fwclass.read.return_counts import (
     join_counts,
     lattice_of,
     median_intensity,
+    thinned_fault,
     unit_fault,
 )
 from fwclass.store.receipts import Receipt
@@ -35,10 +36,6 @@ NAMED = 3
 
 MISSING = 0.1
 """Share of a file's returns of pulses with several that are missing at least before it is said."""
-
-KEPT = 0.8
-"""Share of returns that the next one of their pulse follows below which a file is thinned: 0.96 to 1 in 12 public
-files, 0.008 in two that were, 0.5 and 0.7 where one point was kept for every half metre."""
 
 SEVERAL = 0.05
 """Share of another file's returns that are of pulses with several before a file without any is told."""
@@ -213,12 +210,11 @@ def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int]
             f"some returns of pulses with several are missing in {first_few(cut, NAMED)} (filtered, or first or last "
             "returns alone): features of returns do not mean what they mean elsewhere"
         )
-    thinned = [n for n, f in counted.items() if f["kept"][0] >= FEW and f["kept"][1] < KEPT * f["kept"][0]]
-    if thinned := [n for n in thinned if n not in cut]:
-        before, after = (sum(counted[n]["kept"][k] for n in thinned) for k in (0, 1))
+    thinned = [n for n, f in counted.items() if n not in cut and thinned_fault(f["kept"])]
+    if thinned:
+        fault = thinned_fault([sum(counted[n]["kept"][k] for n in thinned) for k in (0, 1)])
         remarks.append(
-            f"of {before:,} returns that another of their pulse must follow {100 * (1 - after / before):.0f} % are not "
-            f"followed ({first_few(thinned, NAMED)}): points were thinned one by one, as on a raster, and not pulse by "
+            f"{fault} ({first_few(thinned, NAMED)}): points were thinned one by one, as on a raster, and not pulse by "
             "pulse; features of returns do not mean what they mean elsewhere"
         )
     alone = [n for n, f in counted.items() if f["several"] == 0]
