@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.errors import InputError
+from fwclass.formats.crs import units_of
 from fwclass.read.beam_read import check_beam_rows, index_beam_rows, read_beam_rows
 from fwclass.read.beams import check_beams
 from fwclass.read.las_read import check_las, index_las, read_las
@@ -43,6 +45,14 @@ def check_source(source: Source, params: ReadParams) -> None:
     In a LAS file `params.missing_packets` ``keep`` takes its returns instead; a Pulse file has nothing but waveforms.
     """
     source = with_settings(source, params)
+    if source.target is not None and source.crs.is_projected and isinstance(source, PulseSource | BeamSource):
+        raise InputError(
+            "beams in another unit than metres are brought into metres of LAS files alone",
+            where=source.path,
+            expected="metres, or a LAS file",
+            got=f"{source.crs.name}, in {', '.join(units_of(source.crs))}: distances along its beams are too",
+            do="export the file in metres, or as LAS with waveforms",
+        )
     if isinstance(source, PulseSource):
         check_pls(source)
     elif isinstance(source, BeamSource):

@@ -115,6 +115,15 @@ def test_waveforms_in_feet_are_metres_where_the_truth_is(tmp_path, heights):
     assert [p.to_epsg() for p in las.header.parse_crs().sub_crs_list] == [32616, 5703]
 
 
+def test_pulses_in_feet_are_refused(tmp_path):
+    """Their distances from the sensor are in feet too, and ranges would be three times as long."""
+    y = digitise(gaussian(60, [(150.0, 20.0, 3.5)], 10.0))
+    pulses = [Pulse([2e6, 9e6, 3e3], [0.0, 0.0, -0.49], [[(1000.0, y)]], time=k * 1e-4) for k in range(20)]
+    path = write_pls(tmp_path / "a.pls", pulses, {1: PulseDescriptor([Sampling()])}, keys={1024: 1, 3072: 32666})
+    ended = fwclass("decompose", path, tmp_path / "o.laz", "--set", "read.project_to=EPSG:32616")
+    assert ended.returncode == 1 and "of LAS files alone" in ended.stderr, ended.stderr
+
+
 def test_beams_in_metres_through_places_in_degrees_are_refused(tmp_path):
     """Metres along x were taken for degrees: echoes of single returns lay kilometres away, in silence."""
     ground, sensor = truth()
