@@ -77,8 +77,8 @@ def test_one_that_is_taken_for_left_before_it_is_locked_is_made_again(
             Path(made[0]).rmdir()
         return made[-1]
 
-    def late(path: object, *more: int) -> int:
-        handle = first(path, *more)
+    def late(path: object, *more: int, **named: object) -> int:
+        handle = first(path, *more, **named)
         if len(made) == 2 and str(path) == made[1]:
             Path(made[1]).rmdir()
         return handle

@@ -83,7 +83,7 @@ def test_the_order_of_the_waveforms_does_not_matter(fit):
     waves, _ = wm.survey_mix(3000, seed=35)
     mixed = wm.rows_of(waves, np.random.default_rng(1).permutation(3000))
     pulse = estimate_pulse(waves, PulseParams(**conf.section("pulse", ()).model_dump()))
-    assert with_misfit(pulse, waves, fit) == with_misfit(pulse, mixed, fit)
+    assert repr(with_misfit(pulse, waves, fit)) == repr(with_misfit(pulse, mixed, fit))  # arrays have no one answer
 
 
 def test_it_is_stored_and_told(fit):
