@@ -50,11 +50,12 @@ def metres_of(source: Source) -> tuple[float, float, float]:
     return flat, flat, height_unit(source.crs)
 
 
-def brought(source: Source, places: Floats) -> Floats:
-    """`places` (n, 3) of `source` in the system that it is read in."""
+def brought(source: Source, xyz: tuple[Floats, ...]) -> tuple[Floats, ...]:
+    """Coordinates x, y, z (n,) of `source` in the system that it is read in."""
     if source.target is None:
-        return places
-    return project(source.crs, CRS.from_user_input(source.target), places, source.path)
+        return xyz
+    there = project(source.crs, CRS.from_user_input(source.target), np.stack(xyz, axis=1), source.path)
+    return tuple(np.ascontiguousarray(there.T))
 
 
 def box_brought(source: Source, bounds: tuple[float, ...]) -> tuple[float, ...]:
@@ -63,8 +64,8 @@ def box_brought(source: Source, bounds: tuple[float, ...]) -> tuple[float, ...]:
     if source.target is None:
         return bounds
     sides = [np.linspace(bounds[k], bounds[k + 3], EDGE_POINTS) for k in range(3)]
-    there = brought(source, np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3))
-    return (*there.min(axis=0).tolist(), *there.max(axis=0).tolist())
+    there = brought(source, tuple(axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")))
+    return (*(float(axis.min()) for axis in there), *(float(axis.max()) for axis in there))
 
 
 def project_waveforms(waves: Waveforms, source: Source, target: str) -> Waveforms:

@@ -104,7 +104,7 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None, projec
     with PointReader(source) as reader:
         points = reader.read(min(first, last), last)
     placed = replace(source, target=project_to if is_brought(source.crs) else None)
-    x, y, z = brought(placed, np.stack(coordinates(source, points), axis=1)).T
+    x, y, z = brought(placed, coordinates(source, points))
     return Table(
         {
             "x": x,

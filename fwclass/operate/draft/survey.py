@@ -177,7 +177,7 @@ def _count_places(source: Source, holdings: Holdings) -> None:
         return
     with PointReader(source) as reader:
         for _, points in reader.blocks():
-            x, y, _ = brought(source, np.stack(coordinates(source, points), axis=1)).T
+            x, y, _ = brought(source, coordinates(source, points))
             codes = np.asarray(points["classification"], np.uint8)
             holdings.places.add(x, y, codes)
             holdings.codes.update(dict(enumerate(np.bincount(codes).tolist())))
