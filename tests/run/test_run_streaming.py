@@ -6,6 +6,7 @@ import weakref
 from collections import Counter
 from functools import partial
 
+from fwclass.run import part
 from fwclass.run.cluster import Cluster
 from fwclass.run.local import Loop
 from fwclass.run.part import Task
@@ -59,6 +60,16 @@ def test_the_loop_holds_one_task(tmp_path):
     assert Counter(o.status for o in runner.outcomes.values()) == {"computed": 400}
     again, _ = walked(tmp_path, Loop(), made.plan(200))
     assert Counter(o.status for o in again.outcomes.values()) == {"skipped": 400} and made.most <= 3
+
+
+def test_what_a_part_needs_is_not_looked_at_before_it_was_ever_made(tmp_path, monkeypatch):
+    """It was a third of what a run's driver does: each receipt was read and checked there once more."""
+    looked, reckon = [], part.key_now
+    monkeypatch.setattr(part, "key_now", lambda task, store: (looked.append(task.name), reckon(task, store))[1])
+    _, done = walked(tmp_path, Loop(), Made().plan(5))
+    assert len(done) == 10 and not looked
+    again, _ = walked(tmp_path, Loop(), Made().plan(5))
+    assert len(looked) == 10 and {o.status for o in again.outcomes.values()} == {"skipped"}
 
 
 def test_the_cluster_knows_a_window_and_failures_block_what_follows(tmp_path):
