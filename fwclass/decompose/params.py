@@ -28,11 +28,11 @@ class CopyParams(Params):
 
     waveforms: int = Field(ge=2, le=10_000_000)
     most_waveforms: int = Field(ge=2, le=10_000_000)
-    bright: float = Field(gt=0.0)
+    bright: float = Field(gt=0.0, le=1e9)
     behind: float = Field(gt=0.0, le=1000.0)
     beside: float = Field(gt=0.0, le=1000.0)
     least: float = Field(ge=0.0, le=1.0)
-    sure: float = Field(ge=0.0)
+    sure: float = Field(ge=0.0, le=1e9)
     scatter: float = Field(gt=0.0, le=1.0)
     highest: float = Field(gt=0.0, le=1.0)
     most: int = Field(ge=1, le=100)
@@ -52,12 +52,12 @@ class ParityParams(Params):
 
     waveforms: int = Field(ge=2, le=10_000_000)
     pieces: int = Field(ge=1, le=1000)
-    bright: float = Field(gt=0.0)
+    bright: float = Field(gt=0.0, le=1e9)
     least: float = Field(ge=0.0, lt=1.0)
     most: float = Field(gt=0.0, lt=1.0)
-    sure: float = Field(ge=0.0)
+    sure: float = Field(ge=0.0, le=1e9)
     alike: float = Field(ge=0.0, le=1.0)
-    chance: float = Field(ge=0.0)
+    chance: float = Field(ge=0.0, le=1e9)
 
 
 class BeamLengthParams(Params):
