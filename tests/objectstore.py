@@ -166,7 +166,7 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     faults = Faults(moto)
     front = make_server(host, 0, faults, threaded=True, request_handler=_Quiet)
     for one in (calm, front):
-        threading.Thread(target=one.serve_forever, daemon=True).start()
+        threading.Thread(target=one.serve_forever, args=(0.02,), daemon=True).start()
     client = boto3.client(
         "s3",
         endpoint_url=f"http://127.0.0.1:{calm.server_port}",

@@ -177,7 +177,7 @@ def racing(lost: float, seed: int) -> Iterator[tuple[str, Bucket]]:
     bucket = Bucket(lost=lost, rng=random.Random(seed))  # noqa: S311
     server = ThreadingHTTPServer(("127.0.0.1", 0), type("Bound", (Handler,), {"bucket": bucket}))
     server.daemon_threads = True
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
     try:
         yield f"http://127.0.0.1:{server.server_port}", bucket
     finally:

@@ -54,7 +54,10 @@ def decomposed(tmp_path, samples, row, time, height, *settings):
     return false.sum() / PULSES, (~near & (height > 8.0)).mean(), copies, words
 
 
-@pytest.mark.parametrize(("delay", "share", "highest"), [(70.2, 0.08, 230.0), (20.3, 0.2, 230.0), (45.6, 0.05, 2000.0)])
+@pytest.mark.parametrize(
+    ("delay", "share", "highest"),
+    [(70.2, 0.08, 230.0), (20.3, 0.2, 230.0), pytest.param(45.6, 0.05, 2000.0, marks=pytest.mark.slow)],
+)
 def test_copies_are_told_and_make_no_echoes(tmp_path, delay, share, highest):
     hidden = decomposed(tmp_path, *recorded(delay, 0.0, highest))
     false, missing, copies, words = decomposed(tmp_path, *recorded(delay, share, highest))

@@ -37,6 +37,7 @@ def unmounted(path: Path) -> None:
 
 
 @ROOT
+@pytest.mark.slow
 def test_a_full_disk_fails_parts_and_harms_none(survey, expected, tmp_path):
     disk = tmp_path / "disk"
     mounted(disk, "-t", "tmpfs", "-o", "size=3m", "tmpfs")

@@ -107,7 +107,7 @@ def test_clouds_that_change_while_they_are_assessed_are_told(
 
 STREET = [
     pytest.param("info", "fwclass.single_file.street.info.open_on_trajectory", marks=pytest.mark.slow),
-    ("run", "fwclass.graph.street_answers.classify_frame 60"),
+    pytest.param("run", "fwclass.graph.street_answers.classify_frame 60", marks=pytest.mark.slow),
     ("classify", "fwclass.single_file.street.batch.open_on_trajectory 2"),
     ("annotate", "fwclass.single_file.street.annotate.open_on_trajectory"),
     ("train", "fwclass.single_file.street.train.sample_of"),

@@ -306,7 +306,7 @@ def test_a_receipt_whose_bytes_were_changed_says_nothing(remote):
 
 def test_a_list_that_goes_round_ends(monkeypatch):
     """A server that always says that more is to come."""
-    objects = Objects(Url("memory://round"), quick())
+    objects = Objects(Url("memory://round"), quick(patience=0.5))
     objects.put("a", b"a")
     (one,) = obstore.list(objects._store, chunk_size=1)
     monkeypatch.setattr(obstore, "list", lambda *_, **__: itertools.repeat(one))

@@ -60,8 +60,13 @@ def endlessly(there, data):
 
 @pytest.mark.parametrize(
     "data",
-    [b"GET / HTTP/1.1\r\n\r\n", head((1 << 32) - 1), head(4096), MAGIC, b"\0"],
-    ids=["http", "2^32 beams", "heads without ranges", "magic", "zeros"],
+    [
+        pytest.param(b"GET / HTTP/1.1\r\n\r\n", id="http"),
+        pytest.param(head((1 << 32) - 1), id="2^32 beams", marks=pytest.mark.slow),
+        pytest.param(head(4096), id="heads without ranges"),
+        pytest.param(MAGIC, id="magic", marks=pytest.mark.slow),
+        pytest.param(b"\0", id="zeros", marks=pytest.mark.slow),
+    ],
 )
 def test_who_sends_no_frame_without_end_has_stalled(tmp_path, data):
     def send(there, _):

@@ -120,7 +120,7 @@ def test_a_colour_that_cannot_be_had_is_said_and_the_one_that_is_seen_stays_chos
 def test_a_browser_without_webgl2_is_told(small_run: Path) -> None:
     params = conf.section("view", ())
     with driven() as page, Server([opened(small_run)], params) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
         refuse = "HTMLCanvasElement.prototype.getContext = () => null"
         page.ask("Page.addScriptToEvaluateOnNewDocument", source=refuse)
         page.open(server.address)
