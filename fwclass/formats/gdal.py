@@ -121,7 +121,7 @@ def write_shapes(
     """Add polygons, lines or points (WKB) to a layer of a GeoPackage; both are made where they are not there. The same
     ones give the same bytes.
 
-    `fields`: columns by name, arrays or lists of texts or of whole numbers; NaN is written as null. `crs`: WKT, or None
+    `fields`: columns by name, arrays or lists of texts or of numbers; NaN is written as null. `crs`: WKT, or None
     for an unknown one.
     """
     place = path.absolute()
@@ -143,4 +143,4 @@ def write_shapes(
 
 
 def _listed(values: Sequence[Any]) -> NDArray:
-    return np.array(values, object if not values or isinstance(values[0], str) else np.int64)
+    return np.array(values, object if not values or isinstance(values[0], str) else None)

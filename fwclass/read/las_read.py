@@ -83,8 +83,8 @@ def read_las(source: LasSource, span: Span, use_flagged: bool = False, waves: bo
     `withheld` where what the file flags is to be used. Without `waves` every return is a pulse by itself, as in a file
     that declares none.
 
-    Returns waveforms `location` and `anchor_time` [ns], `step` [m/ns] up the beam. A return's location counts from the
-    first sample of its pulse's first segment, an anchor time from the first sample of its own row. Returns without a
+    `location` and `anchor_time` are in ns, `step` in m/ns up the beam. A return's location counts from the first sample
+    of its pulse's first segment, an anchor time from the first sample of its own row. Returns without a
     usable packet are kept with `has_packet` False and counted in `faults` by reason. `location` is NaN only where the
     file declares no waveforms, or they are not asked for.
     """

@@ -40,15 +40,17 @@ def started(pulse: SystemPulse, error: float) -> SystemPulse:
     return replace(pulse, channels=tuple(own), shape_error=error)
 
 
-def told(pulse: SystemPulse) -> np.ndarray:
+def growth_and_shape(pulse: SystemPulse) -> np.ndarray:
     return np.array([[c.growth, pulse.of(c).shape_error] for c in pulse.channels])
 
 
-def agree(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams, most: float) -> None:
+def assert_settled(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams, most: float) -> None:
     first = with_signal_noise(pulse, waves, params)
-    assert told(first)[:, 1].max() <= most
+    assert growth_and_shape(first)[:, 1].max() <= most
     for start in (first, started(pulse, 0.0), started(pulse, 0.08)):
-        assert told(with_signal_noise(start, waves, params)) == pytest.approx(told(first), rel=NEAR, abs=2e-4)
+        assert growth_and_shape(with_signal_noise(start, waves, params)) == pytest.approx(
+            growth_and_shape(first), rel=NEAR, abs=2e-4
+        )
 
 
 @pytest.mark.statistics
@@ -63,14 +65,14 @@ def agree(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams, most: f
 def test_what_a_simulated_strip_shows_is_what_its_own_fit_shows(base, params, noise, most) -> None:
     """Pairs too close to be told are no error of the shape."""
     waves, _ = wm.survey_mix(9000, seed=2, **noise)
-    agree(correlated(waves, base, params), waves, params, most)
+    assert_settled(correlated(waves, base, params), waves, params, most)
 
 
 @pytest.mark.slow
 @pytest.mark.statistics
 def test_pairs_that_nothing_tells_apart_settle(base, params) -> None:
     waves, _ = wm.mix(20_000, (0.3, 0.7), gap=(1.0, 4.0), amplitude=(20, 200), seed=5, phi=(0.5,))
-    agree(correlated(waves, base, params), waves, params, 0.05)
+    assert_settled(correlated(waves, base, params), waves, params, 0.05)
 
 
 @pytest.mark.statistics
@@ -86,7 +88,7 @@ def test_what_a_real_strip_shows_is_what_its_own_fit_shows(base, params, shared_
     """Echoes of one height tell noise, its growth and the shape apart only by the samples beside them."""
     source, read = open_source(shared_data / "waveform" / name), ReadParams(**base["read"])
     waves = join_samples([read_span(source, span, read) for span in index_source(source, read)])
-    agree(correlated(waves, base, params), waves, params, most)
+    assert_settled(correlated(waves, base, params), waves, params, most)
 
 
 def test_shares_are_found_under_echoes_of_one_height_and_beside_them() -> None:

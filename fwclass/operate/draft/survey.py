@@ -10,7 +10,6 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -133,14 +132,19 @@ def _system(crs: Mapping[str, Any] | None) -> str:
 def look_into(files: Sequence[Path]) -> Holdings:
     """Read all `files` once more than their headers: classes and where they lie; `InputError` naming all that cannot
     be read."""
-    holdings, faults = Holdings(), list[InputError]()
-    holdings.target = _target(files)
+    holdings, faults, opened = Holdings(), list[InputError](), list[tuple[Path, Source]]()
     for path in files:
         if is_polygon_file(path) and not is_beam_file(path):
             holdings.polygons.append(path)
             continue
         try:
-            facts, source = info(path), open_source(path)
+            opened.append((path, open_source(path)))
+        except InputError as fault:
+            faults.append(fault)
+    holdings.target = _target(source.crs for _, source in opened)
+    for path, source in opened:
+        try:
+            facts = info(path)
             if is_brought(source.crs):
                 source = replace(source, target=holdings.target)
             if set(facts.get("classes") or ()) - {"0"}:
@@ -162,14 +166,11 @@ def look_into(files: Sequence[Path]) -> Holdings:
     return holdings
 
 
-def _target(files: Sequence[Path]) -> str | None:
-    """What all `files` in feet are brought into: the same projection in metres; None where they are of several."""
-    systems = set()
-    for path in files:
-        with suppress(InputError):
-            if is_brought(crs := None if is_polygon_file(path) and not is_beam_file(path) else open_source(path).crs):
-                systems.add(metric_twin(crs))
-    return (systems.pop() or None) if len(systems) == 1 else None
+def _target(systems: Iterable[CRS | None]) -> str | None:
+    """What files of these systems are brought into, where they are in feet: the same projection in metres; None where
+    they are of several."""
+    twins = {metric_twin(crs) for crs in systems if is_brought(crs)}
+    return (twins.pop() or None) if len(twins) == 1 else None
 
 
 def _count_places(source: Source, holdings: Holdings) -> None:

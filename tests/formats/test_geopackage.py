@@ -1,4 +1,4 @@
-"""GeoPackages that cannot be written: a full disk is told as one, whatever SQLite calls it."""
+"""GeoPackages: what is written, and a full disk that is told as one, whatever SQLite calls it."""
 
 from __future__ import annotations
 
@@ -61,3 +61,11 @@ def test_a_full_disk_is_told_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(shutil, "disk_usage", lambda where: SimpleNamespace(free=0, total=1))
     with pytest.raises(OSError, match="No space left"):
         write(tmp_path / "a.gpkg")
+
+
+def test_numbers_in_a_list_stay_what_they_are(tmp_path: Path) -> None:
+    fields = {"whole": [1, 2], "share": [0.25, 1.5], "text": ["a", "b"]}
+    write_shapes(tmp_path / "a.gpkg", "a", point_wkb(np.zeros(2), np.zeros(2)), fields, None, "Point")
+    meta, _, _, columns = pyogrio.raw.read(tmp_path / "a.gpkg")
+    read = dict(zip(meta["fields"], columns, strict=True))
+    assert {name: values.tolist() for name, values in read.items()} == fields and read["whole"].dtype == np.int64
