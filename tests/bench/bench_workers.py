@@ -7,7 +7,9 @@ The plan has `--stages` parts for each tile, each after its tile's one before; w
 stages of that run took, else the 93 ms that the city's parts take on average, between a fifth of it and twice as much.
 Printed are the share of the workers' time that is waiting, which is their work here, and the processor time of driver
 and workers. What a worker does about a part (inputs, receipt, commit) is as ever; fifty of them share the processors
-that this machine has, so on two cores what is printed is a lower bound. Run it when nothing else runs.
+that this machine has, so on two cores what is printed is a lower bound. With ``--bare`` workers do none of that: on
+their own processors it is within the time that parts took, and what is left to see is whether driver and scheduler hand
+out parts as fast as fifty workers end them. Run it when nothing else runs.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -30,11 +32,12 @@ import psutil
 from distributed import LocalCluster, Worker
 from nothing import waiting
 
-from fwclass.run.cluster import _QUIET, Cluster
-from fwclass.run.part import Task
+from fwclass.run import cluster
+from fwclass.run.part import Outcome, Task
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.run.tasks import Tasks
+from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
 
 MEAN = 0.093
@@ -51,23 +54,30 @@ def durations(run: Path | None) -> list[float]:
     return [receipt.seconds for stage in TILE_STAGES for receipt in store.receipts(stage)]
 
 
-async def work(address: str, count: int) -> None:
+def wait(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (), split: int = 1) -> Outcome:
+    """Instead of `execute`: as long as the part takes, with nothing read and no receipt written."""
+    (seconds,) = task.work.args
+    time.sleep(seconds)
+    return Outcome(*task.name, "computed", seconds)
+
+
+async def work(address: str, count: int, bare: bool) -> None:
     """`count` workers of one thread each in this process, until they are stopped."""
-    dask.config.set(_QUIET)  # as those that a run starts
+    if bare:
+        cluster.execute = wait
+    dask.config.set(cluster._QUIET)  # as those that a run starts
     workers = [Worker(address, nthreads=1, memory_limit=None, dashboard=False) for _ in range(count)]
     await asyncio.gather(*workers)
     await asyncio.gather(*(w.finished() for w in workers))
 
 
 @contextmanager
-def workers_of(address: str, count: int, processes: int) -> Iterator[list[psutil.Process]]:
+def workers_of(address: str, count: int, processes: int, bare: bool) -> Iterator[list[psutil.Process]]:
     """Processes that hold `count` workers together."""
     shares = [count // processes + (k < count % processes) for k in range(processes)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    started = [
-        subprocess.Popen([sys.executable, __file__, "--work", address, "--workers", str(n)], env=environment)
-        for n in shares
-    ]
+    words = [sys.executable, __file__, "--work", address, *(["--bare"] if bare else [])]
+    started = [subprocess.Popen([*words, "--workers", str(n)], env=environment) for n in shares]
     try:
         yield [psutil.Process(p.pid) for p in started]
     finally:
@@ -89,10 +99,11 @@ def main() -> None:
     parser.add_argument("--tiles", type=int, default=4_000)
     parser.add_argument("--stages", type=int, default=4)
     parser.add_argument("--slower", type=float, default=1.0, help="parts take so many times as long")
+    parser.add_argument("--bare", action="store_true", help="workers read and write nothing")
     parser.add_argument("--work", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.work:
-        asyncio.run(work(asked.work, asked.workers))
+        asyncio.run(work(asked.work, asked.workers, asked.bare))
         return
     seconds = [asked.slower * one for one in durations(asked.run)]
     total = asked.stages * sum(itertools.islice(itertools.cycle(seconds), asked.tiles))
@@ -108,12 +119,12 @@ def main() -> None:
     with (
         tempfile.TemporaryDirectory() as scratch,
         LocalCluster(n_workers=0, processes=False, dashboard_address=None, host="127.0.0.1", protocol="tcp") as local,
-        workers_of(local.scheduler_address, asked.workers, asked.processes) as others,
+        workers_of(local.scheduler_address, asked.workers, asked.processes, asked.bare) as others,
     ):
         while len(local.scheduler.workers) < asked.workers:
             time.sleep(0.1)
-        with Cluster(local.scheduler_address, 0, 1.0, 2000) as cluster, Display() as display:
-            runner = Runner(Path(scratch), cluster, display)
+        with cluster.Cluster(local.scheduler_address, 0, 1.0, 2000) as hands, Display() as display:
+            runner = Runner(Path(scratch), hands, display)
             mine = [psutil.Process()]
             began, driver, theirs = time.perf_counter(), seconds_of(mine), seconds_of(others)
             runner.do(plan())
