@@ -15,6 +15,7 @@ import numpy as np
 
 from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales, counts_fewer
+from fwclass.formats.header_counts import Stated, stated_counts
 from fwclass.paths import open_sized
 
 WAVE_OFFSET = {4: 28, 5: 34, 9: 30, 10: 38}
@@ -76,6 +77,7 @@ class Header:
     wave_start : byte of the internal waveform record's header; 0 if none is stated.
     vlrs, evlrs : the records that lie whole in the file.
     faults : what is wrong without making the file useless.
+    stated : points in all and by return, which nothing but a remark goes by.
     """
 
     path: Path
@@ -97,6 +99,7 @@ class Header:
     vlrs: tuple[Record, ...]
     evlrs: tuple[Record, ...]
     faults: tuple[str, ...]
+    stated: Stated
 
     @property
     def has_waves(self) -> bool:
@@ -172,6 +175,7 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
         vlrs,
         evlrs,
         tuple(faults),
+        stated_counts(head, version >= (1, 4) and min(header_size, len(head)) >= 375),
     )
 
 

@@ -87,7 +87,14 @@ def deliver_tile(
     plain = round_floats(table, params.parquet_bits, EXACT)
     write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of_wkt(crs), params, about)
     percent = by_percent(table["confidence"]).tolist() if "confidence" in table else []
-    return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table), "percent": percent}
+    return {
+        "rows": table.rows,
+        "beyond": copc["beyond"],
+        "facts": tile_facts(table),
+        "percent": percent,
+        "clipped": copc["clipped"],
+        "without_time": copc["without_time"],
+    }
 
 
 def deliver_strip(

@@ -128,6 +128,7 @@ def index_strip(here: StageInputs, params: ReadParams) -> Result:
         "point_format": source.point_format,
         "from_outgoing": isinstance(source, PulseSource),
         "sensor": sensor_height(with_settings(source, params)),
+        "stated": [list(counts) for counts in source.header.stated] if isinstance(source, LasSource) else [],
     }
 
 

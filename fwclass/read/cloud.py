@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_unless_flat
+from fwclass.formats.header_counts import MOST
 from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.grid import quantise
 from fwclass.paths import WAVEFORM_ENDINGS
@@ -20,7 +21,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.packet_references import References
 from fwclass.read.packets import FAULTS, judge
 from fwclass.read.points import BLOCK, PointReader, coordinates, flags_of, gps_times, scan_angles
-from fwclass.read.return_counts import MOST, count_kept, count_pairs, pairs_of, pulses_without_last
+from fwclass.read.return_counts import count_kept, count_pairs, pairs_of, pulses_without_last
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
 

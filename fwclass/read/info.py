@@ -18,6 +18,7 @@ from fwclass.formats.checks import first_hole
 from fwclass.formats.crs import describe_crs
 from fwclass.formats.echo_labels import is_echo_labels
 from fwclass.formats.flat import flat_faults
+from fwclass.formats.header_counts import MOST, count_faults
 from fwclass.formats.linear_units import linear_units
 from fwclass.paths import WAVEFORM_ENDINGS
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
@@ -33,7 +34,6 @@ from fwclass.read.polygons import PARQUET, is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
 from fwclass.read.quantities import quantities_of, words_of
 from fwclass.read.return_counts import (
-    MOST,
     backward_fault,
     coarse_steps,
     join_lattices,
@@ -183,6 +183,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
             *(place_faults(crs, tally.low.tolist(), tally.high.tolist(), source.header) if has_points else []),
             *(time_faults(*tally.gps) or kind_faults(*tally.gps, source.standard_gps_time)),
+            *(count_faults(source.header.stated, tally.pairs.sum(axis=1).tolist()) if has_points else []),
             *_faults(source, tally, step),
             *filter(None, [beam_fault(source), _packet_hole(source)]),
         ],

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.formats.header_counts import MOST
 from fwclass.grid import millimetres
 from fwclass.schema import Table
 
@@ -22,9 +23,6 @@ LEVELS = 5
 
 WIDEST = 1e12
 """m; coordinates beyond are no places."""
-
-MOST = 16
-"""Return numbers that are told apart; LAS has no more than 15."""
 
 NUMBER_FAULTS = "return number 0", "return number above the number of returns"
 """Of a file's faults those that say that return numbers are none."""
@@ -77,6 +75,8 @@ def count_returns(
     """Plain data of the returns of a span and their scan angles [degrees], as `join_counts` joins them. `octree`: the
     file has them by depth, so that returns of a pulse are spans apart.
 
+    ``numbers``: returns by number, of `MOST`.
+
     ``intensities``: single returns by class of `EDGES` (the number of edges not above the value), where intensity is
     what a return's amplitude is, else empty. ``intensity``: least and greatest. ``times``: first and last GPS time [s],
     None without one. ``several``: returns of pulses with more than one. ``missing``: returns that such pulses lack at
@@ -94,6 +94,7 @@ def count_returns(
     kinds, counts = np.unique(np.searchsorted(EDGES, singles, "right"), return_counts=True)
     pairs = pairs_of(number, of)
     return {
+        "numbers": np.bincount(np.minimum(number, MOST - 1), minlength=MOST).tolist(),
         "intensities": {str(k): n for k, n in zip(kinds.tolist(), counts.tolist(), strict=True)},
         "intensity": [int(f(intensity)) for f in (np.min, np.max)] if len(intensity) else None,
         "times": [float(time.min()), float(time.max())] if len(time) else None,

@@ -6,25 +6,37 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fwclass.decompose.water_column import water_facts
+from fwclass.formats.header_counts import MOST, count_faults
+from fwclass.graph.sources import strip_of
 from fwclass.graph.vectors import DELIVER_VECTORS
 from fwclass.report.facts import receipts_of_run
 from fwclass.report.summary import KINDS
 from fwclass.run.runner import Runner, Tally
+from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Survey
 
 
 def source_files(runner: Runner, survey: Survey) -> dict[str, Any]:
-    """The survey's files with what their index counted, and the faults of all of them."""
-    faults: Counter[str] = Counter()
-    for meta in _chunk_facts(runner):
-        faults.update(meta["faults"])
+    """The survey's files with what their index counted and what of their ``header`` is not so, and the faults of all
+    of them."""
+    faults, numbers = Counter[str](), dict[int, NDArray[np.int64]]()
+    for receipt in _chunks(runner):
+        faults.update(receipt.meta["faults"])
+        counted = np.array(receipt.meta.get("values", {}).get("numbers", [0] * MOST))
+        numbers[strip_of(receipt.part)] = numbers.get(strip_of(receipt.part), 0) + counted
     indexed = {r.part: r.meta for r in receipts_of_run(runner, "index")}
     files = []
     for strip in survey.strips:
         meta = indexed.get(f"{strip.number:05d}", {})
         facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
-        files.append({"path": strip.path.name, "strip": strip.number, **facts})
+        counted = numbers.get(strip.number, np.zeros(MOST, np.int64))
+        whole = bool(meta.get("stated")) and counted.sum() == facts["points"]  # of failed spans nothing is counted
+        header = count_faults(meta["stated"], counted.tolist()) if whole else []
+        files.append({"path": strip.path.name, "strip": strip.number, **facts, "header": header})
     return {"files": files, "excluded": list(survey.excluded), "faults": dict(sorted(faults.items()))}
 
 
@@ -58,8 +70,12 @@ def withheld_returns(runner: Runner) -> int:
 
 
 def _chunk_facts(runner: Runner) -> list[Mapping[str, Any]]:
+    return [r.meta for r in _chunks(runner)]
+
+
+def _chunks(runner: Runner) -> list[Receipt]:
     """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
-    return [r.meta for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]
+    return [r for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]
 
 
 def vector_counts(runner: Runner) -> dict[str, int] | None:

@@ -95,8 +95,17 @@ def remarks_on_files(files: Mapping[str, Any]) -> list[str]:
     empty = [visible(f["path"]) for f in files["files"] if f["points"] == 0 and not f["pulses"]]
     left = [visible(name) for name in files["excluded"]]
     remarks = [f"files without any point: {first_few(empty, SHOWN)}"] if empty else []
+    remarks += _of_headers(files["files"])
     count = several(len(left), "source file")
     return [*remarks, f"left out by survey.exclude: {count}, {first_few(left, SHOWN)}"] if left else remarks
+
+
+def _of_headers(files: Iterable[Mapping[str, Any]]) -> list[str]:
+    """That headers count other points than there are."""
+    some = [f"{visible(f['path'])}: {'; '.join(f['header'])}" for f in files if f["header"]]
+    if not some:
+        return []
+    return [f"points are counted here, and taken as such; other programs may go by headers ({first_few(some, SHOWN)})"]
 
 
 def lines_changed(runner: Runner) -> bool:
@@ -137,14 +146,27 @@ def _of_own_stages(runner: Runner) -> list[str]:
 
 
 def _of_ranges(runner: Runner) -> list[str]:
-    """Values of delivered tiles that their extra bytes cannot hold."""
-    beyond: Counter[str] = Counter()
+    """Values of delivered tiles that their LAZ files cannot hold."""
+    beyond, counts = Counter[str](), Counter[str]()
     for receipt in receipts_of_run(runner, DELIVER_TILE.name):
         beyond.update(receipt.meta["beyond"])
+        counts.update({name: receipt.meta.get(name, 0) for name in ("rows", "clipped", "without_time")})
+    remarks = []
+    if counts["without_time"]:
+        remarks.append(
+            f"{counts['without_time']:,} of {counts['rows']:,} echoes have no GPS time, which is 0 in the LAZ tiles; "
+            "the Parquet files have none"
+        )
+    if counts["clipped"]:
+        remarks.append(
+            f"{counts['clipped']:,} of {counts['rows']:,} echoes are of pulses with more than 15: their numbers end at "
+            "15 in the LAZ tiles; the Parquet files have them"
+        )
     if not beyond:
-        return []
+        return remarks
     some = first_few([f"{visible(name)} {n:,}" for name, n in sorted(beyond.items())], SHOWN)
     return [
+        *remarks,
         f"values beyond what an extra byte of the LAZ tiles holds are its least or greatest one there ({some}); the "
-        "Parquet files have them"
+        "Parquet files have them",
     ]

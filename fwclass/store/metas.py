@@ -47,6 +47,7 @@ EVERY: dict[str, Shape] = {"rows?": COUNT, "faults?": _FAULTS, "remarks?": REMAR
 """Of any stage."""
 
 _VALUES = {
+    "numbers?": (COUNT,) * 16,
     "intensities": {TEXT: COUNT},
     "intensity": Maybe((COUNT, COUNT)),
     "times": Maybe(TIMES),
@@ -159,6 +160,7 @@ META: dict[str, Shape] = {
         "spans": [(COUNT, COUNT, COUNT, COUNT, [KEY])],
         **{"points": COUNT, "pulses": COUNT, "point_format": WHOLE, "from_outgoing?": FLAG},
         "sensor?": Maybe((FINITE, FINITE)),
+        "stated?": [[COUNT]],
     },
     "read": _READ,
     "pulse": _PULSE,
@@ -293,7 +295,10 @@ META: dict[str, Shape] = {
     "quality-block": dict.fromkeys(("echoes", "noise", "pairs", "between_files", "between_lines"), COUNT),
     "check-points": CHECKED,
     "publish-quality": {"quality": QUALITY, "layers?": [TEXT]},
-    "publish-tile": {"rows": COUNT, "beyond": {TEXT: COUNT}, "facts": _TILE_FACTS, "percent": Maybe([COUNT])},
+    "publish-tile": {
+        **dict.fromkeys(("rows", "clipped?", "without_time?"), COUNT),
+        **{"beyond": {TEXT: COUNT}, "facts": _TILE_FACTS, "percent": Maybe([COUNT])},
+    },
     "publish-rasters": {
         "dtm_cells": COUNT,
         "ranges": {TEXT: PAIR},
