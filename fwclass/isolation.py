@@ -24,11 +24,13 @@ CONFIGURATIONS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
 CACHE = "NUMBA_CACHE_DIR"
 THREADS = "NUMBA_NUM_THREADS"
 SUMS = "OPENBLAS_NUM_THREADS"
-CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF"}
-"""For this process's own children: nothing is imported from where they start, no grid of a datum is fetched."""
+CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF", "PYDANTIC_DISABLE_PLUGINS": "__all__"}
+"""For this process's own children: nothing is imported from where they start, no grid of a datum is fetched, and no
+package is loaded because it calls itself a plugin of pydantic, which asks all of the environment."""
 
-NETWORK = {"laspy": "requests"}
-"""Libraries that can read from a network, which no command has them do, and by what: that takes as long to load."""
+UNUSED = {"laspy": "requests", "pyarrow": "cloudpickle"}
+"""Libraries, and what they load to read from a network and to pack functions, which no command has them do: that takes
+as long to load as much of their own."""
 
 _fresh = ExitStack()
 """The directory of compiled code that ends with this process, where there is one."""
@@ -183,10 +185,10 @@ def without(*names: str) -> Iterator[None]:
 
 class _Guard:
     """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files, and
-    those of `NETWORK` without their way to it."""
+    those of `UNUSED` without what that names."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name not in CONFIGURATIONS and name not in NETWORK:
+        if name not in CONFIGURATIONS and name not in UNUSED:
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
@@ -198,7 +200,7 @@ def _guard(name: str, execute: Callable[[ModuleType], None]) -> Callable[[Module
     def exec_module(module: ModuleType) -> None:
         if name == "numba":
             kernel_cache()
-        with away_from(*CONFIGURATIONS.get(name, "").split()), without(*NETWORK.get(name, "").split()):
+        with away_from(*CONFIGURATIONS.get(name, "").split()), without(*UNUSED.get(name, "").split()):
             execute(module)
         if name == "numba":
             _settle_numba()

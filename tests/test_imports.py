@@ -132,6 +132,25 @@ def test_a_command_reads_points_without_a_way_to_the_network_and_a_program_keeps
     subprocess.run([sys.executable, "-c", child], env=environment | CHILDREN, check=True)
 
 
+def test_a_command_does_not_load_what_packs_functions_to_read_parquet() -> None:
+    child = "import fwclass, pyarrow, sys; sys.exit('cloudpickle' in sys.modules)"
+    subprocess.run([sys.executable, "-c", child], env=os.environ | CHILDREN, check=True)
+
+
+def test_a_package_that_calls_itself_a_plugin_of_pydantic_is_not_loaded(tmp_path: Path) -> None:
+    """To ask every package of the environment takes as long as to build the parameters."""
+    (tmp_path / "plugged.py").write_text("import sys; sys.exit('loaded')")
+    about = tmp_path / "plugged-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: plugged\nVersion: 1\n")
+    (about / "entry_points.txt").write_text("[pydantic]\nplugged = plugged:plugin\n")
+    environment = {n: v for n, v in os.environ.items() if n not in CHILDREN}
+    environment["PYTHONPATH"] = os.pathsep.join((str(tmp_path), str(ROOT)))
+    line = [sys.executable, "-P", "-m", "fwclass", "features", "--list"]
+    ended = subprocess.run(line, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
 FLOOR = (
     "classes",
     "columns",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import io
 import math
 import signal
@@ -69,6 +71,7 @@ def main() -> None:
     """Entry point: faults of data and configuration are told in words, without a traceback."""
     isolate()
     _heed_interrupts()
+    atexit.register(gc.freeze)  # Python's last steps would look for cycles in all that libraries made
     try:
         with watched_output() as check:
             cli(standalone_mode=False)

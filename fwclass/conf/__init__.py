@@ -53,7 +53,7 @@ def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any]
     changes: dict[str, Any] = {}
     for text in settings:
         changes = merge(changes, setting(text))
-    raw = _lay_over(merge(changes, dict(change or {})))
+    raw = _lay_over(merge(changes, dict(change or {})), name)
     where = " ".join(f"--set {redacted_setting(text)}" for text in settings) or path
     return _build(name, raw.get(name), where)
 
@@ -78,9 +78,9 @@ def _origin(path: Path, settings: tuple[str, ...]) -> str:
     return " --set ".join([f"{path} with" if settings else str(path), *map(redacted_setting, settings)])
 
 
-def _lay_over(change: dict[str, Any]) -> dict[str, Any]:
-    """`change` over `conf/base.yaml`, with the ground preset that it names between them."""
-    base = read(conf_directory() / "base.yaml")
+def _lay_over(change: dict[str, Any], section: str | None = None) -> dict[str, Any]:
+    """`change` over `conf/base.yaml`, or a `section` of it, with the ground preset that it names between them."""
+    base = read(conf_directory() / "base.yaml", section)
     ground = change.get("ground")
     name = ground.get("preset") if isinstance(ground, dict) else None
     if name is not None:

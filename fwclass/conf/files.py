@@ -165,9 +165,10 @@ def plain(text: str, shipped: bool = False) -> Any:
         loader.dispose()
 
 
-def _shipped(text: str) -> Any:
-    """As `plain`, of a file that comes with fwclass: read again and again, and parsed once."""
-    return _copy(_parse(text))
+def _shipped(text: str, section: str | None) -> Any:
+    """As `plain`, of a file that comes with fwclass: read again and again, and parsed once; of a `section` alone."""
+    value = _parse(text)
+    return _copy(value if section is None else {section: value.get(section)})
 
 
 def _copy(value: Any) -> Any:
@@ -203,8 +204,11 @@ def _count(node: yaml.Node, known: dict[int, tuple[int, int]], depth: int) -> tu
     return values, levels
 
 
-def read(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file; `ConfigError` where there is none, or a file that could not have been meant."""
+def read(path: Path, section: str | None = None) -> dict[str, Any]:
+    """The mapping in a YAML file; `ConfigError` where there is none, or a file that could not have been meant.
+
+    `section`: of a file that comes with fwclass only what is below this key.
+    """
     try:
         if path.stat().st_size > _SIZE_LIMIT:
             raise ConfigError(
@@ -216,7 +220,7 @@ def read(path: Path) -> dict[str, Any]:
             )
         with open_regular(path) as file:
             text = file.read().decode("utf-8")
-        value = _shipped(text) if path.resolve().is_relative_to(conf_directory()) else plain(text)
+        value = _shipped(text, section) if path.resolve().is_relative_to(conf_directory()) else plain(text)
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
         message = _message(fault, path.name)
         tabs = "indent with spaces: YAML knows no tabs" if "\\t" in message else "mend the YAML at the place named"

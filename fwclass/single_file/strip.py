@@ -166,4 +166,4 @@ class FileStrip:
 def strip_of(source: Source, settings: tuple[str, ...], tell: Tell = quiet) -> Iterator[FileStrip]:
     """The strip that a file is; its parts lie in a scratch directory (``TMPDIR``) for as long as the block lasts."""
     with temporary_directory("strip") as directory:
-        yield FileStrip(source, FileConfig(settings), Store(directory), tell)
+        yield FileStrip(source, FileConfig(settings), Store(directory, lasting=False), tell)

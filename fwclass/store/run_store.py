@@ -43,11 +43,14 @@ NO_STAGES = ("staging", "failures", "params", "libraries", "history")
 class Store:
     """Receipts and commits of one run; with `read_only` nothing is written there.
 
-    With `lists` for who asks about all of it, and says what was made meanwhile (`forget`).
+    With `lists` for who asks about all of it, and says what was made meanwhile (`forget`). One that is not `lasting`
+    ends with its process: nothing is flushed, and no receipt tells what it was made with.
     """
 
-    def __init__(self, location: Path | Remote, read_only: bool = False, lists: bool = False) -> None:
-        self.read_only = read_only
+    def __init__(
+        self, location: Path | Remote, read_only: bool = False, lists: bool = False, lasting: bool = True
+    ) -> None:
+        self.read_only, self._lasting = read_only, lasting
         self._files = files_at(location)
         self._lookup = Lookup(self._files, lists)
 
@@ -217,7 +220,8 @@ class Store:
                         got="a link",
                         do="copy the file",
                     )
-                self._files.finish(path, place == "deliver")
+                if self._lasting:
+                    self._files.finish(path, place == "deliver")
                 outputs[name] = {"bytes": facts.st_size, "digest": file_digest(path)}
             check()
             receipt = Receipt(
@@ -231,7 +235,7 @@ class Store:
                 digest=digest_of_outputs(outputs, meta),
                 version=version,
                 params="" if params is None else self._keep_once("params", params),
-                libraries=self._keep_once("libraries", dict(fingerprint())),
+                libraries=self._keep_once("libraries", dict(fingerprint())) if self._lasting else "",
             )
             self._files.put_part(receipt, directory)
         ended = time.perf_counter()

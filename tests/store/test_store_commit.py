@@ -34,6 +34,16 @@ def test_a_committed_part_is_done_under_its_key_only(tmp_path):
     assert store.path("stage", "1_2", "a.txt").read_text() == "abc"
 
 
+def test_a_store_that_ends_with_its_process_is_not_flushed_and_tells_no_libraries(tmp_path, monkeypatch):
+    """That of a command on one file waited for the disk, and read the program's own code for a digest of it."""
+    flushed = []
+    monkeypatch.setattr(os, "fsync", flushed.append)
+    made = Store(tmp_path / "scratch", lasting=False).commit("stage", "1_2", "k1", {}, "store", write("abc"))
+    assert not made.libraries and not flushed and not (tmp_path / "scratch" / "store" / "libraries").exists()
+    again = Store(tmp_path / "run").commit("stage", "1_2", "k1", {}, "store", write("abc"))
+    assert again.libraries and flushed and again.outputs == made.outputs
+
+
 def test_the_digest_follows_content_not_time(tmp_path):
     digests = [
         Store(tmp_path / n).commit("s", "p", "k", {}, "store", write(t)).digest
