@@ -9,6 +9,7 @@ from pathlib import Path
 import lasmaker
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pyogrio
 import pytest
 import yaml
@@ -148,3 +149,23 @@ def test_a_labelled_cloud_in_feet_labels_a_survey_in_feet(tmp_path: Path) -> Non
     sampling = json.loads((place / "r" / "report.json").read_text())["sampling"]
     labelled = [int(one["labelled"]) for one in sampling["classes"]]
     assert sum(labelled) == 6000 and min(labelled) > 2000
+
+
+def test_features_of_one_file_in_feet_are_those_of_its_metres(tmp_path: Path) -> None:
+    feet, metres = (survey(tmp_path / unit, unit, unit) / "a.las" for unit in ("feet", "metres"))
+    words = ("--features", "height_above_ground,height_std_c200,planarity_k20")
+    refused = fwclass("features", feet, tmp_path / "f.parquet", *words)
+    assert refused.returncode == 1 and "--set read.project_to=EPSG:32118+5703 brings it" in refused.stderr
+    into = ("--set", "read.project_to=EPSG:32118+5703")
+    ended = fwclass("features", feet, tmp_path / "f.parquet", *words, *into)
+    assert ended.returncode == 0, ended.stderr
+    assert fwclass("features", metres, tmp_path / "m.parquet", *words).returncode == 0
+    one, like = (pq.read_table(tmp_path / name).sort_by("pulse") for name in ("f.parquet", "m.parquet"))
+    assert json.loads(one.schema.metadata[b"geo"])["columns"]["geometry"]["crs"]["components"][0]["id"]["code"] == 32118
+    assert np.abs(one["x"].to_numpy() - like["x"].to_numpy()).max() <= 0.001 + 1e-9
+    off = np.abs(one["height_std_c200"].to_numpy() - like["height_std_c200"].to_numpy())
+    assert np.median(off) < 0.001 and np.mean(off < 0.01) > 0.98  # whole millimetres move an echo over an edge
+    refused = fwclass("features", feet, tmp_path / "o.parquet", *words, *into, "--crs", "EPSG:2263")
+    assert refused.returncode == 2 and "leave --crs out" in refused.stderr
+    refused = fwclass("features", feet, tmp_path / "o.parquet", *words, "--set", "read.project_to=EPSG:2263")
+    assert refused.returncode == 1 and "where: read.project_to" in refused.stderr, refused.stderr

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.classes import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.decompose.params import DecomposeParams
-from fwclass.errors import InputError
+from fwclass.errors import ConfigError, InputError
 from fwclass.formats.area_of_use import place_facts
 from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
+from fwclass.formats.projected import metric_twin
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT
 from fwclass.ground.auto import adapt_filter
 from fwclass.ground.params import GroundParams
@@ -24,6 +25,7 @@ from fwclass.ground.stage import GROUND_FILTER, TERRAIN, last_of
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.cloud import read_point_cloud
+from fwclass.read.projection import is_brought
 from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
@@ -36,6 +38,7 @@ from fwclass.single_file.ground.params import FileJob, ground_params, used_param
 from fwclass.single_file.lines import lines_of
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import MAKE_HEIGHTS, FileConfig, FileTiles, Tell, points_of, with_noise_flags
+from fwclass.survey.systems import given_crs
 from fwclass.waveforms import IMPLAUSIBLE
 
 PLACE = (*IDENTITY, "number_of_echoes", "x", "y", "z", "gps_time", "source_class")
@@ -46,6 +49,8 @@ FOR_RADIOMETRY = (
     *("amplitude", "amplitude_db", "width", "energy", "fit_flags", "origin"),
 )
 
+
+CONVERT = "convert it first (for example with PDAL's filters.reprojection)"
 
 OF_ECHOES = (
     *("read", "pulse", "decompose", "ground", "ground_auto", "terrain", "features", "radiometry", "plausibility"),
@@ -129,11 +134,8 @@ def _place_of(table: Table, crs: Any, own: Any = None, of_file: Sequence[str] = 
 
 
 def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
-    crs = crs if crs is not None else source.crs
-    refuse_source(source, crs)
-    refuse_other_system(source, crs)
-    _check_metres(linear_units(crs, getattr(source, "header", None), source.path), crs, source.path)
     read = conf.section("read", settings)
+    crs = _system_of(source, read.project_to, crs)
     check_source(source, read)
     fit: DecomposeParams = conf.section("decompose", settings)
     with strip_of(source, settings, tell) as strip:
@@ -166,15 +168,38 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     )
 
 
-def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
+def _system_of(source: Source, project_to: str | None, crs: Any) -> Any:
+    """The system of the echoes of `source`: the one that they are brought into, the one that the user names (`crs`),
+    or the file's own."""
+    if project_to is not None and is_brought(source.crs):
+        target = given_crs(project_to, "read.project_to")
+        if crs is not None and not crs.equals(target, ignore_axis_order=True):
+            raise ConfigError(
+                "the file is brought into another system than the one that is named",
+                where="--set read.project_to, --crs",
+                expected="one system",
+                got=f"{project_to} and {crs.name}",
+                do="leave --crs out",
+            )
+        _check_metres(linear_units(target, None, source.path), target, "read.project_to", "name one in metres")
+        return target
+    crs = crs if crs is not None else source.crs
+    refuse_source(source, crs)
+    refuse_other_system(source, crs)
+    units = linear_units(crs, getattr(source, "header", None), source.path)
+    twin = metric_twin(crs) or "EPSG:<code>"
+    _check_metres(units, crs, source.path, f"--set read.project_to={twin} brings it into metres as it is read")
+    return crs
+
+
+def _check_metres(units: LinearUnits, crs: Any, where: object, do: str = CONVERT) -> None:
     if not units.metres:
         raise InputError(
             "the coordinates are not in metres",
-            where=path,
+            where=where,
             expected="a projected coordinate system in metres: the scales of the features are metres",
             got=f"{crs.name}; {units.source}",
-            do="run it as a survey, which brings it into metres (fwclass init), or convert it first (for example with "
-            "PDAL's filters.reprojection)",
+            do=do,
         )
 
 
