@@ -157,6 +157,14 @@ def test_files_without_classes_are_no_leftovers(tmp_path):
     assert 'name: "Süd"' in draft and yaml.safe_load(draft)["survey"]["name"] == "Süd"
 
 
+def test_sparse_files_without_classes_get_tiles_by_the_plan_of_their_terrain(tmp_path):
+    xyz = np.array([500_000, 5_400_000, 0]) + np.random.default_rng(0).uniform(0, [1500, 1500, 5], (40_000, 3))
+    lasmaker.write_las(tmp_path / "a.las", xyz, point_format=6, keys=lasmaker.UTM33)
+    ended = fwclass("init", "a.las", cwd=tmp_path)
+    assert yaml.safe_load(ended.stdout)["tile"]["size"] > 100, ended.stdout
+    assert "--workflow ground needs neither" in ended.stderr
+
+
 @pytest.mark.parametrize("edge", [20, 30])
 def test_a_file_too_small_to_train_and_test_is_said_to_be(tmp_path, edge):
     xyz = np.array([500_000, 5_400_000, 0]) + np.random.default_rng(0).uniform(0, edge, (3000, 3))

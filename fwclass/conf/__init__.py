@@ -39,9 +39,9 @@ def load(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = Tr
     return build(path, raw, _origin(path, settings), classifies)
 
 
-def load_text(text: str, path: Path) -> Config:
+def load_text(text: str, path: Path, classifies: bool = True) -> Config:
     """As `load`, of a text that is to stand at `path`."""
-    return build(path, _lay_over(plain(text)))
+    return build(path, _lay_over(plain(text)), classifies=classifies)
 
 
 def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any] | None = None) -> Any:

@@ -217,7 +217,7 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None, director
         *(WITH_WAVEFORMS if holdings.waveforms else ()),
     ]
     text = "\n".join(lines) + "\n"
-    return Draft(text + _tile_lines(text, beside), tuple(_lacks(holdings, split)))
+    return Draft(text + _tile_lines(text, beside, split is not None), tuple(_lacks(holdings, split)))
 
 
 def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], AreaSplit | None]:
@@ -377,11 +377,13 @@ def _area_lines(classes: Sequence[Meaning], split: AreaSplit | None) -> list[str
     ]
 
 
-def _tile_lines(text: str, beside: Path) -> str:
-    """`tile.size` where another than the default suits the survey, by `fwclass plan`."""
+def _tile_lines(text: str, beside: Path, classifies: bool) -> str:
+    """`tile.size` where another than the default suits the survey, by `fwclass plan`: of its terrain where there is
+    nothing yet to classify by."""
     try:
-        config = conf.load_text(text, beside / "survey.yaml")
-        begun = workflow_of("classification").begin(config)
+        workflow = workflow_of("classification" if classifies else "ground")
+        config = conf.load_text(text, beside / "survey.yaml", classifies)
+        begun = workflow.begin(config)
         forecast = make_forecast(begun, survey_facts(config, beside), config.run.workers, room_at(beside))
     except FwclassError:
         return ""  # what is missing stands in the notes; `fwclass plan` says the rest
@@ -395,7 +397,7 @@ def _lacks(holdings: Holdings, split: AreaSplit | None) -> Iterator[str]:
     if not holdings.one_system:
         yield "no coordinate system that all files name: set survey.crs"
     if sum(sum(holdings.codes[c] for c in m.codes) >= LEAST for m in MEANINGS) < 2:
-        yield "fewer than two classes with points enough: add labels (docs/labels.md), or set survey.model"
+        yield "fewer than two classes with points enough: add labels (docs/labels.md), or set survey.model; --workflow ground needs neither"
     elif split is None:
         yield (
             "no line leaves two classes on both of its sides, a gap apart: name more files, set areas.train, or set "
