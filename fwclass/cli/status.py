@@ -130,14 +130,16 @@ def status(
 
     A run directory is looked at as its last `fwclass run` was asked for; a configuration with the words given here.
     With --verify, RUN may also be a copy of a delivery elsewhere, as RUN/generations/0001 is one.
-    Exit code 0 if all is done and delivered (and, with --verify, undamaged), 3 if not.
+    Exit code 0 if all is done and delivered (and, with --verify, undamaged), or if of RUN the delivery alone was kept;
+    3 if not.
     """
     little_garbage()
     from fwclass.store.generations import is_generation
     from fwclass.store.run_location import held_by
     from fwclass.store.url import is_url
 
-    if is_url(conf_or_run) or conf_or_run.is_dir():
+    as_asked = is_url(conf_or_run) or conf_or_run.is_dir()
+    if as_asked:
         if out is not None or settings or tiles or aoi or (workflow != "classification" and not own_file(workflow)):
             raise ConfigError(
                 "a run directory is looked at as its run was asked for",
@@ -159,7 +161,7 @@ def status(
         config, request = read_request(conf_or_run, out, settings, workflow, chosen_tiles(tiles, aoi))
     from fwclass.operate.schedule.state import standing
     from fwclass.operate.sizes import sizes_of
-    from fwclass.operate.status.summary import as_data, as_text, is_delivered
+    from fwclass.operate.status.summary import as_data, as_text, is_cleaned, is_delivered
 
     location = location_of_run(request, config)
     writer, scheduled = held_by(location), standing(location)
@@ -184,5 +186,6 @@ def status(
         click.echo(sizes.as_text())
         if verified is not None:
             click.echo(verifying.as_text(verified, request))
-    if not is_delivered(run_status, request) or (verified is not None and not verified.sound):
+    stands = is_delivered(run_status, request) or (as_asked and writer is None and is_cleaned(run_status))
+    if not stands or (verified is not None and not verified.sound):
         sys.exit(PARTIAL)

@@ -27,6 +27,12 @@ def is_delivered(status: RunStatus, request: Request) -> bool:
     return any(g is not None and g.digest == status.digest for g in there)
 
 
+def is_cleaned(status: RunStatus) -> bool:
+    """Whether a whole delivery stands alone: what it was made of was removed on purpose, and its sources can be read."""
+    shown = status.store.generations.current()
+    return shown is not None and shown.whole and status.fault is None and not status.store.parts()
+
+
 def as_data(status: RunStatus, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:
     """Plain data: counts by stage, and every part that is not done, or with `every` all parts."""
     parts = [_part(s, request) for s in status.states.values() if every or s.standing != "done"]
