@@ -397,7 +397,10 @@ def _lacks(holdings: Holdings, split: AreaSplit | None) -> Iterator[str]:
     if not holdings.one_system:
         yield "no coordinate system that all files name: set survey.crs"
     if sum(sum(holdings.codes[c] for c in m.codes) >= LEAST for m in MEANINGS) < 2:
-        yield "fewer than two classes with points enough: add labels (docs/labels.md), or set survey.model; --workflow ground needs neither"
+        yield (
+            "fewer than two classes with points enough: add labels (docs/labels.md), or set survey.model; "
+            "--workflow ground needs neither"
+        )
     elif split is None:
         yield (
             "no line leaves two classes on both of its sides, a gap apart: name more files, set areas.train, or set "

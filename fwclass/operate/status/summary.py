@@ -28,7 +28,7 @@ def is_delivered(status: RunStatus, request: Request) -> bool:
 
 
 def is_cleaned(status: RunStatus) -> bool:
-    """Whether a whole delivery stands alone: what it was made of was removed on purpose, and its sources can be read."""
+    """Whether a whole delivery stands alone: what it was made of was removed, and its sources can be read."""
     shown = status.store.generations.current()
     return shown is not None and shown.whole and status.fault is None and not status.store.parts()
 
