@@ -20,6 +20,7 @@ FIRST = (
     "tests/classify/",
     "tests/faults/",
     "tests/run/",
+    "tests/view/",
     "tests/test_cli",
     "tests/store/",
     "tests/security/",
@@ -27,7 +28,7 @@ FIRST = (
 )
 """Beginnings of the paths of what comes first, in this order."""
 
-TOGETHER = ("tests/decompose/", "tests/features/", "tests/faults/")
+TOGETHER = ("tests/decompose/", "tests/features/", "tests/faults/", "tests/run/", "tests/view/")
 """Folders whose files share the kernel that takes longest to compile, or one run: one process does them all."""
 
 

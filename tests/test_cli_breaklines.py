@@ -55,7 +55,9 @@ def dtm(run: Path) -> np.ndarray:
         return file.read(1)[::-1]
 
 
-@pytest.mark.parametrize(("lift", "side"), [(0.0, ""), (47.6, "above"), (-2.5, "below")])
+@pytest.mark.parametrize(
+    ("lift", "side"), [(0.0, ""), pytest.param(47.6, "above", marks=pytest.mark.slow), (-2.5, "below")]
+)
 def test_heights_of_another_kind_are_told(survey: Path, tmp_path: Path, lift: float, side: str) -> None:
     """Along both edges of the gap, where echoes of the terraces lie within 3 m."""
     edges = [[(X + at, y, z + lift) for y in (Y - 5.0, Y + 45.0)] for at, z in ((35.5, 200.0), (44.5, 203.0))]

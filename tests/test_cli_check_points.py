@@ -76,7 +76,7 @@ def test_a_shift_and_plants_are_told_apart(survey: Path, made: tuple[dict[str, A
     assert "heights under plants" in page and "40 of 40 compared" in page
 
 
-@pytest.mark.parametrize("size", ["40", "1000"])
+@pytest.mark.parametrize("size", ["40", pytest.param("1000", marks=pytest.mark.slow)])
 def test_tiles_change_no_byte(survey: Path, made: tuple[dict[str, Any], str], size: str) -> None:
     again, _ = run(survey, *FILE, "--set", f"tile.size={size}", out=f"run{size}")
     assert again == made[0]

@@ -174,7 +174,15 @@ def test_commands_of_one_file_take_no_worse_system(tmp_path: Path) -> None:
             assert not fault or "outside of the area that" in ended.stderr
 
 
-@pytest.mark.parametrize(("at", "off"), [(179, -20.0), (211, -2.0), (187, 20.0), (179, -0.5)])
+@pytest.mark.parametrize(
+    ("at", "off"),
+    [
+        pytest.param(179, -20.0, marks=pytest.mark.slow),
+        pytest.param(211, -2.0, marks=pytest.mark.slow),
+        (187, 20.0),
+        (179, -0.5),
+    ],
+)
 def test_points_outside_of_the_bounds_that_a_header_states_are_told(tmp_path: Path, at: int, off: float) -> None:
     survey = small_survey(tmp_path)
     raw = bytearray((tmp_path / "a.las").read_bytes())

@@ -111,7 +111,7 @@ def test_the_map_of_differences_shows_the_lifts(made: tuple[Path, dict[str, Any]
     assert np.nanmedian(values[:, (x > 120) & (x < 160)]) == pytest.approx(0.09, abs=0.004)
 
 
-@pytest.mark.parametrize("setting", ["tile.size=64", "tile.size=1000"])
+@pytest.mark.parametrize("setting", ["tile.size=64", pytest.param("tile.size=1000", marks=pytest.mark.slow)])
 def test_tiles_change_no_byte(survey: Path, made: tuple[Path, dict[str, Any]], setting: str, tmp_path: Path) -> None:
     run(survey, tmp_path / "run", "--set", setting)
     for name in ("quality.json", "quality.gpkg", "rasters/pulse_density.tif", "rasters/strip_dz.tif"):

@@ -35,7 +35,9 @@ def survey(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("words", [(), ("--workflow", "ground"), ("--workflow", "quality")])
+@pytest.mark.parametrize(
+    "words", [(), pytest.param(("--workflow", "ground"), marks=pytest.mark.slow), ("--workflow", "quality")]
+)
 def test_a_common_rim_is_told_and_refused(survey: Path, words: tuple[str, ...]) -> None:
     x = np.asarray(laspy.read(survey.parent / "a.las").x)
     rim = int(((x > CUT - RIM) & (x < CUT + RIM)).sum())
@@ -132,7 +134,9 @@ def measure(path: Path, *words: object) -> tuple[Any, Any]:
     return ended, json.loads((root / "report.json").read_text())
 
 
-@pytest.mark.parametrize(("change", "higher"), [(lift, 0.02), (of_the_week, 0.0), (standard, 0.0)])
+@pytest.mark.parametrize(
+    ("change", "higher"), [(lift, 0.02), (of_the_week, 0.0), pytest.param(standard, 0.0, marks=pytest.mark.slow)]
+)
 def test_a_file_that_is_there_once_more_moved_or_by_another_clock_ends_with_4(
     tmp_path: Path, change: Any, higher: float
 ) -> None:

@@ -72,7 +72,7 @@ def test_the_lake_is_level_and_the_river_is_as_it_was(survey: Path, run: Path) -
     assert np.ptp(before[wet]) > 0.1 and (before[:, 55:] == dtm[:, 55:]).all()
 
 
-@pytest.mark.parametrize("setting", ["tile.size=25", "tile.size=200"])
+@pytest.mark.parametrize("setting", ["tile.size=25", pytest.param("tile.size=200", marks=pytest.mark.slow)])
 def test_tiles_change_no_byte(survey: Path, run: Path, setting: str, tmp_path: Path) -> None:
     assert fwclass("run", survey, "--out", tmp_path / "r", *WORDS, "--set", setting).returncode == 0
     for name in ("rasters/dtm.tif", "rasters/dtm_mask.tif", "contours.gpkg"):

@@ -197,7 +197,7 @@ def test_tops_of_broad_pulses_of_one_height_are_no_limit():
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize(("step", "bits"), [(3, 8), (4, 8), (16, 12)])
+@pytest.mark.parametrize(("step", "bits"), [(3, 8), pytest.param(4, 8, marks=pytest.mark.slow), (16, 12)])
 def test_samples_in_coarse_steps_have_the_noise_of_their_rounding(step, bits):
     """Sound samples, stored coarsely, make few false echoes, and stated errors hold about; heights stay in DN."""
     top = 2.0**bits - 1.0

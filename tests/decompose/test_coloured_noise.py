@@ -73,7 +73,7 @@ def test_a_stored_pulse_keeps_its_noise(correlated):
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("maker", [wm.survey_mix, wm.hard_mix, wm.noise_only])
+@pytest.mark.parametrize("maker", [wm.survey_mix, pytest.param(wm.hard_mix, marks=pytest.mark.slow), wm.noise_only])
 def test_white_noise_is_left_alone(base, params, maker):
     """Neither hidden echoes nor noise that differs between waveforms is taken for correlation or for growth."""
     waves, _ = maker(20_000, seed=5)

@@ -72,7 +72,7 @@ def test_they_are_kept_where_samples_are_to_be_as_they_are(tmp_path):
     assert false > 0.5 and copies == [] and "ns behind the highest, 0.08" in words, "the case shows the fault"
 
 
-@pytest.mark.parametrize("scatter", [0.2, 0.4])
+@pytest.mark.parametrize("scatter", [pytest.param(0.2, marks=pytest.mark.slow), 0.4])
 def test_layers_of_a_crop_are_the_scenes(tmp_path, scatter):
     assert decomposed(tmp_path, *recorded(40.0, 0.12, scatter=scatter))[2] == []
 

@@ -63,7 +63,11 @@ def echoes(path):
     return np.c_[las.x, las.y, las.z][order], np.asarray(las["amplitude DN"])[order]
 
 
-@pytest.mark.parametrize("name", WAYS)
+REPEATED = ("table.csv", "external.las", "older.las")
+"""Ways whose parts others have: the samples of a wave table, and of packets."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in REPEATED else n for n in WAYS])
 def test_the_same_samples_give_the_same_echoes(tmp_path, name):
     truth = scene(pulses=PULSES, tilt=10.0)
     place, height = echoes(write_parquet(tmp_path / "first.parquet", truth.columns(), TOLD))

@@ -114,7 +114,10 @@ def two_detectors(path, descriptors, n=2000):
     return len(pulse)
 
 
-@pytest.mark.parametrize("descriptors", [lambda i: 1 + i % 2, lambda i: np.where(i % 2, 3, 1 + i // 2 % 2)])
+@pytest.mark.parametrize(
+    "descriptors",
+    [pytest.param(lambda i: 1 + i % 2, marks=pytest.mark.slow), lambda i: np.where(i % 2, 3, 1 + i // 2 % 2)],
+)
 def test_detectors_that_descriptors_tell_apart_have_pulses_of_their_own(tmp_path, descriptors):
     echoes = two_detectors(tmp_path / "two.las", descriptors)
     ended = fwclass("decompose", tmp_path / "two.las", tmp_path / "two.laz")

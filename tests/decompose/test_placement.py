@@ -98,7 +98,9 @@ def test_a_walk_that_places_have_too_is_left_in(tmp_path, rough):
     assert np.median(np.abs(z - ground)) < 0.01 and (np.abs(z - ground) < 0.05).mean() > 0.98
 
 
-@pytest.mark.parametrize("begin, end", [(1.0, 1.0), (1.02, 1.02), (0.98, 0.98), (0.985, 1.015)])
+@pytest.mark.parametrize(
+    "begin, end", [(1.0, 1.0), (1.02, 1.02), pytest.param(0.98, 0.98, marks=pytest.mark.slow), (0.985, 1.015)]
+)
 def test_a_sample_spacing_that_returns_contradict_is_told(tmp_path, begin, end):
     """Of the whole strip, and one that drifts from a share too short to as much too long."""
     rng, n = np.random.default_rng(3), 600
@@ -120,7 +122,12 @@ def test_a_sample_spacing_that_returns_contradict_is_told(tmp_path, begin, end):
 
 @pytest.mark.parametrize(
     "late",
-    [0.0, np.linspace(-0.3, 0.3, PULSES), np.linspace(-1.2, 1.2, PULSES), 1.6 * (np.arange(PULSES) < PULSES / 2)],
+    [
+        0.0,
+        np.linspace(-0.3, 0.3, PULSES),
+        pytest.param(np.linspace(-1.2, 1.2, PULSES), marks=pytest.mark.slow),
+        1.6 * (np.arange(PULSES) < PULSES / 2),
+    ],
 )
 def test_a_constant_that_changes_along_the_strip_is_told(tmp_path, late):
     """By a clock that drifts by 1 and 4 % each way, or in a file joined of two."""
@@ -153,7 +160,7 @@ def test_locations_without_the_clocks_phase_place_every_pulse_by_its_return(tmp_
     assert 0.03 < np.std(free) < 0.06
 
 
-@pytest.mark.parametrize("rule", [np.rint, np.floor])
+@pytest.mark.parametrize("rule", [pytest.param(np.rint, marks=pytest.mark.slow), np.floor])
 @pytest.mark.parametrize("rough", [0.0, 0.05])
 def test_returns_that_stand_on_samples_with_their_places_pull_nothing(tmp_path, rule, rough):
     """The vendor's return is a sample, and so is its place: both are right together."""
@@ -183,7 +190,7 @@ def test_places_without_the_samples_of_their_returns_pull_rows(tmp_path, rough):
     assert places["vendor_offset"][0]["phase"] and np.std(z - ground) < 0.002
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("share", [0.0, pytest.param(0.1, marks=pytest.mark.slow), 0.3])
 def test_locations_that_are_a_sample_off_in_some_pulses_are_told(tmp_path, share):
     """The middle of all is right, and 0.15 m is not: nothing was said of it."""
     path = strip(tmp_path / "a.las", lambda t, a, rng: t - (rng.random(len(t)) < share))
@@ -345,7 +352,15 @@ def test_beam_vectors_of_few_digits_are_told(tmp_path, digits):
     assert (share > 0.3 and np.median(off) > 0.05) if digits == 4 else (share == 0.0 and np.median(off) < 0.01)
 
 
-@pytest.mark.parametrize("part", [slice(0), slice(PULSES // 2, None), slice(None, None, 2), slice(None)])
+@pytest.mark.parametrize(
+    "part",
+    [
+        slice(0),
+        pytest.param(slice(PULSES // 2, None), marks=pytest.mark.slow),
+        slice(None, None, 2),
+        pytest.param(slice(None), marks=pytest.mark.slow),
+    ],
+)
 def test_beam_vectors_longer_than_lights_way_are_told(tmp_path, part):
     """2 % too long, in none, half, every other or all of the pulses: 6 cm of two returns 3 m apart."""
     rng, n = np.random.default_rng(4), PULSES
@@ -384,7 +399,9 @@ def in_turn(samples, gain: float, joined: bool) -> None:
     samples[half + (not joined) :: 2] = level + gain * (samples[half + (not joined) :: 2] - level)
 
 
-@pytest.mark.parametrize(("gain", "joined"), [(1.0, False), (1.1, False), (1.2, True)])
+@pytest.mark.parametrize(
+    ("gain", "joined"), [pytest.param(1.0, False, marks=pytest.mark.slow), (1.1, False), (1.2, True)]
+)
 def test_pulses_in_turn_whose_heights_differ_are_told(tmp_path, gain, joined):
     truth = scene(pulses=1500)
     samples = np.rint(truth.samples.astype(float))

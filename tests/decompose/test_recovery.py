@@ -68,7 +68,7 @@ def shares(waves, pulse, row, at, height):
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("delay", [0.0, 1.5])
+@pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.slow), 1.5])
 def test_the_recovery_makes_no_echoes_and_hides_none(delay):
     waves, *truth = recorded(20.0, 15.0, delay=delay)
     pulse = measured(waves)

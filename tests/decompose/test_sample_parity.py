@@ -24,7 +24,7 @@ def decomposed(tmp_path, change):
     return off, len(at) - PULSES, judged["plausibility"]["channels"][0]["parity"], words
 
 
-@pytest.mark.parametrize("gain", [1.0, 1.05, 0.9])
+@pytest.mark.parametrize("gain", [1.0, 1.05, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_gains_of_two_digitisers_in_turn_are_taken_off(tmp_path, gain):
     def change(samples):
         samples[:, 1::2] = LEVEL + gain * (samples[:, 1::2] - LEVEL)
@@ -36,7 +36,7 @@ def test_gains_of_two_digitisers_in_turn_are_taken_off(tmp_path, gain):
     assert parity == pytest.approx((1.0 - gain) / (1.0 + gain), abs=0.004)
 
 
-@pytest.mark.parametrize(("first", "second"), [(1.1, 0.9), (1.1, 1.0), (1.0, 1.0)])
+@pytest.mark.parametrize(("first", "second"), [pytest.param(1.1, 0.9, marks=pytest.mark.slow), (1.1, 1.0), (1.0, 1.0)])
 def test_gains_that_change_along_the_strip_are_told(tmp_path, first, second):
     """As in a file joined of two receivers': one ratio for all of it is none, and makes false echoes."""
 

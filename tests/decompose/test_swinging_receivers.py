@@ -46,7 +46,7 @@ def recorded(tau: float, level: float, n: int = 1200, seed: int = 1):
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize(("tau", "level"), [(6.0, 80.0), (6.0, 30.0), (15.0, 20.0)])
+@pytest.mark.parametrize(("tau", "level"), [(6.0, 80.0), pytest.param(6.0, 30.0, marks=pytest.mark.slow), (15.0, 20.0)])
 def test_swinging_below_the_level_makes_no_echoes_and_hides_none(tau: float, level: float) -> None:
     waves, row, time = recorded(tau, level)
     pulse = estimate_pulse(waves, PULSE)

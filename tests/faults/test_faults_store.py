@@ -214,7 +214,7 @@ def test_a_second_run_finds_its_store_removed_at_the_next_part(tmp_path):
             held()
 
 
-@pytest.mark.parametrize("what", ["store", "store/publish-tile"])
+@pytest.mark.parametrize("what", [pytest.param("store", marks=pytest.mark.slow), "store/publish-tile"])
 def test_a_store_that_is_removed_at_the_very_end_is_not_delivered(survey, copy, what):
     """All parts are done, reports are written, and what was to be linked is gone."""
     before = (copy / "current").readlink()

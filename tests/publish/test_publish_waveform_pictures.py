@@ -59,7 +59,7 @@ def test_the_same_arrays_give_the_same_bytes() -> None:
     assert draw_waveforms(pulses, "a") != draw_waveforms(pulses[::-1], "a")
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7, 13])
+@pytest.mark.parametrize("n", [1, 5, 13, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3, 4, 6, 7))])
 def test_every_panel_has_its_place(n: int) -> None:
     """A picture grows by rows of panels; none is drawn over another."""
     image = pixels(draw_waveforms([picture(seed) for seed in range(40, 40 + n)], "pulses"))

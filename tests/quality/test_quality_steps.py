@@ -36,7 +36,8 @@ def cut(place: Path, y: float, lift: float) -> None:
 
 @pytest.mark.parametrize("y", [NORTH + 120, NORTH + 122])  # on an edge of cells of 4 m, and amid them
 @pytest.mark.parametrize(
-    ("lift", "told", "code"), [(0.25, True, 4), (-0.25, True, 4), (0.1, True, 0), (0.04, False, 0)]
+    ("lift", "told", "code"),
+    [(0.25, True, 4), pytest.param(-0.25, True, 4, marks=pytest.mark.slow), (0.1, True, 0), (0.04, False, 0)],
 )
 def test_a_file_delivered_anew_at_another_height(tmp_path: Path, y: float, lift: float, told: bool, code: int) -> None:
     cut(tmp_path, y, lift)

@@ -46,7 +46,9 @@ def test_a_sound_flight_is_not_told(flight) -> None:
     np.testing.assert_allclose(np.median(np.asarray(las["range"])[order] - away), 0.0, atol=0.02)
 
 
-@pytest.mark.parametrize("moved", [(0.0, 0.0, 40.0), (0.0, 0.0, -40.0), (12.0, -7.0, 0.0)])
+@pytest.mark.parametrize(
+    "moved", [(0.0, 0.0, 40.0), pytest.param((0.0, 0.0, -40.0), marks=pytest.mark.slow), (12.0, -7.0, 0.0)]
+)
 def test_a_trajectory_that_lies_elsewhere(flight, moved) -> None:
     code, words = decompose(flight, moved)
     assert code == 4 and "trajectory or calibration are not those of the echoes" in words, words
@@ -60,7 +62,15 @@ def test_half_of_a_flight(flight) -> None:
     assert code == 4 and "echoes have no range: no fix of the trajectory is at their times" in words, words
 
 
-@pytest.mark.parametrize(("altitude", "code"), [(720.0, 0), (650.0, 0), (400.0, 4), (2362.0, 4)])
+@pytest.mark.parametrize(
+    ("altitude", "code"),
+    [
+        (720.0, 0),
+        pytest.param(650.0, 0, marks=pytest.mark.slow),
+        pytest.param(400.0, 4, marks=pytest.mark.slow),
+        (2362.0, 4),
+    ],
+)
 def test_an_altitude_is_held_against_the_beams(flight, altitude: float, code: int) -> None:
     """The sensor flew at 720 m over ground at 120 m; 2362 are its feet."""
     root = flight[0]
@@ -80,7 +90,9 @@ def test_an_altitude_in_a_run(altitude: float, count: int) -> None:
     assert radiometry_facts([sums], None, [], params, True, {}) == {"implausible": []}
 
 
-@pytest.mark.parametrize(("constant", "said"), [("1e-9", "above 3 dB"), ("1e-24", "below -30 dB")])
+@pytest.mark.parametrize(
+    ("constant", "said"), [("1e-9", "above 3 dB"), pytest.param("1e-24", "below -30 dB", marks=pytest.mark.slow)]
+)
 def test_reflectances_of_no_surface(flight, constant: str, said: str) -> None:
     root = flight[0]
     decompose(flight)

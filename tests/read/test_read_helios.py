@@ -20,7 +20,9 @@ LAG = 0.35
 """Metres from the peak of its skewed pulse to what a Gaussian fits to it, and a bin."""
 
 
-@pytest.mark.parametrize(("bin_ns", "tilt", "digits"), [(0.2, 0.0, 9), (0.2, 25.0, 4), (0.25, 0.0, 9)])
+@pytest.mark.parametrize(
+    ("bin_ns", "tilt", "digits"), [pytest.param(0.2, 0.0, 9, marks=pytest.mark.slow), (0.2, 25.0, 4), (0.25, 0.0, 9)]
+)
 def test_places_lie_a_constant_behind(tmp_path, bin_ns, tilt, digits):
     path = tmp_path / "leg000_fullwave.txt"
     ground, crown, times = heliosmaker.survey(path, bin_ns=bin_ns, tilt=tilt, digits=digits)

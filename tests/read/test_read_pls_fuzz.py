@@ -81,7 +81,7 @@ head_changes = st.lists(st.tuples(st.integers(16, 1100), st.integers(0, 255)), m
 cuts = st.one_of(st.none(), st.integers(0, 2000))
 
 
-@pytest.mark.parametrize("kind", ["survey", "appended", "short"])
+@pytest.mark.parametrize("kind", ["survey", "appended", pytest.param("short", marks=pytest.mark.slow)])
 @relaxed
 @given(head=head_changes, pls=changes, wvs=changes, cut_pls=cuts, cut_wvs=cuts)
 def test_damaged_files(originals, tmp_path, kind, head, pls, wvs, cut_pls, cut_wvs):

@@ -30,7 +30,7 @@ def test_a_configurations_command_is_not_run_unasked(survey: Path) -> None:
     assert not (survey / "ran").exists()
 
 
-@pytest.mark.parametrize("how", ["word", "environment", "own"])
+@pytest.mark.parametrize("how", ["word", pytest.param("environment", marks=pytest.mark.slow), "own"])
 def test_it_is_run_when_the_user_says_so(how: str, survey: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     more: tuple[str, ...] = ("--allow-command",)
     if how == "environment":

@@ -111,7 +111,7 @@ def exact(made):
     return dict(enumerate(whole * made.rows / (whole @ made.counts)))
 
 
-@pytest.mark.parametrize("n", [2, 3, 4])
+@pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow), 4])
 @pytest.mark.parametrize("weights", ["none", "balanced"])
 def test_boosting_is_scikit_learns_with_gaps(n, weights):
     made, X = sample(n), fresh(n)
