@@ -83,6 +83,17 @@ def test_a_run_of_feet_tells_the_setting_that_brings_them_into_metres(tmp_path: 
     assert refused.returncode == 1 and "not in metres" in refused.stderr, refused.stderr
 
 
+def test_files_in_metres_do_not_stay_where_they_are_in_silence(tmp_path: Path) -> None:
+    place = survey(tmp_path / "m", "metres", "metres")
+    (place / "s.yaml").write_text("survey: {name: s, sources: ['*.las']}\n")
+    words = ("run", place / "s.yaml", "--workflow", "quality", "--out", place / "r", "--workers", 0)
+    for other in ("EPSG:32116", "EPSG:32116+5703"):
+        refused = fwclass(*words, "--set", f"read.project_to={other}")
+        assert refused.returncode == 2 and "in metres are not brought into another system" in refused.stderr
+    for same in ("EPSG:32118", "EPSG:32118+5703"):
+        assert fwclass(*words, "--set", f"read.project_to={same}").returncode == 0
+
+
 @pytest.mark.parametrize(
     ("feet", "metres"),
     [

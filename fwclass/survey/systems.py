@@ -80,11 +80,26 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
             got="; ".join(crs.name for crs, _ in systems),
             do=_way_out([crs for crs, _ in systems]),
         )
+    _refuse_idle_target(config, opened, systems[0][0])
     if fuller is None:
         return systems[0][0].to_wkt()
     text = fuller.to_wkt()
     runner.display.say(f"note: {heights_taken(without_heights(config, opened, text), text)}")
     return text
+
+
+def _refuse_idle_target(config: Config, opened: Sequence[Source], system: CRS) -> None:
+    """`ConfigError` where files are to be brought into another system, and none is, as all are in metres."""
+    target = given_crs(config.read.project_to, "read.project_to")
+    if target is None or any(s.target is not None for s in opened) or _one_plane([system, target]):
+        return
+    raise ConfigError(
+        "files in metres are not brought into another system",
+        where=f"{config.path}: read.project_to",
+        expected=f"files in degrees, in feet or geocentric, or nothing but {system.name}",
+        got=target.name,
+        do="leave read.project_to out, or bring the files into that system before",
+    )
 
 
 def with_heights(systems: Sequence[CRS]) -> CRS | None:
