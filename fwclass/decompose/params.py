@@ -46,6 +46,7 @@ class ParityParams(Params):
     waveforms : bright ones of either kind, whose highest sample has an even or an odd number, that tell it.
     pieces : parts along a strip that are asked on their own.
     bright : sum of a waveform's samples, in standard deviations of its noise.
+    ends : how far its first and last two samples may lie off the level, in standard deviations of its noise.
     least, most, sure : half the difference of both gains that is made good, at least, at most, in standard errors.
     alike, chance : share of it, or standard errors, by which what both kinds of waveforms tell may differ.
     """
@@ -53,6 +54,7 @@ class ParityParams(Params):
     waveforms: int = Field(ge=2, le=10_000_000)
     pieces: int = Field(ge=1, le=1000)
     bright: float = Field(gt=0.0, le=1e9)
+    ends: float = Field(gt=0.0, le=1e9)
     least: float = Field(ge=0.0, lt=1.0)
     most: float = Field(gt=0.0, lt=1.0)
     sure: float = Field(ge=0.0, le=1e9)

@@ -93,7 +93,8 @@ def _sure(value: float, error: float, params: ParityParams) -> float:
 
 def _parity(waves: Waveforms, channel: Channel, least: int, params: ParityParams) -> tuple[float, float] | None:
     """Gain of samples of even number over the mean of both, less 1, and its standard error; None where fewer than
-    `least` bright waveforms of either kind tell it, or both kinds tell something else."""
+    `least` bright waveforms of either kind tell it, or both kinds tell something else. A pulse that the record cuts
+    has another sum of even than of odd ones: waveforms that do not begin and end at the level are left out."""
     waves = rows_of(waves, np.flatnonzero(np.diff(waves.offsets) > 1))
     length, first = np.diff(waves.offsets), waves.offsets[:-1]
     if len(length) < 2 * least:
@@ -107,7 +108,11 @@ def _parity(waves: Waveforms, channel: Channel, least: int, params: ParityParams
     at_highest = samples == np.repeat(highest, length)
     number = np.add.reduceat(np.where(at_highest, 1, 0), first)
     peak = np.maximum.reduceat(np.where(at_highest, sign, -1.0), first)
-    some = (number == 1) & (highest < channel.clip) & (sums > params.bright * channel.noise * np.sqrt(used))
+    ends = np.abs(
+        samples[np.concatenate([[first, first + 1, first + length - 2, first + length - 1]])] - channel.baseline
+    )
+    quiet = ends.max(axis=0) <= params.ends * channel.noise
+    some = quiet & (number == 1) & (highest < channel.clip) & (sums > params.bright * channel.noise * np.sqrt(used))
     sums, turns, used, even = sums[some], turns[some], used[some], peak[some] > 0.0
     if min(even.sum(), (~even).sum()) < least:
         return None

@@ -49,6 +49,13 @@ def test_gains_that_change_along_the_strip_are_told(tmp_path, first, second):
     assert ("joined of two receivers'" in words) == (first != second), words
 
 
+def test_pulses_that_the_record_cuts_are_no_gain(tmp_path):
+    """Records that begin two samples before the peak, or end as long behind it, as of receivers that save memory."""
+    for cut in (slice(23, None), slice(None, 28)):
+        *_, parity, words = decomposed(tmp_path, lambda samples, cut=cut: samples[:, cut])
+        assert parity == 0.0 and "digitisers in turn" not in words, (cut, parity)
+
+
 def test_gains_that_change_sides_from_pulse_to_pulse_are_not(tmp_path):
     """Nothing tells then which sample is whose: they stay as they are."""
 
