@@ -62,6 +62,10 @@ PIECES = 4
 DRIFTED = 0.05
 """m between the constants of two parts of a strip that are told; a Leica's quarters differ by 6 mm."""
 
+SLIPPED, SLIP_WIDTH = 0.02, 0.25
+"""Share of the echoes that lie whole samples off, within so many of a sample, that is told; a Leica has -0.03, as its
+differences have tails."""
+
 MOST_BENT = 4.0
 """Second differences of so many times their median are no ground that tells anything of locations."""
 
@@ -158,6 +162,7 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             stretch = _stretch(left, location) or max((_stretch(left[p], location[p]) for p in pieces), key=abs)
             drift = 0.0 if curve.phase or curve.alike else _drift([left[p] for p in pieces])
             astray = float((np.abs(left) > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
+            slipped = 0.0 if curve.phase or curve.alike else _slipped(left / spacing, within / float(spacing))
             receivers = next((c.receivers for c in pulse.channels[int(k) : int(k) + 1]), ())
             curve = replace(
                 curve,
@@ -165,6 +170,7 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
                 receivers=receivers,
                 stretch=stretch,
                 drift=drift,
+                slipped=slipped,
             )
             curves += [curve] if curve.scatter < 0.5 * within else []
     return tuple(curves)
@@ -231,6 +237,19 @@ def _drift(pieces: list[Floats]) -> float:
     drift = float(middle[high] - middle[low])
     sure = drift > DRIFTED / METRES_PER_NS + SURE * math.hypot(error[low], error[high])
     return math.copysign(drift, high - low) if sure else 0.0
+
+
+def _slipped(left: Floats, most: float) -> float:
+    """Share of the echoes that lie 1 to `most` whole samples off, less twice what lies a half off, as tails do, where
+    that is sure; 0 else. `left`, (n,), are fitted times less locations less the curve, in samples."""
+    whole = np.rint(left)
+    off = (whole != 0.0) & (np.abs(whole) <= most)
+    lump = off & (np.abs(left - whole) <= SLIP_WIDTH)
+    between = (np.abs(left) > 2.0 * SLIP_WIDTH) & (np.abs(np.abs(left - whole) - 0.5) < SLIP_WIDTH)
+    count = int(lump.sum())
+    more = count - 2 * int(between.sum())
+    sure = more >= SLIPPED * len(left) and more > SURE * math.sqrt(count)
+    return more / len(left) if sure else 0.0
 
 
 def _nearest(gap: Floats, row: NDArray[np.int64], selected: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -36,6 +36,8 @@ class OffsetCurve:
         where that is not sure.
     drift : by how much the constant differs between two quarters of the strip [ns], later less earlier; 0 where that is
         not sure or below 0.05 m, and where echoes are placed by their own returns.
+    slipped : share of the echoes that lie whole samples off the curve, more than lie between; 0 where that is not sure
+        or below 2 %, and where echoes are placed by their own returns.
     """
 
     sample_spacing: float
@@ -51,6 +53,7 @@ class OffsetCurve:
     alike: bool = False
     stretch: float = 0.0
     drift: float = 0.0
+    slipped: float = 0.0
 
     def at(self, amplitude: Floats) -> Floats:
         """Offset of echoes of these heights [ns]."""

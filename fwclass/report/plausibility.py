@@ -280,13 +280,22 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             "receivers in one file; one constant is taken off, so that echoes lie off by up to as much; write the "
             f"parts to files of their own ({names_of(strips_once(s for s, _ in some))})"
         )
-    some = [(s, c) for s, c in offsets if c.get("astray", 0.0) > SCATTERED]
+    some = [(s, c) for s, c in offsets if c.get("astray", 0.0) > SCATTERED and not c.get("slipped")]
     if some:
         _, worst = max(some, key=lambda one: one[1]["astray"])
         lines.append(
             f"{percent_words(worst['astray'])} of the echoes lie more than 0.1 m off the returns that place them"
             f"{channel_words(worst)}: locations or samples of some pulses are not where they say, by a sample "
             f"perhaps, and their echoes are off by as much ({names_of(strips_once(s for s, _ in some))})"
+        )
+    some = [(s, c) for s, c in offsets if c.get("slipped")]
+    if some:
+        _, worst = max(some, key=lambda one: one[1]["slipped"])
+        lines.append(
+            f"{percent_words(worst['slipped'])} of the echoes lie whole samples off the returns that place them"
+            f"{channel_words(worst)}: samples were lost before them, or locations are of other samples, and their "
+            f"echoes are off by {worst['sample_spacing'] * METRES_PER_NS:.2f} m or more "
+            f"({names_of(strips_once(s for s, _ in some))})"
         )
     if unlike := [(s, one) for s in strips for one in (s["places"] or {}).get("descriptors", ())]:
         _, (kind, ratio) = max(unlike, key=lambda one: abs(one[1][1] - 1.0))

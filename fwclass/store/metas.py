@@ -133,7 +133,9 @@ _PULSE = {
 _PLACES = {
     "vendor_offset": [
         {
-            **dict.fromkeys(("sample_spacing", "saturation", "constant", "scatter", "stretch?", "drift?"), NUMBER),
+            **dict.fromkeys(
+                ("sample_spacing", "saturation", "constant", "scatter", "stretch?", "drift?", "slipped?"), NUMBER
+            ),
             **{"echoes": COUNT, "phase": FLAG, "alike?": FLAG, "heights": [NUMBER], "offsets": [NUMBER]},
         }
     ],
