@@ -121,7 +121,9 @@ def test_a_grid_may_have_another_origin(origin):
         assert tile.origin == origin and tile.box.contains(x[k : k + 1], y[k : k + 1]).all()
         assert [t.key for t in grid.touching(Box(x[k], y[k], x[k] + 0.001, y[k] + 0.001))] == [tile.key]
         assert {t.key for t in grid.touching(tile.box)} == {tile.key}
-        assert len(list(grid.touching(tile.box.grown(0.001)))) == 9
+        wider = tile.box.grown(0.001)
+        assert len(list(grid.touching(wider))) == 9
+        assert list(grid.keys_touching(wider)) == [t.key for t in grid.touching(wider)]
 
 
 def test_boxes_move_and_meet():

@@ -65,7 +65,7 @@ def sample_waves(here: StageInputs, params: SampleParams, fit: DecomposeParams, 
 
 def samples_in(here: StageInputs, box: Box, block: float) -> Table:
     """The samples of the declared spans in all blocks that touch `box`, in one order."""
-    keys, parts = [t.key for t in TileGrid(block).touching(box)], []
+    keys, parts = list(TileGrid(block).keys_touching(box)), []
     for span in here.parts(SAMPLES.name):
         there = here.inputs.meta(SAMPLES.name, span)["tiles"]
         parts += [here.inputs.fragment(SAMPLES.name, span, key) for key in keys if key in there]

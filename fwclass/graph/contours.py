@@ -160,7 +160,7 @@ def _around(plan: Plan, block: Tile) -> list[Name]:
     return [
         (TERRAIN.name, b.key)
         for b in TileGrid(edge).touching(box)
-        if any(near.key in owned for near in TileGrid(edge).touching(b.box.grown(edge)))
+        if any(key in owned for key in TileGrid(edge).keys_touching(b.box.grown(edge)))
     ]
 
 

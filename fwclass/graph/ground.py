@@ -64,15 +64,15 @@ def surroundings(
     box, here = block.box.grown(halo), set(present)
     wanted = {**dict.fromkeys(("x", "y"), "tile"), **columns}
     tables, owned, pieces = [], [], []
-    for tile in TileGrid(tile_size).touching(box):
-        if tile.key not in here:
+    for key in TileGrid(tile_size).keys_touching(box):
+        if key not in here:
             continue
-        table = inputs.rows(tile.key, wanted, box).select(wanted)
+        table = inputs.rows(key, wanted, box).select(wanted)
         own = block.box.contains(table["x"], table["y"])
         tables.append(table)
         owned.append(own)
         if own.any():
-            pieces.append((tile.key, int(own.sum())))
+            pieces.append((key, int(own.sum())))
     if not tables:
         return BlockEchoes(Table.empty(wanted), np.zeros(0, bool), ())
     return BlockEchoes(Table.concat(tables), np.concatenate(owned), tuple(pieces))
@@ -217,7 +217,7 @@ def _stacked_around(plan: Plan, block: Tile) -> list[Name]:
         return []
     edge = plan.config.terrain.block
     box = block.box.grown(TERRAIN.halo(plan.config.terrain) + plan.config.stack.window)
-    return [(STACK, b.key) for b in TileGrid(edge).touching(box) if b.key in plan.layout.occupied[edge]]
+    return [(STACK, key) for key in TileGrid(edge).keys_touching(box) if key in plan.layout.occupied[edge]]
 
 
 def filters_ground(plan: Plan) -> bool:
@@ -230,7 +230,9 @@ def gathers(name: str, source: Stage, columns: Names, block: Any, when: Callable
 
     def blocks(plan: Plan, tile: Tile) -> list[Name]:
         edge = block(plan)
-        return [(source.name, b.key) for b in TileGrid(edge).touching(tile.box) if b.key in plan.layout.occupied[edge]]
+        return [
+            (source.name, key) for key in TileGrid(edge).keys_touching(tile.box) if key in plan.layout.occupied[edge]
+        ]
 
     return Stage(
         name,

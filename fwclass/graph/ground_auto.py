@@ -81,9 +81,9 @@ def _chosen(auto: GroundAutoParams, building: float, values: Mapping[str, float]
 def _shown(here: StageInputs, last_returns: bool) -> Iterator[Points]:
     """Places of the echoes that a filter looks at, tile by tile."""
     box, present = here.tile.box.grown(here.halo), set(here.present)
-    for tile in TileGrid(here.tile_size).touching(box):
-        if tile.key in present:
-            table = here.inputs.rows(tile.key, here.columns, box)
+    for key in TileGrid(here.tile_size).keys_touching(box):
+        if key in present:
+            table = here.inputs.rows(key, here.columns, box)
             keep = (table["fit_flags"] & IMPLAUSIBLE) == 0
             table = table.take(keep & last_of(table) if last_returns else keep)
             yield table["x"], table["y"], table["z"]

@@ -99,7 +99,7 @@ def overviews_of(bounds: Sequence[float], square: float, drawn: Mapping[str, int
     """Overviews of the squares in which a tile's echoes lie, `bounds` (xmin, ymin, zmin, xmax, ymax, zmax [m]): paths
     beside the list of tiles. `drawn`: echoes of each overview that there is."""
     box = Box(bounds[0], bounds[1], bounds[3] + QUANTUM, bounds[4] + QUANTUM)
-    keys = [t.key for t in TileGrid(square).touching(box)]
+    keys = TileGrid(square).keys_touching(box)
     return [square_path(key).removeprefix("laz/") for key in keys if drawn.get(key)]
 
 

@@ -58,7 +58,7 @@ def sites(layout: Layout) -> tuple[Site, ...]:
         return (whole,)
     parts = groups(blocks)
     part_of = {b.key: k for k, part in enumerate(parts) for b in part}
-    touched = [[part_of[b.key] for b in TileGrid(edge).touching(tile.box) if b.key in part_of] for tile in layout.tiles]
+    touched = [[part_of[k] for k in TileGrid(edge).keys_touching(tile.box) if k in part_of] for tile in layout.tiles]
     count, site_of = _joined(len(parts), touched)
     if count == 1:
         return (whole,)

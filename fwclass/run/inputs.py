@@ -192,9 +192,9 @@ class PartInputs:
         parts = [core]
         box, here = tile.box.grown(halo), set(present)
         if halo > 0:
-            for other in TileGrid(tile.size, tile.origin).touching(box):
-                if other.key != tile.key and other.key in here:
-                    parts.append(self.rows(other.key, wanted, box).select(wanted))
+            for key in TileGrid(tile.size, tile.origin).keys_touching(box):
+                if key != tile.key and key in here:
+                    parts.append(self.rows(key, wanted, box).select(wanted))
         return Chunk.of(Table.concat(parts), slice(core.rows), tile)
 
     def chunks(
@@ -215,11 +215,11 @@ class PartInputs:
             around = tile.box.grown(halo)
             box = _piece_box(tile, self.split, k).grown(halo + _ROUNDING).common(around) or around
             parts, core = [], np.zeros(0, bool)
-            for other in TileGrid(tile.size, tile.origin).touching(box):
-                if other.key in here:
-                    table = self.rows(other.key, wanted, box).select(wanted)
+            for key in TileGrid(tile.size, tile.origin).keys_touching(box):
+                if key in here:
+                    table = self.rows(key, wanted, box).select(wanted)
                     mine = np.zeros(table.rows, bool)
-                    if other.key == tile.key:
+                    if key == tile.key:
                         mine = _piece(tile, self.split, table["x"], table["y"]) == k
                     core = np.concatenate([core, mine])
                     parts.append(table)
@@ -251,7 +251,7 @@ class PartInputs:
         """Rows of every tile inside `box`, with x and y."""
         here = set(present)
         wanted = {**dict.fromkeys(("x", "y"), base), **columns}
-        parts = [self.rows(t.key, wanted, box, base) for t in TileGrid(size).touching(box) if t.key in here]
+        parts = [self.rows(key, wanted, box, base) for key in TileGrid(size).keys_touching(box) if key in here]
         return Table.concat([p.select(wanted) for p in parts]) if parts else Table.empty(wanted)
 
 

@@ -155,7 +155,7 @@ class Layout:
 
     def around(self, box: Box, among: AbstractSet[str]) -> tuple[str, ...]:
         """Tiles of `among` that touch `box`."""
-        return tuple(t.key for t in TileGrid(self.config.tile.size).touching(box) if t.key in among)
+        return tuple(key for key in TileGrid(self.config.tile.size).keys_touching(box) if key in among)
 
     def blocks(self, size: float, margin: int = 0) -> tuple[Tile, ...]:
         """Blocks of edge `size` [m] that own an echo, and `margin` blocks around them: the same set whatever the

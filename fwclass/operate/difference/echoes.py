@@ -90,7 +90,7 @@ def _pairs(first: Path, second: Path, sizes: tuple[float, float]) -> Iterator[tu
     first_grid, second_grid = (TileGrid(size) for size in sizes)
     for path in sorted(first.glob("*.parquet")):
         box = first_grid.tile(path.stem).box
-        near = [second_table(t.key) for t in second_grid.touching(box) if t.key in there]
+        near = [second_table(key) for key in second_grid.keys_touching(box) if key in there]
         inside = [t.take(box.contains(t["x"], t["y"])) for t in near]
         joined = Table({n: np.concatenate([t[n] for t in inside]) for n in _COLUMNS}) if inside else None
         yield read_table(path, _COLUMNS), joined if joined is not None else Table.empty(_COLUMNS)

@@ -197,7 +197,7 @@ def whole_blocks(
     the tiles count."""
     whole, keys, grid = [], layout.keys, TileGrid(layout.config.tile.size)
     for block in blocks:
-        near = [t.key for t in grid.touching(reads(block)) if t.key in keys]
+        near = [key for key in grid.keys_touching(reads(block)) if key in keys]
         names = [(s, t) for t in near for s in ("ground", "height")] + ([(stage, block.key)] if stage else [])
         if near and all(n in look.states and look.states[n].standing == "done" for n in names):
             whole.append(block)
