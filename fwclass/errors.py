@@ -241,6 +241,16 @@ _UNFINISHED = re.compile(r"(^|/)\.([^/]+)\.(?:[0-9a-f]{32}|\w+-\d+\.part(?:\.[^/
 """A file under the name that it has until it is whole (`publish.files.whole`, `store.atomic`)."""
 
 
+def memory_error(fault: MemoryError) -> FwclassError:
+    """Memory that the operating system or a limit refuses, in words for the user."""
+    return FwclassError(
+        "memory ran out",
+        got=visible(first_line(fault)),
+        do="free some, raise the limit, or make less at a time (tile.size, --workers), then run the same command again; "
+        "what is done is kept",
+    )
+
+
 def system_error(fault: OSError, where: object = "") -> FwclassError:
     """A refusal of the operating system (no such place, no permission, disk full) in words for the user."""
     place = _UNFINISHED.sub(r"\1\2", str(fault.filename or where))

@@ -36,7 +36,7 @@ from fwclass.cli import (
 )
 from fwclass.cli.base import cli
 from fwclass.cli.output import watched_output
-from fwclass.errors import FAILED, INTERRUPTED, INTERRUPTS, FwclassError, system_error, visible
+from fwclass.errors import FAILED, INTERRUPTED, INTERRUPTS, FwclassError, memory_error, system_error, visible
 from fwclass.isolation import isolate
 from fwclass.redact import redacted
 
@@ -101,6 +101,9 @@ def main() -> None:
         sys.exit(FAILED)
     except OSError as fault:
         click.echo(f"fwclass: {system_error(fault)}", err=True)
+        sys.exit(FAILED)
+    except MemoryError as fault:
+        click.echo(f"fwclass: {memory_error(fault)}", err=True)
         sys.exit(FAILED)
     except RuntimeError as fault:
         if not str(fault).startswith("Symlink loop"):  # what Path.resolve says before Python 3.13
