@@ -246,8 +246,8 @@ def memory_error(fault: MemoryError) -> FwclassError:
     return FwclassError(
         "memory ran out",
         got=visible(first_line(fault)),
-        do="free some, raise the limit, or make less at a time (tile.size, --workers), then run the same command again; "
-        "what is done is kept",
+        do="free some, raise the limit, or make less at a time (tile.size, --workers), then run the same command "
+        "again; what is done is kept",
     )
 
 
