@@ -225,6 +225,7 @@ class PlausibilityParams(Params):
     max_unlike : share of neighbouring returns the stronger of which has the lower echo.
     max_misplaced : share of neighbouring returns of one pulse that do not lie apart, along their beam, as their
         locations in time do.
+    max_unsettled : share of the variance of bright echoes' samples by which the last two fits differ.
     max_repeated : share of the survey's echoes that have place and time of another.
     max_shared : share of a file's echoes that another file has too: as they are, or moved by less than half a metre.
     max_height_step : median step in height between files, or lines, that see one surface or lie beside each other [m].
@@ -253,6 +254,7 @@ class PlausibilityParams(Params):
     max_uneven: float = Field(ge=0.0, le=1.0)
     max_unlike: float = Field(ge=0.0, le=1.0)
     max_misplaced: float = Field(ge=0.0, le=1.0)
+    max_unsettled: float = Field(ge=0.0, le=1.0)
     max_repeated: float = Field(ge=0.0, le=1.0)
     max_shared: float = Field(ge=0.0, le=1.0)
     max_height_step: float = Field(gt=0.0, le=1000.0)

@@ -7,6 +7,7 @@ of different heights tell the two apart.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -51,23 +52,27 @@ NOTICED = 0.1
 """Share of the noise's variance that the growth must reach at the median echo's height to matter."""
 
 
-def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> SystemPulse:
+def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> tuple[SystemPulse, float]:
     """`pulse` whose channels tell how their noise grows with the signal, where bright single echoes show it; its shape
     error is then what is left. Depends on the set of waveforms only.
 
     Both are right when a fit that weighs its samples by them leaves as much of faint as of bright echoes, and as much
-    under as beside them. A growth that a later fit no more shows is none.
+    under as beside them. A growth that a later fit no more shows is none. The number beside is 0 where `ROUNDS` of
+    fits came to that; else the share by which the last one shows another variance of a bright echo's samples than it
+    weighed them by.
     """
-    tried, doubted = pulse, set[_Key]()
+    tried, doubted, apart = pulse, set[_Key](), 0.0
     before: dict[_Key | None, tuple[float, float]] = {}
     for _ in range(ROUNDS):
         channels, settled = [], True
         weighed = {_owner(c): tried.of(c).shape_error for c in tried.channels}
         shown: dict[_Key | None, float] = {}
+        bright: dict[_Key, tuple[float, float]] = {}
         for channel in tried.channels:
             look = lookup(tried.of(channel), channel.sample_spacing, 1.0, 1.1, channel.autoregression)
             echoes, growth = _bright(waves, channel, tried, params, look.pulse_gain), channel.growth
             if echoes is not None:
+                bright[channel.key] = echoes.height, look.pulse_gain
                 growth, square = _separate_noise(echoes, channel.noise**2, channel.key not in doubted)
                 shown[_owner(channel)] = max(shown.get(_owner(channel), 0.0), math.sqrt(square))
             if channel.growth > 0.0 and growth == 0.0:
@@ -75,15 +80,34 @@ def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposePar
             settled &= abs(growth - channel.growth) <= SETTLED * growth
             channels.append(replace(channel, growth=growth))
         if not any(c.growth > 0.0 or c.phi for c in channels) or max(shown.values(), default=0.0) > ABSURD:
-            return pulse
+            return pulse, 0.0
+        both = [(old, new) for old, new in zip(tried.channels, channels, strict=True) if old.key in bright]
+        apart = max((_apart(old, new, weighed, shown, *bright[old.key]) for old, new in both), default=0.0)
         settled &= all(abs(e - weighed[o]) <= max(SETTLED * e, LEAST) for o, e in shown.items())
         agreed = weighed | {o: _agreed(weighed[o], e, *before.get(o, (weighed[o], e))) for o, e in shown.items()}
         before = {o: (weighed[o], e) for o, e in shown.items()}
         channels = [replace(c, pulse=c.pulse and replace(c.pulse, shape_error=agreed[c.key])) for c in channels]
         tried = replace(tried, channels=tuple(channels), shape_error=agreed.get(None, tried.shape_error))
         if settled:
-            break
-    return tried
+            return tried, 0.0
+    return tried, apart
+
+
+def _apart(
+    old: Channel,
+    new: Channel,
+    weighed: Mapping[_Key | None, float],
+    shown: Mapping[_Key | None, float],
+    height: float,
+    pulse_gain: float,
+) -> float:
+    """By what share of the greater one two variances of samples of a `height` [DN] differ: that of a channel before and
+    after a fit, with the shape errors that it `weighed` by and has `shown`."""
+    one, other = (
+        c.autoregression.innovation * (c.noise**2 + c.growth * height) + (pulse_gain * errors[_owner(c)] * height) ** 2
+        for c, errors in ((old, weighed), (new, shown))
+    )
+    return abs(one - other) / max(one, other)
 
 
 def _owner(channel: Channel) -> _Key | None:

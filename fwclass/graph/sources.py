@@ -183,14 +183,15 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         sent = np.isin(waves.pulses["pulse"], samples[-1].pulses["pulse"]) & (np.diff(waves.outgoing_offsets) > 0)
         outgoing.append(outgoing_of(waves, np.flatnonzero(sent)))
     sampled, noise = sum(s.pulses.rows for s in samples), UNKNOWN.noise
-    pulse, recorded = SystemPulse.gaussian(params.fallback_width), None
+    pulse, recorded, unsettled = SystemPulse.gaussian(params.fallback_width), None, 0.0
     if samples:
         sample = join_samples(samples)
         recorded = recorded_pulse(join_samples(outgoing), params)
         pulse = with_recovery(estimate_single_pulse(sample, params, fit, recorded), sample, fit)
         level, _ = recovered(of_sure_copies(sample, pulse), fit, pulse)
         pulse = with_correlated_noise(pulse, level, fit)
-        pulse = with_misfit(with_signal_noise(pulse, level, fit), level, fit)
+        pulse, unsettled = with_signal_noise(pulse, level, fit)
+        pulse = with_misfit(pulse, level, fit)
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
         noise = quiet_noise(level, pulse, fit)
@@ -207,6 +208,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         "widths": width_walk(bright, params) if sampled else [],
         "drift": width_drift(bright, params) if sampled else [],
         "sampled": sampled,
+        "unsettled": unsettled,
         **noise.facts,
     }
 

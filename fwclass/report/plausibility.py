@@ -29,6 +29,9 @@ UNEVEN = 0.01
 INFLATED = 1.1
 """From so many times the noise that was reckoned with on, it is told."""
 
+UNSETTLED = 0.01
+"""Share of a variance that fits which settled leave unknown, too; from there on it is told."""
+
 PERIODIC = 0.2
 """Share of the noise's variance that comes back, from which it is told; at most 0.02 on the receivers measured."""
 
@@ -102,7 +105,11 @@ def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What the receipt of a strip's pulse says of its noise, of every channel's pulse (`channel_pulses`), and how
     wide echoes are at every height and along the strip (`width_walk`, `width_drift`)."""
     walks = {name: meta.get(name, []) for name in ("widths", "drift")}
-    return {**{name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}, **walks}
+    return {
+        **{name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")},
+        **walks,
+        "unsettled": meta.get("unsettled", 0.0),
+    }
 
 
 def strip_plausibility(
@@ -219,8 +226,14 @@ def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _noise_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
-    """Of noise that is correlated, or comes back."""
+    """Of noise that is correlated, comes back, or is not known under echoes."""
     lines = []
+    if some := [s for s in strips if s.get("unsettled", 0.0) > UNSETTLED]:
+        lines.append(
+            "fits that weigh samples by what they show of the noise under bright echoes did not settle: its variance "
+            f"is known to {percent_words(max(s['unsettled'] for s in some))}, and so are squared errors of such echoes "
+            f"({names_of(some)})"
+        )
     if some := [s for s in strips if (s["lag1"] or 0.0) > params.white_noise and s["inflation"] >= INFLATED]:
         worst = max(some, key=lambda s: s["lag1"])
         lines.append(
@@ -390,3 +403,13 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
                 expected=f"at most {percent_words(most)} (plausibility.max_{kind})",
                 do=hint,
             )
+    if unsettled := [s for s in listed if s.get("unsettled", 0.0) > params.max_unsettled]:
+        worst = max(unsettled, key=lambda s: s["unsettled"])
+        refuse_unsound(
+            [f"variances that differ by {percent_words(worst['unsettled'])}"],
+            params.accept,
+            "the noise under bright echoes does not settle",
+            where=worst["name"],
+            expected=f"at most {percent_words(params.max_unsettled)} (plausibility.max_unsettled)",
+            do=SHAPES,
+        )

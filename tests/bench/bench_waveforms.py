@@ -429,7 +429,7 @@ def other_pulses(scale: float) -> list[Figure]:
 def asked(waves: Any) -> SystemPulse:
     """The pulse and receiver as the stage `pulse` sees them in a survey."""
     pulse = with_correlated_noise(estimate_pulse(waves, PULSE), waves, PARAMS)
-    return with_misfit(with_signal_noise(pulse, waves, PARAMS), waves, PARAMS)
+    return with_misfit(with_signal_noise(pulse, waves, PARAMS)[0], waves, PARAMS)
 
 
 def real_noise() -> dict[str, tuple[float, ...]]:

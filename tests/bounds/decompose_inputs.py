@@ -194,7 +194,7 @@ def drive(inputs: int, seed: int) -> int:
             with_water(fit_waveforms(waves(batch, step), PARAMS, pulse), waves(batch, step), PARAMS, pulse, WATER)
             estimated = estimate_pulse(waves(batch), PulseParams(**BASE["pulse"] | {"min_echoes": 8}))
             estimated = with_correlated_noise(estimated, waves(batch), PARAMS)
-            with_misfit(with_signal_noise(estimated, waves(batch), PARAMS), waves(batch), PARAMS)
+            with_misfit(with_signal_noise(estimated, waves(batch), PARAMS)[0], waves(batch), PARAMS)
     for rows in (0, 1, 2, 9):
         pulse, xyz, found = np.sort(rng.integers(0, 4, rows)), rng.normal(0, 1e300, (rows, 3)), np.empty(rows, np.int64)
         nearest_of_pulse(pulse, xyz, pulse[: rows // 2], xyz * np.nan, found)

@@ -34,7 +34,7 @@ def asked(base, params, n=20_000, **noise):
     """The system as a survey of this noise shows it."""
     waves, _ = wm.survey_mix(n, seed=2, **noise)
     pulse = with_correlated_noise(estimate_pulse(waves, PulseParams(**base["pulse"])), waves, params)
-    return with_signal_noise(pulse, waves, params)
+    return with_signal_noise(pulse, waves, params)[0]
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_white_noise_is_left_alone(base, params, maker):
     """Neither hidden echoes nor noise that differs between waveforms is taken for correlation or for growth."""
     waves, _ = maker(20_000, seed=5)
     plain = estimate_pulse(waves, PulseParams(**base["pulse"]))
-    seen = with_signal_noise(with_correlated_noise(plain, waves, params), waves, params)
+    seen, _ = with_signal_noise(with_correlated_noise(plain, waves, params), waves, params)
     assert seen is plain or seen == replace(plain, channels=seen.channels)
     assert all(c.phi == () and c.growth == 0.0 for c in seen.channels)
     assert quiet_noise(waves, plain, params).inflation < 1.05
@@ -104,7 +104,7 @@ def test_the_order_of_the_waveforms_does_not_matter(params, noise):
     seen = []
     for rows in (np.arange(9000), np.random.default_rng(1).permutation(9000)):
         part = wm.rows_of(waves, rows)
-        seen.append(with_signal_noise(with_correlated_noise(pulse, part, params), part, params))
+        seen.append(with_signal_noise(with_correlated_noise(pulse, part, params), part, params)[0])
     assert seen[0].channels == seen[1].channels != KNOWN and seen[0].shape_error == seen[1].shape_error
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import wavemaker as wm
+from commandline import fwclass
 from scipy.stats import chi2
 
+from fwclass.decompose import signal_noise
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.pulse_sample import join_samples
@@ -45,10 +47,11 @@ def growth_and_shape(pulse: SystemPulse) -> np.ndarray:
 
 
 def assert_settled(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams, most: float) -> None:
-    first = with_signal_noise(pulse, waves, params)
+    first, unsettled = with_signal_noise(pulse, waves, params)
+    assert unsettled == 0.0
     assert growth_and_shape(first)[:, 1].max() <= most
     for start in (first, started(pulse, 0.0), started(pulse, 0.08)):
-        assert growth_and_shape(with_signal_noise(start, waves, params)) == pytest.approx(
+        assert growth_and_shape(with_signal_noise(start, waves, params)[0]) == pytest.approx(
             growth_and_shape(first), rel=NEAR, abs=2e-4
         )
 
@@ -89,6 +92,19 @@ def test_what_a_real_strip_shows_is_what_its_own_fit_shows(base, params, shared_
     source, read = open_source(shared_data / "waveform" / name), ReadParams(**base["read"])
     waves = join_samples([read_span(source, span, read) for span in index_source(source, read)])
     assert_settled(correlated(waves, base, params), waves, params, most)
+
+
+@pytest.mark.statistics
+def test_what_has_not_settled_is_told_and_ends_with_4(tmp_path: Path, shared_data: Path, monkeypatch) -> None:
+    """One fit of the Leica's, which weighs by noise and shape as they are known before."""
+    line = ("decompose", shared_data / "waveform/leica_2ns.laz", tmp_path / "a.laz", "--overwrite")
+    bound = "plausibility.max_unsettled"
+    assert "did not settle" not in fwclass(*line).stderr
+    monkeypatch.setattr(signal_noise, "ROUNDS", 1)
+    for most, code in ((0.5, 0), (0.4, 4)):
+        ended = fwclass(*line, "--set", f"{bound}={most}")
+        assert ended.returncode == code and "did not settle" in ended.stderr, ended.stderr
+        assert ("the noise under bright echoes does not settle" in ended.stderr) == (code == 4)
 
 
 def test_shares_are_found_under_echoes_of_one_height_and_beside_them() -> None:
