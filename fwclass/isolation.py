@@ -18,6 +18,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from fwclass.lazy_module import LazyModule
+
 CONFIGURATIONS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
 """Files that a library reads from the current directory when it is imported."""
 
@@ -31,6 +33,9 @@ package is loaded because it calls itself a plugin of pydantic, which asks all o
 UNUSED = {"laspy": "requests", "pyarrow": "cloudpickle"}
 """Libraries, and what they load to read from a network and to pack functions, which no command has them do: that takes
 as long to load as much of their own."""
+
+PARTS_OF_NUMPY = ("f2py", "testing")
+"""What SciPy loads as it takes all names of numpy, and no command uses: a quarter of what `scipy.ndimage` takes."""
 
 _fresh = ExitStack()
 """The directory of compiled code that ends with this process, where there is one."""
@@ -170,11 +175,15 @@ def away_from(*names: str) -> Iterator[None]:
         os.close(back)
 
 
+def _isolated() -> bool:
+    return os.environ.items() >= CHILDREN.items()
+
+
 @contextmanager
 def without(*names: str) -> Iterator[None]:
     """Modules `names` that are not loaded cannot be, as if they were not installed; only where `isolate` was called,
     here or by the process that started this one: a program that imports fwclass keeps all that its libraries can do."""
-    hidden = [n for n in names if n not in sys.modules] if os.environ.items() >= CHILDREN.items() else []
+    hidden = [n for n in names if n not in sys.modules] if _isolated() else []
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: Python's word for it
     try:
         yield
@@ -185,10 +194,10 @@ def without(*names: str) -> Iterator[None]:
 
 class _Guard:
     """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files, and
-    those of `UNUSED` without what that names."""
+    those of `UNUSED` without what that names; SciPy without `PARTS_OF_NUMPY`."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name not in CONFIGURATIONS and name not in UNUSED:
+        if name not in CONFIGURATIONS and name not in UNUSED and name != "scipy":
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
@@ -204,8 +213,16 @@ def _guard(name: str, execute: Callable[[ModuleType], None]) -> Callable[[Module
             execute(module)
         if name == "numba":
             _settle_numba()
+        if name == "scipy" and _isolated():
+            _settle_numpy()
 
     return exec_module
+
+
+def _settle_numpy() -> None:
+    """The parts `PARTS_OF_NUMPY` are loaded when something of them is used."""
+    for part in PARTS_OF_NUMPY:
+        vars(sys.modules["numpy"]).setdefault(part, LazyModule(f"numpy.{part}"))
 
 
 def _settle_numba() -> None:

@@ -137,6 +137,15 @@ def test_a_command_does_not_load_what_packs_functions_to_read_parquet() -> None:
     subprocess.run([sys.executable, "-c", child], env=os.environ | CHILDREN, check=True)
 
 
+def test_scipy_does_not_load_parts_of_numpy_that_nothing_uses_and_they_are_there_for_who_does() -> None:
+    child = (
+        "import fwclass, numpy, scipy.ndimage, sys; assert not {'numpy.f2py', 'numpy.testing'} & set(sys.modules); "
+        "numpy.testing.assert_equal(1, 1); import numpy.f2py, types; assert isinstance(numpy.f2py, types.ModuleType); "
+        "from numpy.testing import assert_allclose; from numpy import testing; testing.assert_array_equal([1], [1])"
+    )
+    subprocess.run([sys.executable, "-c", child], env=os.environ | CHILDREN, check=True)
+
+
 def test_a_package_that_calls_itself_a_plugin_of_pydantic_is_not_loaded(tmp_path: Path) -> None:
     """To ask every package of the environment takes as long as to build the parameters."""
     (tmp_path / "plugged.py").write_text("import sys; sys.exit('loaded')")
