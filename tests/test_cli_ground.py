@@ -256,6 +256,10 @@ def test_waveform_packets_survive(tmp_path, fwclass):
         code, _, err = fwclass("ground", source, tmp_path / "other.laz")
         assert code == 2 and "would replace a file" in err
         assert (tmp_path / "other.wdp").read_bytes() == b"mine"
+    beside, own = tmp_path / "external.wdp", (tmp_path / "external.wdp").stat()
+    code, said, err = fwclass("ground", beside.with_suffix(".las"), beside.with_suffix(".laz"), "--json", "--overwrite")
+    assert code == 0 and json.loads(said)["waveforms"] == str(beside), err
+    assert (beside.stat().st_ino, beside.stat().st_mtime_ns) == (own.st_ino, own.st_mtime_ns), "it is the source's own"
 
 
 def test_parameters_by_name(tmp_path, fwclass):

@@ -71,6 +71,16 @@ def test_standard_output_is_the_file_alone(tmp_path):
     assert yaml.safe_load(ended.stdout)["survey"]["name"] == "x"
 
 
+def test_a_draft_is_not_written_onto_what_it_is_of(tmp_path):
+    town(tmp_path)
+    before = (tmp_path / "a.las").read_bytes()
+    (tmp_path / "b.yaml").symlink_to("a.las")
+    for files, to in (("a.las", "a.las"), (".", "a.las"), ("a.las", "b.yaml")):
+        ended = fwclass("init", files, "--to", to, "--overwrite", cwd=tmp_path)
+        assert ended.returncode == 2 and "onto itself" in ended.stderr, ended.stderr
+    assert (tmp_path / "a.las").read_bytes() == before
+
+
 def test_files_elsewhere_are_named_from_there(tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "work").mkdir()

@@ -21,12 +21,14 @@ def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: 
     What the files do not tell is marked TO DO in it, and said here.
     """
     from fwclass.operate.draft.survey import draft
-    from fwclass.publish.files import check_free, whole
+    from fwclass.publish.files import check_free, check_other, whole
     from fwclass.read.info import files_in
 
+    named = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
     if to is not None:
         check_free(to, overwrite)
-    named = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
+        for path in named:
+            check_other(to, path)
     directory = files[0] if len(files) == 1 and files[0].is_dir() else None
     draft_of_files = draft(named, to.parent if to is not None else Path(), name, directory)
     if to is None:

@@ -32,6 +32,14 @@ def check_free(path: Path, overwrite: bool) -> None:
     _standing[path.absolute()] = _identity(path)
 
 
+def check_other(path: Path, source: Path) -> None:
+    """`ConfigError` where `path` is the file `source`, under this name or another."""
+    if path.exists() and source.exists() and path.samefile(source):
+        raise ConfigError(
+            "a file cannot be written onto itself", where=path, do="name another output; the input is never changed"
+        )
+
+
 def _identity(path: Path) -> tuple[int, ...] | None:
     try:
         state = path.stat()

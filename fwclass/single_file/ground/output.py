@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantise
-from fwclass.publish.files import check_free
+from fwclass.publish.files import check_free, check_other
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import check_records, write_strip_laz
@@ -66,10 +66,7 @@ def check_places(source: Path, targets: list[Path], overwrite: bool) -> None:
         if not path.parent.is_dir():
             raise ConfigError("the output's directory does not exist", where=path.parent, do="make it first")
         _require_writable(path)
-        if path.exists() and source.exists() and path.samefile(source):
-            raise ConfigError(
-                "a file cannot be written onto itself", where=path, do="name another output; the input is never changed"
-            )
+        check_other(path, source)
         check_free(path, overwrite)
 
 
