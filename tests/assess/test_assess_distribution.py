@@ -115,6 +115,7 @@ def test_packed_histograms_of_tiles_are_the_whole_one():
         np.testing.assert_array_equal(made[name], histogram)
 
 
+@pytest.mark.statistics
 @given(st.lists(st.floats(width=32), min_size=1, max_size=50))
 @settings(max_examples=200, deadline=None)
 def test_a_bin_is_an_exponent_and_seven_bits(values):

@@ -86,6 +86,7 @@ def test_every_channel_has_its_own_pulse(params, widths, sizes):
     assert SystemPulse.from_json(stored).to_json() == pulse.to_json()
 
 
+@pytest.mark.statistics
 def test_channels_are_fitted_as_if_each_were_alone(params, fit):
     waves = both(of_width(3.5, 1500), of_width(6.0, 1500, 2, 4095.0))
     pulse = estimate_pulse(waves, params)
@@ -109,6 +110,7 @@ def test_channels_are_fitted_as_if_each_were_alone(params, fit):
         np.testing.assert_array_equal(left[at], signal_of(fits, alone, lone, fit))
 
 
+@pytest.mark.statistics
 def test_channels_of_one_receiver_share_its_pulse(params):
     waves = both(of_width(4.5, 1500), of_width(4.5, 1000, 2, 4095.0))
     pulse = estimate_pulse(waves, params)

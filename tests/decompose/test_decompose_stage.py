@@ -82,6 +82,7 @@ def test_jittering_locations_are_registered(tmp_path, base):
         assert low < np.percentile(np.linalg.norm(xyz - truth.xyz, axis=1), 90) < high
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("chunk", [1, 17, 64])
 def test_chunks_change_nothing(tmp_path, base, chunk):
     truth = survey(tmp_path / "a.las", pulses=150, seed=5)

@@ -114,6 +114,7 @@ def test_the_shape_is_found_for_other_sensors(kind):
     assert departure(found, pulse) < 5e-3
 
 
+@pytest.mark.statistics
 def test_neither_order_nor_cutting_matters():
     waves, _ = survey_mix(2000, seed=3, pulse=ringing())
     whole = estimate_pulse(waves, PARAMS)
@@ -139,6 +140,7 @@ def test_the_sample_is_a_share_of_the_strip_and_knows_no_chunks():
     )  # the samples go with their rows
 
 
+@pytest.mark.statistics
 def test_scaling_and_raising_change_the_channel_not_the_pulse():
     waves, _ = survey_mix(1500, seed=5, pulse=skewed(), bits=16, amplitude=(50.0, 2000.0), noise=(10.0, 20.0))
     one = estimate_pulse(waves, PARAMS)
@@ -149,6 +151,7 @@ def test_scaling_and_raising_change_the_channel_not_the_pulse():
     assert two.channels[0].noise == pytest.approx(7 * one.channels[0].noise, rel=1e-3)
 
 
+@pytest.mark.statistics
 def test_two_channels_are_told_apart():
     one, _ = survey_mix(3000, seed=6, baseline=10.0)
     other, _ = survey_mix(3000, seed=7, baseline=30.0, saturation=200.0, amplitude=(5.0, 150.0))
@@ -164,6 +167,7 @@ def test_saturated_echoes_do_not_count():
     assert estimate_pulse(waves, PARAMS).fwhm == pytest.approx(3.5, rel=0.01)
 
 
+@pytest.mark.statistics
 def test_a_digitiser_of_fewer_bits_than_its_samples_is_told():
     """12 bits stored in 16: clipped at 4095, and no flat top enters the pulse's shape."""
     waves, _ = mix(2000, (1.0,), amplitude=(200.0, 9000.0), noise=(3.0, 3.0), bits=16, saturation=65535.0, seed=8)

@@ -98,18 +98,21 @@ def test_a_few_saturated_waveforms_tell_nothing():
     assert with_recovery(estimate_pulse(some, PULSE), some, FIT).channels[0].recovery == 0.0
 
 
+@pytest.mark.statistics
 def test_samples_are_kept_where_they_are_to_be() -> None:
     waves, plain, pulse = swung()
     assert plain.channels[0].recovery == 0.0 < pulse.channels[0].recovery
     assert with_recovery(plain, waves, FIT.model_copy(update={"recovery": "keep"})) == plain
 
 
+@pytest.mark.statistics
 def test_no_receiver_swings_further_than_its_range() -> None:
     """A dip of another shape, right behind: a fast recovery from thousands of DN below the level would explain it."""
     waves, *_ = recorded(2000.0, 2.0, n=600)
     assert with_recovery(estimate_pulse(waves, PULSE), waves, FIT).channels[0].recovery == 0.0
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("step", [1, 2])
 def test_every_waveform_is_corrected_alone(step):
     waves, _, pulse = swung(step)

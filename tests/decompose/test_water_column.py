@@ -90,6 +90,7 @@ def test_a_lake_is_as_deep_as_it_was_made(tmp_path, lag1):
     assert abs(np.median(decay - truth.decay[mine])) < 0.02
 
 
+@pytest.mark.statistics
 def test_land_keeps_its_echoes(tmp_path, base):
     truth = lake(tmp_path / "land.las", 200, shore=1.0, seed=4)
     plain, asked = (of_file(truth.path, base, on) for on in (False, True))

@@ -232,6 +232,7 @@ def test_a_gaussian_given_as_values_is_a_gaussian(params, step):
     close(b.time[v], a.time[u], a.time_sigma[u])
 
 
+@pytest.mark.statistics
 @PULSES
 def test_the_model_explains_the_samples(params, pulse):
     """`model_of` is what was fitted: its residuals have the noise's size and the misfit's chi-square."""

@@ -104,6 +104,7 @@ def test_one_echo_of_every_small_cube_counts_and_speaks_for_it():
     assert (made["count_g100"] > 100).any(), "cells are no neighbourhoods: all of their echoes count"
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("size", "blob"), [(5.0, (5.0, 5.0)), (5.0, (4.8, 5.2)), (2.0, (4.8, 5.2)), (1.3, (5.0, 5.0))])
 def test_one_tile_is_many_tiles_with_halo_to_the_bit(size, blob):
     table = crowded(1500, blob)
@@ -197,6 +198,7 @@ def test_of_columns_the_smallest_cubes_that_leave_no_more_count():
     assert "columns of 0.2 m" in crowd.text(FEW)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("size", [5.0, 1.3])
 def test_dense_columns_are_the_same_in_one_tile_and_in_many(size):
     table = tower(2500, 4.7, 5.3)
@@ -214,6 +216,7 @@ def test_dense_columns_are_the_same_in_one_tile_and_in_many(size):
     assert Crowd.of_parts(parts) == Crowd.of_parts([crowd_facts(whole(table), FEW)])
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("echoes", [100_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 def test_a_column_never_counts_with_more_however_tall(echoes):
     """So many echoes in 1 m2, 15 m and 10 km tall: no cylinder sees more than its columns may hold."""

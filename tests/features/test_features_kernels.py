@@ -257,6 +257,7 @@ def test_the_optimal_sphere_is_that_of_lowest_eigenentropy(cloud):
 PLACES = st.lists(st.tuples(*[st.integers(0, 24)] * 3), min_size=1, max_size=60)
 
 
+@pytest.mark.statistics
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(PLACES, st.sampled_from([1, 137, 250]), st.integers(0, 3))
 def test_neighbour_sets_are_those_of_a_kd_tree(places, step, seed):

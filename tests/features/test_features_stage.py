@@ -79,6 +79,7 @@ def tiles_of(table, size, halo):
             yield near[core], Chunk(table.take(near), core, tile)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("size", [25.0, 9.0])
 def test_one_tile_is_many_tiles_with_halo_to_the_bit(one, size):
     halo = FeatureRequest.of(EVERY + SECOND).reach(PARAMS)

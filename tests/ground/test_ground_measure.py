@@ -192,6 +192,7 @@ def test_a_filter_without_candidates_keeps_its_own_parameters():
     assert made.max_building_size > 36.0
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("method", ["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf"])
 def test_on_a_steep_hillside_every_filter_keeps_no_less_than_before(method):
     """70 %, steeper than what most filters take for terrain by themselves; there is nothing but ground."""

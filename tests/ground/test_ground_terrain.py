@@ -346,6 +346,7 @@ def test_blocks_join_without_seams_in_a_town_with_large_halls():
     assert np.isfinite(blocks.dtm).all()
 
 
+@pytest.mark.statistics
 def test_triangles_are_the_same_in_blocks_as_in_one():
     """An L of ground with a wide notch and a lake: only the membrane beyond the triangles may differ, and little."""
     x, y = scattered(300 * 300, 300, 8)

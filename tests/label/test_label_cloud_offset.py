@@ -56,6 +56,7 @@ def test_the_offset_comes_out(moved: tuple[float, float], per_m2: float) -> None
     assert offset.least <= offset.unmoved
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("size", [7.3, 30.0, 41.0])
 def test_the_tiles_change_no_sum(size: float) -> None:
     echoes, cloud = scan(1, per_m2=1.0), scan(2, 1.3, per_m2=1.0)

@@ -121,6 +121,7 @@ def test_names_that_are_no_texts_are_refused(names, tmp_path):
         read_echo_labels(tmp_path / "f.parquet", "f", signed=True)
 
 
+@pytest.mark.statistics
 def test_a_damaged_file_is_refused_wherever_it_is_cut():
     data = echo_labels_bytes(rows(50, 2))
     for size in (0, 3, 9, len(data) // 2, len(data) - 9, len(data) - 1):
@@ -186,6 +187,7 @@ def test_a_change_that_fails_leaves_the_file_as_it_was(tmp_path):
     assert [p.name for p in (tmp_path / "labels").iterdir()] == ["corrections.parquet"]
 
 
+@pytest.mark.statistics
 def test_labels_unpack_to_no_more_than_their_bytes_allow(tmp_path):
     """A million rows that are all the same, and a name of 100 MB."""
     for name, n, who in (("rows", 1_000_000, "me"), ("name", 1, "x" * (100 << 20))):

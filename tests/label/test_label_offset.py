@@ -59,6 +59,7 @@ def test_sparse_labels_are_judged_in_larger_cells() -> None:
     assert offset.cell == 2.0 and (offset.x, offset.y) == (-6, 0)
 
 
+@pytest.mark.statistics
 def test_rows_in_another_order_say_the_same() -> None:
     x, y, values, label = ground_and_blocks(3, 2.0)
     place, index = millimetres(x, y), label(3, 0)

@@ -261,6 +261,7 @@ def test_answers_in_slices_are_those_of_many_polygons_at_once(monkeypatch):
             np.testing.assert_array_equal(answer, other)
 
 
+@pytest.mark.statistics
 def test_ctrl_c_is_heeded_while_polygons_are_tried(monkeypatch):
     """Two minutes of the processor went by in one piece."""
     x, y = np.random.default_rng(1).integers(0, 100_000, (2, 6000))

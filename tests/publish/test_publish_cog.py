@@ -196,6 +196,7 @@ def slow_class_raster(rows: list[tuple[int, int, int, int, bool]]) -> np.ndarray
     return out
 
 
+@pytest.mark.statistics
 @settings(max_examples=100, deadline=None)
 @given(rows=st.lists(echo, max_size=40), data=st.data())
 def test_the_highest_echo_gives_the_class_in_any_order(rows: list, data: st.DataObject) -> None:

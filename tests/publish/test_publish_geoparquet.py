@@ -172,6 +172,7 @@ def test_metadata_tell_classes_with_colours(
     assert all(c["color"].startswith("#") for c in told["classes"]) and told["relative_step"] == 2**-10
 
 
+@pytest.mark.statistics
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.floats(width=32), min_size=1, max_size=20), st.integers(4, 23))
 def test_rounding_stays_within_half_a_step(values: list[float], bits: int) -> None:

@@ -319,6 +319,7 @@ def test_a_published_strip_can_be_published_again(
     assert (tmp_path / "b.wdp").read_bytes() == (tmp_path / "a.wdp").read_bytes()
 
 
+@pytest.mark.statistics
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_heads_end_in_a_message(data: st.DataObject, make_las: Make) -> None:

@@ -139,6 +139,7 @@ def test_standard_errors_are_those_of_many_surveys() -> None:
     assert abs(np.mean(scores)) < 0.3
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("size", [100.0, 33.0, 7.3])
 def test_tiles_and_their_order_do_not_change_a_bit(table: Table, size: float) -> None:
     params = params_of(target=TARGET)

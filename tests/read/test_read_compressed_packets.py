@@ -201,6 +201,7 @@ def sound(tmp_path_factory) -> list[tuple[str, bytes]]:
     return [(one.name, one.read_bytes()) for one in (path, path.with_suffix(".wdz"))]
 
 
+@pytest.mark.statistics
 @relaxed
 @given(changes=st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), min_size=1, max_size=6))
 def test_damaged_points_and_packets(tmp_path, params, sound, changes):

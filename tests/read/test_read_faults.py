@@ -329,6 +329,7 @@ def test_compressed_points_behind_those_that_the_header_counts_are_refused(tmp_p
         open_source(tmp_path / "b.laz")
 
 
+@pytest.mark.statistics
 def test_a_large_last_chunk_is_asked_for_points_behind_those_that_are_counted(tmp_path):
     points = 620_000  # more than 16 MiB
     xyz = np.random.default_rng(0).integers(0, 100, (points, 3))

@@ -139,6 +139,7 @@ def test_every_width_of_the_counts(tmp_path, params, duration_bits, segment_bits
     same(read(packed, params), read(plain, params))
 
 
+@pytest.mark.statistics
 @settings(deadline=None, max_examples=15)
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 120), chunk=st.integers(1, 130))
 def test_any_pulse_comes_back(tmp_path_factory, seed, n, chunk):
@@ -267,6 +268,7 @@ def sound(tmp_path_factory) -> list[tuple[str, bytes]]:
     return [(one.name, one.read_bytes()) for one in (path, path.with_suffix(".wvz"))]
 
 
+@pytest.mark.statistics
 @relaxed
 @given(
     changes=st.lists(st.tuples(st.booleans(), st.integers(0, 1 << 20), st.integers(0, 255)), min_size=1, max_size=6),

@@ -224,6 +224,7 @@ def test_info_tells_what_is_wrong(tmp_path):
     assert any("1 features without a polygon" in f for f in found["faults"])
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("dictionary", [False, True])
 def test_geoparquet_unpacks_to_no_more_than_its_bytes_allow(dictionary, tmp_path):
     """A page of 100 MB in some kilobytes, and one shape of 2 MB that a thousand features have."""

@@ -109,6 +109,7 @@ def test_any_bytes_are_polygons_or_an_error(data):
     _only_polygons_or_an_error(data)
 
 
+@pytest.mark.statistics
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(VALID), st.data())
 def test_damaged_polygons_are_polygons_or_an_error(data, draw):

@@ -109,6 +109,7 @@ def test_metres_in_a_heading_change_nothing(tmp_path):
     assert cloud.x.tolist() == [1.5, 4.0] and cloud.z.tolist() == [3.0, 6.0]
 
 
+@pytest.mark.statistics
 @settings(max_examples=300, deadline=None)
 @given(st.one_of(st.binary(max_size=300), st.text('0123456789.,;-+einfa #\t\r\n"xyz/_', max_size=200)))
 def test_any_bytes_are_points_or_refused(tmp_path_factory, content):
@@ -122,6 +123,7 @@ def test_any_bytes_are_points_or_refused(tmp_path_factory, content):
     assert cloud.label is None or len(cloud.label) == len(cloud.x)
 
 
+@pytest.mark.statistics
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(width=64)] * 3), min_size=1, max_size=20))
 def test_written_points_are_read_back_to_the_last_bit(tmp_path_factory, points):
@@ -133,6 +135,7 @@ def test_written_points_are_read_back_to_the_last_bit(tmp_path_factory, points):
     assert back.kind == "code" and (back.codes == 2).all()
 
 
+@pytest.mark.statistics
 def test_a_million_lines_take_seconds(tmp_path):
     r = np.random.default_rng(0)
     x, y, z = np.round(r.uniform(0, 1e6, (3, 1_000_000)), 3)

@@ -218,6 +218,7 @@ BYTES = st.one_of(
 )
 
 
+@pytest.mark.statistics
 @given(content=BYTES)
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_bytes_give_a_trajectory_or_a_refusal(content: bytes, tmp_path: Path) -> None:

@@ -62,6 +62,7 @@ def test_a_vehicle_that_stands_has_no_speed():
     assert math.isnan(made[0].seconds)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("pitch", "yaw"), [(0, 30), (0, -30), (20, 0), (-15, 10)])
 def test_returns_of_a_turned_scanner_are_prescribed_where_they_lie(pitch, yaw):
     """They were given their frame's place: 3.4 m off in the median with 40 degrees of yaw."""
@@ -138,6 +139,7 @@ def test_percentiles_of_counted_values_are_those_of_all():
         assert prescription.percentiles(values, counts, of) == whole.tolist()
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("spread", [0.01, 10.0], ids=["of a scanner", "of a sender that means harm"])
 def test_memory_does_not_grow_while_the_vehicle_stands(spread, monkeypatch):
     """It took 24 bytes for every return, for as long as it stood: 2 GB an hour."""

@@ -121,6 +121,7 @@ def near(got, wanted, relative, absolute):
     assert (np.abs(got - np.asarray(wanted)) <= np.maximum(relative * np.abs(wanted), absolute)).all(), (got, wanted)
 
 
+@pytest.mark.statistics
 @settings(max_examples=25, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),

@@ -144,6 +144,7 @@ def test_a_vehicle_that_creeps_is_taken_as_one_that_drives_slowly():
     assert len(kept_places(np.arange(0.0, 2.0, 0.0126))) == 159  # half a metre a second, and above: all
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("noise", [0.01, 0.03])
 def test_places_that_wander_while_the_vehicle_stands_are_no_way(noise):
     """Its frames were taken for as long as it stood, and nearly all returns around became crown."""

@@ -34,6 +34,7 @@ def given_back(frames, geometry, params, shares, radius=0.3):
     yield from ((one.frame, one.features.copy()) for one in smoother.rest())
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("turned", [{}, TURNED])
 def test_shares_are_the_means_of_the_sphere(turned):
     params = config(*(f"street.{k}={v}" for k, v in turned.items())).street

@@ -90,6 +90,7 @@ def of_depths(depth, heights: np.ndarray, step: float, length: float, params: St
     return way
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("lean", [0.0, 12.0, -20.0])
 def test_slats_that_lean(lean: float) -> None:
     """Slats at random before a wall, all of one lean: the angle is theirs, in bins of 2°."""

@@ -209,6 +209,7 @@ def answers(tree, X):
     return np.array(out)
 
 
+@pytest.mark.statistics
 def test_balanced_weights_find_a_rare_class():
     r = np.random.default_rng(8)
     y = (r.random(20_000) < 0.005).astype(np.uint8)

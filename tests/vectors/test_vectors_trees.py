@@ -90,6 +90,7 @@ def test_windows_change_no_tree(edge):
     assert all((one.corners[n] == other.corners[n]).all() for n in one.corners)
 
 
+@pytest.mark.statistics
 def test_windows_change_no_tree_beside_another():
     table, last = through_both(beside_each_other(1.1))
     one, other = found(table, last=last), found(table, 16, last=last)

@@ -50,6 +50,7 @@ def test_what_lies_behind_the_last_echo_is_occluded():
     assert made["passes"][:, 5, 9].tolist() == [1, 1, 1, 1, 0, 0, 0]
 
 
+@pytest.mark.statistics
 def test_slanted_beams_against_small_steps():
     rng = np.random.default_rng(1)
     pulses = []
