@@ -63,14 +63,20 @@ def echoes(path):
     return np.c_[las.x, las.y, las.z][order], np.asarray(las["amplitude DN"])[order]
 
 
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A scene, and the place and height of its echoes by way of a table."""
+    truth = scene(pulses=PULSES, tilt=10.0)
+    return truth, *echoes(write_parquet(tmp_path_factory.mktemp("first") / "first.parquet", truth.columns(), TOLD))
+
+
 REPEATED = ("table.csv", "external.las", "older.las")
 """Ways whose parts others have: the samples of a wave table, and of packets."""
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in REPEATED else n for n in WAYS])
-def test_the_same_samples_give_the_same_echoes(tmp_path, name):
-    truth = scene(pulses=PULSES, tilt=10.0)
-    place, height = echoes(write_parquet(tmp_path / "first.parquet", truth.columns(), TOLD))
+def test_the_same_samples_give_the_same_echoes(tmp_path, first, name):
+    truth, place, height = first
     write, rounded = WAYS[name]
     there, high = echoes(write(tmp_path / name, truth))
     assert len(there) == len(place) >= PULSES

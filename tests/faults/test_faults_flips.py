@@ -30,7 +30,12 @@ pytestmark = pytest.mark.faults
 CHANGED = (*SMALL, "train.trees=6", "classify.probabilities=true")
 """Makes all that is delivered anew, from features, heights and terrain that stand."""
 
-STAGES = ("height", "terrain", *(pytest.param(s, marks=pytest.mark.slow) for s in ("tile", "ground", "features")))
+LATER = ("tile", "ground", "features")
+
+
+def stages(first: str, *later: str) -> pytest.MarkDecorator:
+    """Every stage, `later` ones in the slow suite."""
+    return pytest.mark.parametrize("stage", [first, *(pytest.param(s, marks=pytest.mark.slow) for s in later)])
 
 
 @pytest.fixture
@@ -82,7 +87,7 @@ def repaired(root: Path) -> None:
     remove(verify(store), store)
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@stages("height", "terrain", *LATER)
 def test_nothing_is_made_of_a_flipped_bit(survey, copy, clean, stage):
     path = a_file_of(copy, stage)
     part = path.relative_to(copy / "store" / stage).parts[0]
@@ -101,7 +106,7 @@ def test_nothing_is_made_of_a_flipped_bit(survey, copy, clean, stage):
     assert not runner.failures and delivered(copy) == clean
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@stages("terrain", "height", *LATER)
 def test_what_was_made_of_a_flipped_bit_goes_with_it(survey, copy, clean, monkeypatch, stage):
     """As of before files were held to their digests: the receipts of all that follows look sound."""
     flip_a_value(a_file_of(copy, stage))

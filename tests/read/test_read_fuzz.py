@@ -81,7 +81,7 @@ changes = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), min_
 header_changes = st.lists(st.tuples(st.integers(4, 650), st.integers(0, 255)), min_size=1, max_size=6)
 
 
-@pytest.mark.parametrize("kind", ["internal", "external", "laz"])
+@pytest.mark.parametrize("kind", ["internal", pytest.param("external", marks=pytest.mark.slow), "laz"])
 @relaxed
 @given(changes=header_changes, cut=st.one_of(st.none(), st.integers(0, 3000)))
 def test_damaged_headers(originals, tmp_path, kind, changes, cut):
@@ -96,7 +96,7 @@ def test_damaged_headers(originals, tmp_path, kind, changes, cut):
     assert peak < FIXED + ALLOCATION * size
 
 
-@pytest.mark.parametrize("kind", ["internal", "external"])
+@pytest.mark.parametrize("kind", [pytest.param("internal", marks=pytest.mark.slow), "external"])
 @relaxed
 @given(changes=changes, cut=st.one_of(st.none(), st.integers(0, 3000)))
 def test_damaged_points_and_packets(originals, tmp_path, kind, changes, cut):
