@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -16,10 +16,11 @@ from fwclass.formats.las_header import Record
 
 _USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
 _WKT, _KEYS = 2112, 34735
-_GEOGRAPHIC, _PROJECTED, _VERTICAL, _VERTICAL_UNITS = 2048, 3072, 4096, 4099
+_GEOGRAPHIC, _PROJECTED, _VERTICAL, VERTICAL_UNITS = 2048, 3072, 4096, 4099
 _USER_DEFINED = 32767
 _TWO_SYSTEMS = "the file names two coordinate systems"
-_FEET = {9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
+FEET = {9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
+"""Name and metres of the units that are no metres, by EPSG code."""
 
 
 class Records(Protocol):
@@ -136,8 +137,7 @@ def _replace_angles(node: Any) -> None:
 
 
 def _from_keys(header: Records, faults: list[str]) -> CRS | None:
-    for record in header.records(_KEYS, _USERS):
-        keys = _geo_keys(record.body)
+    for keys in geo_keys(header):
         horizontal = keys.get(_PROJECTED) or keys.get(_GEOGRAPHIC)
         if not horizontal or horizontal == _USER_DEFINED:
             continue
@@ -145,7 +145,7 @@ def _from_keys(header: Records, faults: list[str]) -> CRS | None:
         codes = [f"EPSG:{horizontal}+{vertical}"] if vertical and vertical != _USER_DEFINED else []
         for code in [*codes, f"EPSG:{horizontal}"]:
             try:
-                return _with_feet(CRS.from_user_input(code), keys.get(_VERTICAL_UNITS, 0))
+                return _with_feet(CRS.from_user_input(code), keys.get(VERTICAL_UNITS, 0))
             except CRSError:
                 continue
         faults.append(f"the GeoTIFF keys name an unknown CRS, EPSG:{horizontal}")
@@ -159,9 +159,9 @@ def _with_feet(crs: CRS, unit: int) -> CRS:
     feet.
     """
     heights = [a for a in crs.axis_info if a.direction == "up"] or [a for a in crs.axis_info if crs.is_projected]
-    if unit not in _FEET or not heights or abs(heights[0].unit_conversion_factor - 1.0) > 1e-9:
+    if unit not in FEET or not heights or abs(heights[0].unit_conversion_factor - 1.0) > 1e-9:
         return crs
-    name, metres = _FEET[unit]
+    name, metres = FEET[unit]
     flat, above = (*crs.sub_crs_list, None)[:2] if crs.is_compound else (crs, None)
     axis = {"name": "Gravity-related height", "abbreviation": "H", "direction": "up"}
     datum = {"type": "VerticalReferenceFrame", "name": "unknown"}
@@ -176,11 +176,13 @@ def _with_feet(crs: CRS, unit: int) -> CRS:
     return CRS.from_json_dict({"type": "CompoundCRS", "name": whole, "components": [flat.to_json_dict(), plain]})
 
 
-def _geo_keys(body: bytes) -> dict[int, int]:
-    """Keys with their value in the directory itself (the codes); the first of a kind counts."""
-    keys: dict[int, int] = {}
-    for at in range(8, len(body) - 7, 8):
-        key, place, _, value = struct.unpack_from("<4H", body, at)
-        if place == 0:
-            keys.setdefault(key, value)
-    return keys
+def geo_keys(header: Records) -> Iterator[dict[int, int]]:
+    """Of every record of GeoTIFF keys those with their value in the directory itself (the codes); the first of a kind
+    counts."""
+    for record in header.records(_KEYS, _USERS):
+        keys: dict[int, int] = {}
+        for at in range(8, len(record.body) - 7, 8):
+            key, place, _, value = struct.unpack_from("<4H", record.body, at)
+            if place == 0:
+                keys.setdefault(key, value)
+        yield keys

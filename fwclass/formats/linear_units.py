@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
 from typing import Any
 
 from fwclass.errors import InputError
-from fwclass.formats.crs import Records
+from fwclass.formats.crs import FEET, VERTICAL_UNITS, Records, geo_keys
 from fwclass.formats.flat import DEGREES, GEOCENTRIC, words
-from fwclass.formats.las_header import Record
 
-_KEYS, _VERTICAL_UNITS = 34735, 4099
-_USERS = ("LASF_Projection", "LAS_Projection", "liblas")
-_EPSG_UNITS = {9001: ("metre", 1.0), 9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
+_UNITS = {9001: ("metre", 1.0), **FEET}
 
 
 @dataclass(frozen=True)
@@ -71,16 +67,5 @@ def _unit(axis: Any) -> tuple[str, float]:
 
 def _vertical_key(header: Records) -> tuple[str, float] | None:
     """The unit of heights that the GeoTIFF keys name."""
-    for record in header.records(_KEYS, _USERS):
-        key = _short_key(record, _VERTICAL_UNITS)
-        if key in _EPSG_UNITS:
-            return _EPSG_UNITS[key]
-    return None
-
-
-def _short_key(record: Record, wanted: int) -> int:
-    for at in range(8, len(record.body) - 7, 8):
-        key, place, _, value = struct.unpack_from("<4H", record.body, at)
-        if key == wanted and place == 0:
-            return int(value)
-    return 0
+    units = (keys.get(VERTICAL_UNITS) for keys in geo_keys(header))
+    return next((_UNITS[unit] for unit in units if unit in _UNITS), None)
