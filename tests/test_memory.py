@@ -58,6 +58,20 @@ def test_a_large_process_gives_back_and_a_small_one_keeps():
     assert after < before - (350 << 20)
 
 
+@needs_glibc
+def test_a_large_process_gives_back_what_arrow_keeps_too():
+    text = (
+        "import numpy as np, pyarrow as pa\nfrom fwclass import memory\n"
+        "def hold():\n"  # 400 MiB
+        "    for b in [pa.allocate_buffer(1 << 18) for _ in range(1600)]: np.frombuffer(b, np.uint8)[:] = 1\n"
+        "hold()\nbefore = memory.resident()\nmemory.give_back(512 << 20)\n"
+        "print(before, memory.resident())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    before, after = map(int, done.stdout.split())
+    assert before > 400 << 20 and after < before - (350 << 20)
+
+
 def test_costs_count_once_and_for_each_kind():
     before = cost.spent()
     with cost.counted("writing"), cost.counted("reading"):

@@ -51,11 +51,14 @@ def _lowest(here: StageInputs, keys: Sequence[str], read: Read, most: int) -> Ta
         if len(lowest) > most:
             lowest = np.partition(lowest, most - 1)[:most]
     bound, tables = lowest.max(initial=0), [dict(Table.empty(here.columns))]
-    for key in keys:
-        table = read(key, here.columns).select(here.columns)
-        tables.append(dict(table.take(echo_hashes(table) <= bound)))
+    tables += (dict(_below(read(key, here.columns).select(here.columns), bound)) for key in keys)
     order = np.argsort(canonical_key(Table.concat(Table({n: t[n] for n in IDENTITY}) for t in tables)), kind="stable")
     return Table({n: np.concatenate([t.pop(n) for t in tables])[order] for n in here.columns})
+
+
+def _below(table: Table, bound: np.uint64) -> Table:
+    """Its echoes with hashes up to `bound`."""
+    return table.take(echo_hashes(table) <= bound)
 
 
 def deliver_overview(
