@@ -15,7 +15,7 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError, full_or
+from fwclass.errors import InputError, StoreError, full_or
 from fwclass.grid import Window
 from fwclass.isolation import away_from
 from fwclass.publish.files import whole
@@ -117,6 +117,7 @@ def cog(
                 yield put
             _know_grids()
             copy(raw, beside, **cog_profile)
+            _check_place(beside, path, raw_profile)
         except OSError as fault:  # before the cells go, and the disk has room again
             error = full_or(fault, path.parent)
             if error is fault:
@@ -145,6 +146,30 @@ def _raw_profile(dtype: np.dtype, window: Window, crs: pyproj.CRS | None, nodata
         "sparse_ok": True,
         "bigtiff": "IF_SAFER",
     }
+
+
+def _check_place(written: Path, path: Path, profile: Mapping[str, Any]) -> None:
+    """`StoreError` unless what was `written` lies where its `profile` has it, in a projected system where that has one:
+    GDAL says nothing where settings of its own, or data of another PROJ, keep it from writing that."""
+    import rasterio
+
+    with warnings.catch_warnings(action="ignore"), rasterio.open(written) as file:
+        crs, place = file.crs, file.transform
+    wanted = profile["crs"]
+    if place.almost_equals(profile["transform"]) and (
+        not (wanted and wanted.is_projected) or (crs and crs.is_projected)
+    ):
+        return
+    named = [name for name in ("PROJ_DATA", "PROJ_LIB", "GDAL_DATA", "GDAL_GEOREF_SOURCES") if name in os.environ]
+    raise StoreError(
+        "a raster comes out without its coordinate system or its place",
+        where=path,
+        expected=wanted.to_string() if wanted else "its place",
+        got=crs.to_string() if crs else "none",
+        do=f"unset {' and '.join(named)} in the environment"
+        if named
+        else "unset GDAL's and PROJ's own variables in the environment, or install fwclass anew",
+    )
 
 
 def _cog_profile(dtype: np.dtype, params: PublishParams, codes: bool) -> dict[str, Any]:
