@@ -6,6 +6,8 @@ Data never travels through the scheduler: a task's function reads from and write
 
 from __future__ import annotations
 
+import atexit
+import gc
 import importlib.util
 import logging
 import math
@@ -134,6 +136,7 @@ class Unheeding(WorkerPlugin):  # type: ignore[misc]
     def setup(self, worker: object) -> None:
         wait_by_monotonic_clock()
         keep_freed()  # before there are threads with memory of their own
+        atexit.register(gc.freeze)  # its last steps would look for cycles in all that libraries made
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -23,6 +23,14 @@ from fwclass.run.cluster import Cluster
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Task
 
+FROZEN = """
+import atexit, gc
+from fwclass.run.cluster import Unheeding
+
+atexit.register(lambda: print(gc.get_freeze_count() > 1000))
+Unheeding().setup(None)
+"""
+
 SCRIPT = """
 import signal, sys, time
 from functools import partial
@@ -48,6 +56,11 @@ if __name__ == "__main__":
         print("interrupted", file=sys.stderr)
         sys.exit(130)
 """
+
+
+def test_a_worker_that_ends_does_not_look_for_cycles_in_all_that_it_has_loaded() -> None:
+    told = subprocess.run([sys.executable, "-c", FROZEN], capture_output=True, text=True, check=True).stdout
+    assert told == "True\n"
 
 
 @pytest.mark.slow
