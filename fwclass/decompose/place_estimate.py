@@ -24,6 +24,7 @@ from fwclass.decompose.fitting import Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
 from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
+from fwclass.decompose.record_spacing import spacing_ratio
 from fwclass.decompose.recovery import recovered
 from fwclass.decompose.recurring import recurring_echoes
 from fwclass.decompose.system_pulse import SystemPulse
@@ -124,6 +125,9 @@ def measure_placement(
         placement = Placement(_curves(sample, fits, params, pulse) if params.vendor_offset == "auto" else ())
     else:
         placement = _outgoing(sample, fits, params, pulse, from_outgoing)
+        late = outgoing_times(sample, params, pulse) if placement.outgoing and placement.from_outgoing else None
+        none = np.zeros(sample.pulses.rows)
+        placement = replace(placement, spacing=spacing_ratio(sample, fits, none if late is None else late))
     recurring = recurring_echoes(fits, pulse.fwhm, params.vendor_tolerance)
     return replace(
         placement,

@@ -78,6 +78,7 @@ class Placement:
         one quarter of it; 1 where that is not sure.
     descriptors : waveform descriptors whose echoes are surely higher or lower than those of the commonest one, and how
         many times as high.
+    spacing : how many times as far apart samples are as the file says (`spacing_ratio`); 1 where that is not sure.
     uneven : echoes of the sample that the length of their beam vector moves (`uneven_echoes`), and all of them.
     """
 
@@ -92,6 +93,7 @@ class Placement:
     uneven: tuple[int, int] = (0, 0)
     alternate: float = 1.0
     descriptors: tuple[tuple[int, float], ...] = ()
+    spacing: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
         """Plain data that `from_json` reads."""
@@ -137,7 +139,7 @@ def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], N
 
 def describe_placement(placement: Placement) -> dict[str, Any]:
     """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None,
-    ``recurring`` and ``uneven`` echoes, `alternate`, and `descriptors`."""
+    ``recurring`` and ``uneven`` echoes, `alternate`, `spacing`, and `descriptors`."""
     lists = ("heights", "offsets", "receivers")
     channels = [{**asdict(c), **{name: list(getattr(c, name)) for name in lists}} for c in placement.curves]
     recorded = {
@@ -154,5 +156,6 @@ def describe_placement(placement: Placement) -> dict[str, Any]:
         "recurring": [asdict(one) for one in placement.recurring],
         "uneven": list(placement.uneven),
         "alternate": placement.alternate,
+        "spacing": placement.spacing,
         "descriptors": [list(one) for one in placement.descriptors],
     }

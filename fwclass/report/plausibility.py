@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -324,6 +325,13 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
         lines.append(
             f"echoes of every other pulse are {max(worst, 1.0 / worst):.3f} times as high as those between: two "
             f"lasers, facets or receivers in turn; their heights and energies do not compare ({names_of(in_turn)})"
+        )
+    if spaced := [s for s in strips if (s["places"] or {}).get("spacing", 1.0) != 1.0]:
+        worst = max((s["places"]["spacing"] for s in spaced), key=lambda ratio: abs(math.log(ratio)))
+        lines.append(
+            f"samples are {worst:.2f} times as far apart as the file says, by how echoes of the ground move in the "
+            "record as it begins earlier or later: echoes lie off by as much of their way from the first sample; name "
+            f"the spacing that is right ({names_of(spaced)})"
         )
     some = [(s, c) for s, c in offsets if c["phase"]]
     if some:
