@@ -171,7 +171,8 @@ def deliver_quality(
     }
     write_json(here.directory / FACTS, facts)
     largest = Box(*max(places.values(), key=lambda b: (Box(*b).area, b)))
-    render_quality(facts, _pictures(counted, differences, largest, publish), __version__, here.directory / PAGE)
+    pictures, named = _pictures(counted, differences, largest, publish), list(files.values())
+    render_quality(facts, pictures, __version__, here.directory / PAGE, system, named)
     return {"quality": facts, "layers": [layer.name for layer in layers]}
 
 
@@ -246,7 +247,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    15,
+    16,
     "survey",
     "cell",
     deliver_quality,

@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
+from fwclass.errors import first_few, several
+from fwclass.formats.crs import epsg_of
 from fwclass.publish.drawing import View
 from fwclass.publish.figures import share_map
 from fwclass.publish.files import write_page
@@ -21,6 +24,9 @@ from fwclass.publish.report import data_uri, environment, report_style
 from fwclass.publish.sections import quantity
 
 TEMPLATE = "quality.html.j2"
+NAMED = 3
+"""Sources that are named."""
+
 NEAR: tuple[tuple[float, RGB], ...] = ((0.0, (33, 102, 172)), (0.5, (253, 219, 119)), (1.0, (178, 24, 43)))
 """Small differences are blue, large ones red."""
 
@@ -61,14 +67,28 @@ def difference_picture(values: NDArray[np.float32], view: View, params: PublishP
     return Picture("Differences of strips", text, png, "0", f"{100 * high:.3g}", "cm", _gradient(NEAR))
 
 
+def _system(crs: CRS | None) -> str:
+    if crs is None:
+        return "in no known system"
+    code = epsg_of(crs)
+    return f"{crs.name} (EPSG:{code})" if code else str(crs.name)
+
+
 def _gradient(ramp: Sequence[tuple[float, RGB]]) -> str:
     return ", ".join(f"{css(colour)} {100 * stop:g}%" for stop, colour in ramp)
 
 
-def render_quality(summary: Mapping[str, Any], pictures: Sequence[Picture], version: str, path: Path) -> None:
+def render_quality(
+    summary: Mapping[str, Any],
+    pictures: Sequence[Picture],
+    version: str,
+    path: Path,
+    crs: CRS | None = None,
+    files: Sequence[str] = (),
+) -> None:
     """Write the page: styles inside, images as data, every text escaped.
 
-    `summary`: what ``quality.json`` has (docs/quality.md).
+    `summary`: what ``quality.json`` has (docs/quality.md). `crs`: the survey's, `files`: names of its sources.
     """
     density, strips = summary["density"], summary["strips"]
     facts = [
@@ -84,6 +104,10 @@ def render_quality(summary: Mapping[str, Any], pictures: Sequence[Picture], vers
         survey=summary["survey"],
         version=version,
         facts=[f for f in facts if f[1]],
+        surveyed=[
+            ("coordinates", _system(crs)),
+            *([("input", f"{several(len(files), 'file')}: {first_few(files, NAMED)}")] if files else []),
+        ],
         quality=quality(summary),
         pictures=[{**vars(p), "uri": data_uri(p.png)} for p in pictures],
     )

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from browser import seen
+from pyproj import CRS
 
 from fwclass.grid import Window
 from fwclass.publish.drawing import View
@@ -66,6 +68,19 @@ def test_many_strips_are_cut_short_and_names_escaped(tmp_path: Path) -> None:
     render_quality(made, [], "1", tmp_path / "q.html")
     page = (tmp_path / "q.html").read_text()
     assert "and 3 more" in page and "a&lt;b&gt;" in page and "<b>a" not in page and "12° or back" in page
+
+
+def test_the_page_says_where_of_what_and_that_a_wide_map_moves(tmp_path: Path, params: PublishParams) -> None:
+    values = np.ones((100, 200), np.float32)
+    picture = density_picture(values, View.of(Window(2.0, 250_000, 2_700_000, 200, 100)), params)
+    assert picture is not None
+    path = tmp_path / "q.html"
+    render_quality(BARE, [picture], "1", path, CRS.from_epsg(2154), ["a<b>", "c", "d", "e"])
+    page = path.read_text()
+    assert "RGF93 v1 / Lambert-93 (EPSG:2154)" in page and "4 files: a&lt;b&gt;, c, d and 1 more" in page
+    assert 'class="long"' in page and seen(path, 390).width <= 390
+    render_quality(BARE, [], "1", path)
+    assert "in no known system" in path.read_text() and 'class="long"' not in path.read_text()
 
 
 OFFSET = {"east": -0.03, "north": 0.04, "distance": 0.05, "error": 0.005, "slopes": 60}
