@@ -279,3 +279,9 @@ def test_a_draft_is_planned_without_a_file_beside_the_sources(tmp_path, monkeypa
         here.chdir(tmp_path)
         assert CliRunner().invoke(cli, ["init", "a.las"]).exit_code == 0
     assert there == [["a.las"]]
+
+
+def test_a_directory_of_texts_is_told_what_makes_files_of_points(tmp_path):
+    (tmp_path / "a.xyz").write_text("500000.0 5400000.0 190.0\n")
+    ended = fwclass("init", tmp_path)
+    assert ended.returncode == 1 and "`fwclass ground a.xyz OUT.laz` makes a file of points" in ended.stderr

@@ -44,6 +44,7 @@ from fwclass.read.return_counts import (
 )
 from fwclass.read.segments import Rows, count_repeats
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
+from fwclass.read.text import is_text
 from fwclass.units import finite_or_none
 
 MANY = 100
@@ -116,11 +117,13 @@ def files_in(directory: Path) -> tuple[Path, ...]:
     """
     files = tuple(sorted(p for p in directory.iterdir() if p.suffix.lower() in _ENDINGS and p.is_file()))
     if not files:
+        text = next((p.name for p in sorted(directory.iterdir()) if is_text(p)), None)
+        made = f"; of a text `fwclass ground {text} OUT.laz` makes a file of points" if text else ""
         raise InputError(
             "a directory without files of points, pulses or polygons",
             where=directory,
             expected=f"names that end in {', '.join(sorted(_ENDINGS))}",
-            do="name the files, or the directory that they lie in",
+            do=f"name the files, or the directory that they lie in{made}",
         )
     return files
 
