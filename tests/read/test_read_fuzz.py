@@ -7,6 +7,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+from defaults import BASE
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lasmaker import survey, to_laz
@@ -22,15 +23,7 @@ ALLOCATION = 60
 stay as they are."""
 FIXED = 8 << 20
 
-PARAMS = ReadParams(
-    chunk_pulses=10,
-    max_span_points=1000,
-    missing_packets="error",
-    mirror_beams=False,
-    sensor_ranges=True,
-    use_flagged=False,
-    project_to=None,
-)
+PARAMS = ReadParams(**BASE["read"] | {"chunk_pulses": 10, "max_span_points": 1000})
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

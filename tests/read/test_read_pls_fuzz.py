@@ -6,6 +6,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+from defaults import BASE
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plsmaker import Descriptor, Pulse, Sampling, survey, write_pls
@@ -21,15 +22,7 @@ ALLOCATION = 400
 becomes a row of 14 columns, and its look-up as much again."""
 FIXED = 4 << 20
 
-PARAMS = ReadParams(
-    chunk_pulses=10,
-    max_span_points=1000,
-    missing_packets="error",
-    mirror_beams=False,
-    sensor_ranges=True,
-    use_flagged=False,
-    project_to=None,
-)
+PARAMS = ReadParams(**BASE["read"] | {"chunk_pulses": 10, "max_span_points": 1000})
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
