@@ -12,7 +12,7 @@ import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
 
-BY_RETURN, OLDER = 255, 107
+ALL, BY_RETURN, OLDER = 247, 255, 107
 """Bytes of a header where its counts are."""
 
 PLACE = np.array([500_000, 5_400_000, 203])
@@ -56,6 +56,13 @@ def test_info_tells_what_a_header_counts_otherwise(tmp_path, changes, point_form
     faults = [fault for fault in told["faults"] if "count" in fault]
     assert told["points"] == 120 and told["returns"] == {"1": 80, "2": 40}
     assert len(faults) == bool(words) and words in "".join(faults)
+
+
+def test_points_that_the_older_field_alone_counts_are_told_as_such(tmp_path):
+    """It was a file that is cut short, to be copied again."""
+    path = written(tmp_path / "a.las", {ALL: counts(0)}, 1)
+    for ended in (fwclass("info", path), fwclass("ground", path, tmp_path / "g.las", "--crs", "EPSG:25832")):
+        assert ended.returncode == 1 and "counts no points, and its field of older" in ended.stdout + ended.stderr
 
 
 def test_a_run_tells_it_and_counts_for_itself(tmp_path):

@@ -139,7 +139,15 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
         (wave_start,) = struct.unpack_from("<Q", head, 227)
     if version >= (1, 4) and header_size >= 375 and len(head) >= 375:
         first_evlr, n_evlrs, count = struct.unpack_from("<QIQ", head, 235)
-        n_points = count or legacy_count
+        n_points = count
+        if legacy_count > count == 0:
+            raise InputError(
+                "the header of LAS 1.4 counts no points, and its field of older versions does",
+                where=path,
+                expected=f"{legacy_count} in both",
+                got="0 in the one that readers of LAS 1.4 go by",
+                do="export the file again, or as LAS 1.2",
+            )
     elif version >= (1, 4):
         faults.append(f"header of {header_size} bytes is too short for LAS 1.4 (375)")
     _check_layout(path, size, header_size, points_start, point_format, record_length)
