@@ -65,7 +65,8 @@ def test_the_lake_is_level_and_the_river_is_as_it_was(survey: Path, run: Path) -
     wet = np.zeros(dtm.shape, bool)
     wet[15:40, 20:45] = True
     assert (mask[wet] == 4).all() and (mask[~wet] != 4).all()
-    assert (dtm[wet] == np.float32(lake["level"])).all() and raster(run, "slope")[16:39, 21:44].max() == 0
+    assert np.ptp(dtm[wet]) == 0 and abs(dtm[wet][0] - lake["level"]) <= 2**-11 + 1e-5  # half a step of the raster
+    assert raster(run, "slope")[16:39, 21:44].max() == 0
     without = survey.parent / "without"
     assert fwclass("run", survey, "--out", without, *WORDS[:4]).returncode == 0
     before = raster(without, "dtm")

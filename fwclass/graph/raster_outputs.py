@@ -23,7 +23,7 @@ from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.ground.terrain.terrain import NO_TERRAIN
 from fwclass.publish.class_raster import NO_CONFIDENCE, class_rasters
-from fwclass.publish.cog import STRIPE, cog
+from fwclass.publish.cog import STRIPE, cog, rounded
 from fwclass.publish.files import whole
 from fwclass.publish.palette import colours
 from fwclass.publish.params import PublishParams
@@ -106,6 +106,14 @@ _TERRAIN = {
 }
 
 
+STEPS = {"dtm": 10, "ndsm": 10, "roughness": 10, "slope": 7}
+"""Values are whole steps of 2^-bits: of 1 mm, as places have, and 0.008 degrees. Digits beyond are noise, and half of a
+file."""
+
+SMOOTH = ("dtm", "slope")
+"""Surfaces, which compress by the differences of neighbours; echoes' heights, distances and counts repeat instead."""
+
+
 def _terrain_rasters(
     window: Window,
     blocks: tuple[Tile, ...],
@@ -125,7 +133,11 @@ def _terrain_rasters(
     with ExitStack() as files:
         put = {
             name: files.enter_context(
-                cog(nothing.dtype, window, target / f"{name}.tif", crs, params, np.nan, tags={"what": what})
+                cog(
+                    *(nothing.dtype, window, target / f"{name}.tif", crs, params, np.nan),
+                    tags={"what": what},
+                    smooth=name in SMOOTH,
+                )
             )
             for name, what in _TERRAIN.items()
         }
@@ -154,6 +166,7 @@ def _terrain_rasters(
                 "slope": slope(wide, window.cell),
                 "roughness": heights["roughness"],
             }
+            rasters |= {name: rounded(rasters[name], bits) for name, bits in STEPS.items()}
             for name, raster in rasters.items():
                 put[name](stripe, raster)
                 spreads[name].add(raster)
@@ -188,9 +201,13 @@ def _class_rasters(
     with ExitStack() as files:
         put = files.enter_context(cog(small, window, target / "classes.tif", crs, params, 0, shown, names=names))
         what = {"what": "confidence of the class of the highest echo [%]"}
-        sure = files.enter_context(cog(small, window, target / "confidence.tif", crs, params, NO_CONFIDENCE, tags=what))
+        sure = files.enter_context(
+            cog(small, window, target / "confidence.tif", crs, params, NO_CONFIDENCE, tags=what, smooth=False)
+        )
         what = {"what": "echoes per square metre"}
-        many = files.enter_context(cog(real, window, target / "density.tif", crs, params, np.nan, tags=what))
+        many = files.enter_context(
+            cog(real, window, target / "density.tif", crs, params, np.nan, tags=what, smooth=False)
+        )
         for stripe in stripes(window, STRIPE):
             if not mosaic.touches(stripe):
                 continue
@@ -227,7 +244,7 @@ MAP_CLASSES = Stage(
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
-    9,
+    10,
     "survey",
     "cell",
     deliver_rasters,

@@ -68,6 +68,7 @@ def cog(
     tags: Mapping[str, str] | None = None,
     names: Mapping[int, str] | None = None,
     unit: float = 1.0,
+    smooth: bool = True,
 ) -> Iterator[Put]:
     """Write a raster north up with overviews, in stripes of any order; the same cells give the same bytes.
 
@@ -86,6 +87,7 @@ def cog(
         Overviews take the commonest value if there are colours or names, else the mean.
     tags : texts for the file's metadata.
     unit : metres in one unit of the CRS; the window counts in metres.
+    smooth : neighbours' values differ by little, as a surface's do: these compress by their differences, others do not.
     names : class name per code; stored as tags ``CLASS_<code>`` and, for desktop GIS, in ``<path>.aux.xml``.
     """
     import rasterio  # it takes its time, and is not needed to plan
@@ -96,7 +98,7 @@ def cog(
     if codes and known and colormap is None:
         colormap = colours({"name": name, "code": code} for code, name in known.items())
     raw_profile = _raw_profile(dtype, window, crs, nodata, unit)
-    cog_profile = _cog_profile(dtype, params, codes)
+    cog_profile = _cog_profile(dtype, params, codes, smooth)
     with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache << 20):
         raw = beside.with_name(f"{beside.name}.raw")
         try:
@@ -172,14 +174,14 @@ def _check_place(written: Path, path: Path, profile: Mapping[str, Any]) -> None:
     )
 
 
-def _cog_profile(dtype: np.dtype, params: PublishParams, codes: bool) -> dict[str, Any]:
+def _cog_profile(dtype: np.dtype, params: PublishParams, codes: bool, smooth: bool) -> dict[str, Any]:
     """Of the file that is delivered; `codes`: its values are classes."""
     return {
         "driver": "COG",
         "compress": params.cog_compression,
         "blocksize": params.cog_block,
         "num_threads": 1,
-        "predictor": _predictor(dtype, codes),
+        "predictor": _predictor(dtype) if smooth and not codes else "NO",
         "bigtiff": "IF_SAFER",
         "overview_resampling": "MODE" if codes else "AVERAGE",
         "statistics": "YES",  # or QGIS reckons them, and leaves a file beside
@@ -207,11 +209,14 @@ def _know_grids() -> None:
             copy(source.name, target.name, driver="COG")
 
 
-def _predictor(dtype: np.dtype, codes: bool) -> str:
-    """What suits the values: differences of neighbours help where values are continuous."""
-    if codes:
-        return "NO"
+def _predictor(dtype: np.dtype) -> str:
+    """What differences of neighbours are taken of."""
     return "FLOATING_POINT" if dtype.kind == "f" else "STANDARD"
+
+
+def rounded(raster: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
+    """`raster` in whole steps of 2^-bits, whose last bits are 0 and compress; NaN stays."""
+    return np.ldexp(np.rint(np.ldexp(raster, bits)), -bits).astype(np.float32)
 
 
 def north_up(window: Window, unit: float = 1.0) -> rasterio.Affine:
