@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, join_samples
 from fwclass.decompose.params import DecomposeParams, SampleParams
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, several
 from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.ground import around_block, survey_blocks, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE
@@ -229,7 +229,7 @@ def check_waves(plan: Plan) -> str:
             "samples, voxels and profiles are of waveforms, and this survey has none",
             where=plan.config.path,
             expected="files with waveforms (`fwclass info` tells)",
-            got="survey.echoes: returns" if plan.returns else f"{without} files of returns alone",
+            got="survey.echoes: returns" if plan.returns else f"{several(without, 'file')} of returns alone",
             do="leave voxels.write, profile.write and samples.write out, or name the files that have waveforms",
         )
     left_out = f"{without} of {len(strips)} files have no waveforms: samples, voxels and profiles lack their pulses"
