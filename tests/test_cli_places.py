@@ -84,7 +84,7 @@ def test_files_that_say_nothing_of_heights_take_those_of_the_others(tmp_path: Pa
         files(tmp_path, [(HERE[0] + 12 * k, HERE[1])], keys=keys)
         (tmp_path / "f0.las").rename(tmp_path / f"g{k}.las")
     drafted = fwclass("init", tmp_path)
-    assert "heights of all are those" in drafted.stdout and "survey.crs" not in drafted.stderr
+    assert "heights of all are those" in drafted.stdout and "set survey.crs" not in drafted.stderr
     ended, report = measured(tmp_path / "s.yaml")
     assert ended.returncode == 0, ended.stderr
     (told,) = report["input"]["places"]["remarks"]

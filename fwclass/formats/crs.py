@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -110,10 +110,41 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
             crs, paths = without_paths(stated)
             if paths:
                 faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
-            return _in_degrees(crs, faults)
+            return _in_degrees(_without_false_codes(crs, faults), faults)
         except CRSError as fault:
             faults.append(f"the CRS record is not used: {visible(str(fault))}")
     return None
+
+
+def _without_false_codes(crs: CRS, faults: list[str]) -> CRS:
+    """`crs` without the codes of systems that EPSG does not have (a RIEGL's is 0): GDAL would look no further than
+    those, and lay rasters in no system at all."""
+    plain = crs.to_json_dict()
+    dropped = [code for node in _systems(plain) if (code := _false_code(node)) and node.pop("id")]
+    if not dropped:
+        return crs
+    faults.append(f"the CRS record names a code that EPSG does not have ({dropped[0]}): its other words count")
+    return CRS.from_json_dict(plain)
+
+
+def _systems(node: Any) -> Iterator[dict[str, Any]]:
+    """`node` and what lies below it, where that is a coordinate system."""
+    if isinstance(node, dict) and str(node.get("type", "")).endswith("CRS"):
+        yield node
+    for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        yield from _systems(value)
+
+
+def _false_code(node: Mapping[str, Any]) -> str:
+    """The code of a system that is said to be EPSG's and is none; "" where there is no such."""
+    name = node.get("id", {})
+    if str(name.get("authority")).upper() != "EPSG":
+        return ""
+    try:
+        CRS.from_authority("EPSG", name["code"])
+    except CRSError:
+        return f"EPSG:{name['code']}"
+    return ""
 
 
 def _in_degrees(crs: CRS, faults: list[str]) -> CRS:

@@ -155,7 +155,7 @@ def _check_place(written: Path, path: Path, profile: Mapping[str, Any]) -> None:
     GDAL says nothing where settings of its own, or data of another PROJ, keep it from writing that."""
     import rasterio
 
-    with warnings.catch_warnings(action="ignore"), rasterio.open(written) as file:
+    with warnings.catch_warnings(action="ignore"), rasterio.open(written, driver="GTiff") as file:
         crs, place = file.crs, file.transform
     wanted = profile["crs"]
     if place.almost_equals(profile["transform"]) and (

@@ -118,12 +118,12 @@ def files_in(directory: Path) -> tuple[Path, ...]:
     files = tuple(sorted(p for p in directory.iterdir() if p.suffix.lower() in _ENDINGS and p.is_file()))
     if not files:
         text = next((p.name for p in sorted(directory.iterdir()) if is_text(p)), None)
-        made = f"; of a text `fwclass ground {text} OUT.laz` makes a file of points" if text else ""
+        advice = f"; of a text `fwclass ground {text} OUT.laz` makes a file of points" if text else ""
         raise InputError(
             "a directory without files of points, pulses or polygons",
             where=directory,
             expected=f"names that end in {', '.join(sorted(_ENDINGS))}",
-            do=f"name the files, or the directory that they lie in{made}",
+            do=f"name the files, or the directory that they lie in{advice}",
         )
     return files
 

@@ -8,7 +8,9 @@ import struct
 import lazrs
 import numpy as np
 import pytest
+import rasterio
 from lasmaker import METRES_PER_NS, Descriptor, survey, to_laz, write_las
+from pyproj import CRS
 from tolerances import FLOAT32_RTOL
 
 from fwclass.errors import InputError
@@ -217,6 +219,18 @@ def test_crs_faults(tmp_path):
     assert junk.crs is None and any("no valid WKT" in f for f in junk.faults)
     by_wkt = open_source(six(tmp_path / "e.las", keys=None, wkt=degrees.crs.to_wkt("WKT1_GDAL")))
     assert by_wkt.crs.is_geographic
+
+
+@pytest.mark.parametrize("code", [0, 999_999])
+def test_a_system_with_a_code_that_epsg_does_not_have_goes_by_its_other_words(tmp_path, code):
+    """GDAL wrote rasters of such a one, which RIEGL's files name, into no system at all."""
+    stated = CRS.from_epsg(32633).to_wkt("WKT1_GDAL")
+    named = stated.replace('AUTHORITY["EPSG","32633"]', f'AUTHORITY["EPSG","{code}"]')
+    source = open_source(six(tmp_path / "a.las", keys=None, wkt=named))
+    assert source.crs.to_epsg(min_confidence=25) == 32633 and any(f"(EPSG:{code})" in f for f in source.faults)
+    assert rasterio.crs.CRS.from_wkt(source.crs.to_wkt()).to_epsg() == 32633
+    sound = open_source(six(tmp_path / "b.las", keys=None, wkt=stated))
+    assert sound.crs.to_epsg() == 32633 and not any("EPSG" in f for f in sound.faults)
 
 
 @pytest.mark.parametrize("vertical", [None, 5703])

@@ -441,7 +441,9 @@ def test_foreign_files_reach_gdal_through_one_door() -> None:
     }
     reads = texts["publish/delivered_raster.py"]
     assert 'driver="GTiff"' in reads and reads.count("rasterio.open(") == 1
-    assert 'rasterio.open(raw, "w"' in texts["publish/cog.py"] and texts["publish/cog.py"].count("rasterio.open(") == 1
+    writes = texts["publish/cog.py"]
+    assert 'rasterio.open(raw, "w"' in writes and 'rasterio.open(written, driver="GTiff")' in writes
+    assert writes.count("rasterio.open(") == 2
 
 
 def test_gdal_that_cannot_be_restricted_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -187,7 +187,7 @@ def _system_of(source: Source, project_to: str | None, crs: Any) -> Any:
     refuse_source(source, crs)
     refuse_other_system(source, crs)
     units = linear_units(crs, getattr(source, "header", None), source.path)
-    twin = metric_twin(crs) or "EPSG:<code>"
+    twin = (metric_twin(crs) if crs is not None else "") or "EPSG:<code>"
     _check_metres(units, crs, source.path, f"--set read.project_to={twin} brings it into metres as it is read")
     return crs
 
@@ -198,7 +198,7 @@ def _check_metres(units: LinearUnits, crs: Any, where: object, do: str = CONVERT
             "the coordinates are not in metres",
             where=where,
             expected="a projected coordinate system in metres: the scales of the features are metres",
-            got=f"{crs.name}; {units.source}",
+            got=f"{crs.name if crs else 'no system named'}; {units.source}",
             do=do,
         )
 
