@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -45,12 +44,9 @@ def keep_freed() -> None:
 
 def give_back(most: int | None) -> None:
     """Return freed memory to the system where the process holds more than `KEPT`, or half of the `most` that it may
-    have [bytes]: the next part needs the room. Arrow's too, which keeps an own store of it."""
+    have [bytes]: the next part needs the room."""
     library = _library()
     if library is not None and resident() > min(KEPT, most // 2 if most else KEPT):
-        arrow = sys.modules.get("pyarrow")
-        if arrow is not None:
-            arrow.default_memory_pool().release_unused()
         library.malloc_trim(0)
 
 

@@ -58,18 +58,17 @@ def test_a_large_process_gives_back_and_a_small_one_keeps():
     assert after < before - (350 << 20)
 
 
-@needs_glibc
-def test_a_large_process_gives_back_what_arrow_keeps_too():
+@pytest.mark.parametrize(
+    ("environment", "pool"), [({}, "system"), ({"ARROW_DEFAULT_MEMORY_POOL": "mimalloc"}, "mimalloc")]
+)
+def test_a_part_has_arrow_free_its_memory_for_all(environment, pool):
     text = (
-        "import numpy as np, pyarrow as pa\nfrom fwclass import memory\n"
-        "def hold():\n"  # 400 MiB
-        "    for b in [pa.allocate_buffer(1 << 18) for _ in range(1600)]: np.frombuffer(b, np.uint8)[:] = 1\n"
-        "hold()\nbefore = memory.resident()\nmemory.give_back(512 << 20)\n"
-        "print(before, memory.resident())\n"
+        "import pyarrow as pa\nfrom fwclass.run.part import single_thread\n"
+        "single_thread()\nprint(pa.default_memory_pool().backend_name)"
     )
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
-    before, after = map(int, done.stdout.split())
-    assert before > 400 << 20 and after < before - (350 << 20)
+    plain = {n: v for n, v in os.environ.items() if n != "ARROW_DEFAULT_MEMORY_POOL"} | environment
+    done = subprocess.run([sys.executable, "-c", text], env=plain, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == pool
 
 
 def test_costs_count_once_and_for_each_kind():
