@@ -110,21 +110,21 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
             crs, paths = without_paths(stated)
             if paths:
                 faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
-            return _in_degrees(_without_false_codes(crs, faults), faults)
+            crs, codes = without_false_codes(crs)
+            if codes:
+                faults.append(f"the CRS record names no code of EPSG ({codes[0]}): its other words count")
+            return _in_degrees(crs, faults)
         except CRSError as fault:
             faults.append(f"the CRS record is not used: {visible(str(fault))}")
     return None
 
 
-def _without_false_codes(crs: CRS, faults: list[str]) -> CRS:
-    """`crs` without the codes of systems that EPSG does not have (a RIEGL's is 0): GDAL would look no further than
-    those, and lay rasters in no system at all."""
+def without_false_codes(crs: CRS) -> tuple[CRS, list[str]]:
+    """`crs` without the codes of systems that EPSG does not have (a RIEGL's is 0), and these codes: GDAL would look no
+    further than those, and lay rasters in no system at all."""
     plain = crs.to_json_dict()
     dropped = [code for node in _systems(plain) if (code := _false_code(node)) and node.pop("id")]
-    if not dropped:
-        return crs
-    faults.append(f"the CRS record names a code that EPSG does not have ({dropped[0]}): its other words count")
-    return CRS.from_json_dict(plain)
+    return (CRS.from_json_dict(plain), dropped) if dropped else (crs, [])
 
 
 def _systems(node: Any) -> Iterator[dict[str, Any]]:

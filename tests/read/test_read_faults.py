@@ -20,6 +20,7 @@ from fwclass.read.info import describe, info
 from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
 from fwclass.read.stage import check_source, index_source, read_cloud, read_span
+from fwclass.survey.systems import given_crs
 
 N = 6
 
@@ -229,6 +230,7 @@ def test_a_system_with_a_code_that_epsg_does_not_have_goes_by_its_other_words(tm
     source = open_source(six(tmp_path / "a.las", keys=None, wkt=named))
     assert source.crs.to_epsg(min_confidence=25) == 32633 and any(f"(EPSG:{code})" in f for f in source.faults)
     assert rasterio.crs.CRS.from_wkt(source.crs.to_wkt()).to_epsg() == 32633
+    assert given_crs(named, "survey.crs").equals(source.crs)
     sound = open_source(six(tmp_path / "b.las", keys=None, wkt=stated))
     assert sound.crs.to_epsg() == 32633 and not any("EPSG" in f for f in sound.faults)
 
