@@ -162,7 +162,7 @@ META: dict[str, Shape] = {
         "spans": [(COUNT, COUNT, COUNT, COUNT, [KEY])],
         **{"points": COUNT, "pulses": COUNT, "point_format": WHOLE, "from_outgoing?": FLAG},
         "sensor?": Maybe((FINITE, FINITE)),
-        "stated?": [[COUNT]],
+        "stated?": [[KEY]],
     },
     "read": _READ,
     "pulse": _PULSE,
