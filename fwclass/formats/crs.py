@@ -123,8 +123,10 @@ def without_false_codes(crs: CRS) -> tuple[CRS, list[str]]:
     """`crs` without the codes of systems that EPSG does not have (a RIEGL's is 0), and these codes: GDAL would look no
     further than those, and lay rasters in no system at all."""
     plain = crs.to_json_dict()
-    dropped = [code for node in _systems(plain) if (code := _false_code(node)) and node.pop("id")]
-    return (CRS.from_json_dict(plain), dropped) if dropped else (crs, [])
+    false = [(node, code) for node in _systems(plain) if (code := _false_code(node))]
+    for node, _ in false:
+        del node["id"]
+    return (CRS.from_json_dict(plain) if false else crs), [code for _, code in false]
 
 
 def _systems(node: Any) -> Iterator[dict[str, Any]]:
@@ -138,13 +140,17 @@ def _systems(node: Any) -> Iterator[dict[str, Any]]:
 def _false_code(node: Mapping[str, Any]) -> str:
     """The code of a system that is said to be EPSG's and is none; "" where there is no such."""
     name = node.get("id", {})
-    if str(name.get("authority")).upper() != "EPSG":
-        return ""
+    code = f"EPSG:{name.get('code')}"
+    return code if str(name.get("authority")).upper() == "EPSG" and not _is_system(code) else ""
+
+
+@lru_cache(maxsize=64)
+def _is_system(code: str) -> bool:
+    """Whether PROJ knows a system by this code: files of a survey name the same one or two."""
     try:
-        CRS.from_authority("EPSG", name["code"])
+        return bool(CRS.from_user_input(code))
     except CRSError:
-        return f"EPSG:{name['code']}"
-    return ""
+        return False
 
 
 def _in_degrees(crs: CRS, faults: list[str]) -> CRS:

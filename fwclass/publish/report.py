@@ -109,7 +109,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    env.filters.update(number=number, parted=parted, percent=percent, quantity=quantity, seconds=seconds, wide=wide)
+    env.filters.update(number=number, parted=parted, percent=percent, quantity=quantity, seconds=seconds, width=width)
     return env
 
 
@@ -345,6 +345,12 @@ def parted(text: str) -> tuple[str, str]:
     return said if said.endswith(".") or not advice else f"{said}.", "; ".join(advice)
 
 
-def wide(uri: str) -> int:
-    """Width of the PNG at `data_uri` [pixels]: a telephone shows nearly half as many, the letters of axes at nine."""
-    return int.from_bytes(base64.b64decode(uri.partition(",")[2][:32])[16:20])
+LONG = 750
+"""Pixels of a picture that is wider than a telephone shows at once: that it goes on is said there."""
+
+
+def width(uri: str) -> str:
+    """Attributes of the image at `data_uri`, by its width [pixels]: a telephone shows nearly half as many, the letters
+    of axes at nine."""
+    pixels = int.from_bytes(base64.b64decode(uri.partition(",")[2][:32])[16:20])
+    return f'style="--wide: {pixels}px"' + (' class="long"' if pixels > LONG else "")

@@ -187,8 +187,9 @@ def _system_of(source: Source, project_to: str | None, crs: Any) -> Any:
     refuse_source(source, crs)
     refuse_other_system(source, crs)
     units = linear_units(crs, getattr(source, "header", None), source.path)
-    twin = (metric_twin(crs) if crs is not None else "") or "EPSG:<code>"
-    _check_metres(units, crs, source.path, f"--set read.project_to={twin} brings it into metres as it is read")
+    if not units.metres:
+        twin = (metric_twin(crs) if crs is not None else "") or "EPSG:<code>"
+        _check_metres(units, crs, source.path, f"--set read.project_to={twin} brings it into metres as it is read")
     return crs
 
 
