@@ -349,8 +349,8 @@ LONG = 750
 """Pixels of a picture that is wider than a telephone shows at once: that it goes on is said there."""
 
 
-def width(uri: str) -> str:
+def width(uri: str) -> dict[str, str | None]:
     """Attributes of the image at `data_uri`, by its width [pixels]: a telephone shows nearly half as many, the letters
     of axes at nine."""
     pixels = int.from_bytes(base64.b64decode(uri.partition(",")[2][:32])[16:20])
-    return f'style="--wide: {pixels}px"' + (' class="long"' if pixels > LONG else "")
+    return {"style": f"--wide: {pixels}px", "class": "long" if pixels > LONG else None}
