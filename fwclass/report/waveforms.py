@@ -12,7 +12,8 @@ from fwclass.conf import Config
 from fwclass.decompose.plausible import add_counts
 from fwclass.graph.sources import waveforms_of
 from fwclass.report.facts import metas_of_run, receipts_of_run
-from fwclass.report.plausibility import UNREADABLE, plausibility_remarks, receiver_facts, strip_plausibility
+from fwclass.report.plausibility import UNREADABLE, receiver_facts, strip_plausibility
+from fwclass.report.plausibility_remarks import plausibility_remarks
 from fwclass.report.radiometry import radiometry_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner

@@ -35,7 +35,8 @@ from fwclass.read.beams import sensor_height
 from fwclass.read.projection import is_brought, to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
-from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.report.plausibility import strip_plausibility
+from fwclass.report.plausibility_remarks import plausibility_remarks
 from fwclass.report.pulse_remarks import descriptor_words
 from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import Table

@@ -12,7 +12,8 @@ from rawmaker import SIGMA, scene, write_parquet
 
 from fwclass import conf
 from fwclass.decompose.plausible import COUNTS
-from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.report.plausibility import strip_plausibility
+from fwclass.report.plausibility_remarks import plausibility_remarks
 from fwclass.single_file.decompose import decompose_file
 
 FLUCTUATES = 0x8FFFFFFF

@@ -30,7 +30,8 @@ from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
 from fwclass.report.ground import hall_facts, hall_remarks, sunken_remarks
-from fwclass.report.plausibility import plausibility_remarks, strip_plausibility
+from fwclass.report.plausibility import strip_plausibility
+from fwclass.report.plausibility_remarks import plausibility_remarks
 from fwclass.report.repeated import repeated_in_file
 from fwclass.schema import IDENTITY, Table
 from fwclass.single_file.decompose import add_radiometry, read_flight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.report.plausibility import PERIODIC
+from fwclass.report.plausibility_remarks import PERIODIC
 from fwclass.report.pulse_remarks import descriptor_words
 
 

@@ -24,7 +24,9 @@ from fwclass.publish.waveform_pictures import draw_waveforms
 from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
 from fwclass.read.stage import check_source
-from fwclass.report.plausibility import place_remarks, plausibility_remarks, strip_plausibility
+from fwclass.report.place_remarks import place_remarks
+from fwclass.report.plausibility import strip_plausibility
+from fwclass.report.plausibility_remarks import plausibility_remarks
 from fwclass.report.pulse_picture import receiver_picture
 from fwclass.single_file.strip import FileStrip, strip_of
 from fwclass.single_file.waveforms.pictured import Shown, echo_facts, pulse_picture
