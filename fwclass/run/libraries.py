@@ -10,7 +10,7 @@ from fwclass.errors import several
 from fwclass.run.runner import Runner
 from fwclass.store.libraries import fingerprint, stale_by
 from fwclass.store.receipts import Receipt
-from fwclass.store.run_store import NO_STAGES, Store
+from fwclass.store.run_store import Store
 
 
 def by_change(receipts: Iterable[Receipt], store: Store) -> tuple[Counter[str], int]:
@@ -18,7 +18,7 @@ def by_change(receipts: Iterable[Receipt], store: Store) -> tuple[Counter[str], 
     parts: Counter[str] = Counter()
     unknown = 0
     for receipt in receipts:
-        then = store.libraries(receipt)
+        then = store.provenance.libraries(receipt)
         unknown += then is None
         parts[", ".join(stale_by(then))] += 1
     parts.pop("", None)
@@ -30,8 +30,8 @@ def library_remarks(store: Store, accepted: bool) -> list[str]:
 
     Receipts are read only where some run in this store had other libraries.
     """
-    prints = store.fingerprints()
-    names = [n for n in store.parts() if n[0] not in NO_STAGES] if any(map(stale_by, prints)) or not prints else []
+    prints = store.provenance.fingerprints()
+    names = store.parts() if any(map(stale_by, prints)) or not prints else []
     if not names:
         return []
     store.look_up(names)
@@ -54,7 +54,7 @@ def by_libraries(parts: Mapping[str, int], store: Store) -> list[dict[str, Any]]
     """For `fwclass status`: parts by what they were made with, as plain data; `parts` counts receipts' `libraries`."""
     rows = []
     for digest, count in parts.items():
-        then = store.fingerprint(digest)
+        then = store.provenance.fingerprint(digest)
         rows.append({"parts": count, "made_with": None if then is None else dict(then), "changes": stale_by(then)})
     return rows
 

@@ -119,13 +119,13 @@ def emptied(task: Task, store: Store) -> bool:
     receipt = store.receipt(*task.name)
     if receipt is None or not receipt.emptied or receipt.key != key_now(task, store):
         return False
-    return task.any_libraries or not stale_by(store.libraries(receipt))
+    return task.any_libraries or not stale_by(store.provenance.libraries(receipt))
 
 
 def holds(task: Task, store: Store, key: str) -> bool:
     """The part is there under this key, and was made with the libraries of here, or such as do not matter."""
     receipt = store.done(task.stage, task.part, key)
-    return receipt is not None and (task.any_libraries or not stale_by(store.libraries(receipt)))
+    return receipt is not None and (task.any_libraries or not stale_by(store.provenance.libraries(receipt)))
 
 
 def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (), split: int = 1) -> Outcome:

@@ -9,7 +9,6 @@ receipt here. See FORMAT.md.
 from __future__ import annotations
 
 import os
-import re
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -17,24 +16,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from fwclass.cost import since, spent
-from fwclass.errors import DamagedError, StoreError
+from fwclass.errors import StoreError
+from fwclass.memory import peak_mib
 from fwclass.store.arrays import PARQUET, ZARR
-from fwclass.store.atomic import clear_staged, digest_of, file_digest, from_json, names_below, to_json
+from fwclass.store.atomic import clear_staged, file_digest, from_json, names_below, to_json
 from fwclass.store.bucket import Bucket, Remote, files_at
 from fwclass.store.failures import Failures
 from fwclass.store.generations import Generations
 from fwclass.store.history import surplus
-from fwclass.store.libraries import fingerprint, fingerprint_under
+from fwclass.store.libraries import fingerprint
 from fwclass.store.lookup import RECEIPT, Lookup, Name, part_key, receipt_key, units_by_part
 from fwclass.store.objects import Mark
+from fwclass.store.provenance import Provenance
 from fwclass.store.receipts import Receipt, checked_meta, digest_of_outputs
 from fwclass.store.refusals import LostRace
 from fwclass.store.url import Url
-
-MIB = 1 << 20
 
 NO_STAGES = ("staging", "failures", "params", "libraries", "history")
 """Directories of the store that hold no parts."""
@@ -73,6 +70,11 @@ class Store:
     def generations(self) -> Generations:
         """What was delivered."""
         return Generations(self._files)
+
+    @property
+    def provenance(self) -> Provenance:
+        """The parameters and libraries that parts were made with."""
+        return Provenance(self._files, self._lookup)
 
     @property
     def where(self) -> Path | Url:
@@ -208,21 +210,7 @@ class Store:
         with self._files.making(stage, part) as (directory, check):
             meta = checked_meta(stage, work(directory))
             worked = time.perf_counter()
-            outputs = {}
-            for name in names_below(directory):
-                path = directory / name
-                facts = os.lstat(path)
-                if stat.S_ISLNK(facts.st_mode):
-                    raise StoreError(
-                        "a part's files are its own",
-                        where=f"{stage}/{part}: {name}",
-                        expected="a file: those of a delivery are made read-only and belong to it",
-                        got="a link",
-                        do="copy the file",
-                    )
-                if self._lasting:
-                    self._files.finish(path, place == "deliver")
-                outputs[name] = {"bytes": facts.st_size, "digest": file_digest(path)}
+            outputs = self._finish(directory, f"{stage}/{part}", place == "deliver")
             check()
             receipt = Receipt(
                 stage=stage,
@@ -234,8 +222,8 @@ class Store:
                 meta=meta,
                 digest=digest_of_outputs(outputs, meta),
                 version=version,
-                params="" if params is None else self._keep_once("params", params),
-                libraries=self._keep_once("libraries", dict(fingerprint())) if self._lasting else "",
+                params="" if params is None else self.provenance.keep("params", params),
+                libraries=self.provenance.keep("libraries", dict(fingerprint())) if self._lasting else "",
             )
             self._files.put_part(receipt, directory)
         ended = time.perf_counter()
@@ -250,6 +238,25 @@ class Store:
         receipt = self._put_receipt(receipt, old[1] if old else None)
         self._files.collect(receipt, old[0] if old else None)
         return receipt
+
+    def _finish(self, directory: Path, name: str, delivered: bool) -> dict[str, dict[str, Any]]:
+        """Make the files below `directory` last, as outputs of the part `name`; their sizes and digests."""
+        outputs = {}
+        for file in names_below(directory):
+            path = directory / file
+            facts = os.lstat(path)
+            if stat.S_ISLNK(facts.st_mode):
+                raise StoreError(
+                    "a part's files are its own",
+                    where=f"{name}: {file}",
+                    expected="a file: those of a delivery are made read-only and belong to it",
+                    got="a link",
+                    do="copy the file",
+                )
+            if self._lasting:
+                self._files.finish(path, delivered)
+            outputs[file] = {"bytes": facts.st_size, "digest": file_digest(path)}
+        return outputs
 
     def _put_receipt(self, receipt: Receipt, mark: Mark | None) -> Receipt:
         """The receipt as it was written; that of a twin of this task, which made the same, if it was first."""
@@ -276,37 +283,6 @@ class Store:
         """What was kept under this name, None if nothing was; `DamagedError` where it is no plain data any more."""
         data = self._files.get(f"store/{name}")
         return from_json(data[0], self.where / "store" / name) if data else None
-
-    def _keep_once(self, kind: str, value: Any) -> str:
-        """Keep what many receipts name, ``store/<kind>/<digest>.json``, once; its digest."""
-        digest = digest_of(value)
-        self._files.put_once(f"store/{kind}/{digest}.json", lambda: to_json(value))
-        return digest
-
-    def _read_kept(self, kind: str, digest: str) -> Any:
-        """What receipts name by `digest`; None where it was not recorded, or is damaged."""
-        try:
-            return self.recall(f"{kind}/{digest}.json") if digest else None
-        except DamagedError:
-            return None
-
-    def params(self, receipt: Receipt) -> Any:
-        """The parameters that a part was made with, as plain data; None where they were not recorded."""
-        return self._read_kept("params", receipt.params)
-
-    def libraries(self, receipt: Receipt) -> Mapping[str, str] | None:
-        """What a part was made with (`libraries.fingerprint`); None where that is not known."""
-        return self.fingerprint(receipt.libraries)
-
-    def fingerprint(self, digest: str) -> Mapping[str, str] | None:
-        """What receipts name by `digest`."""
-        return fingerprint_under(digest, lambda: self._read_kept("libraries", digest))
-
-    def fingerprints(self) -> list[Mapping[str, str]]:
-        """Every fingerprint that was kept."""
-        names = [n for n in self._lookup.names("store/libraries") if n.endswith(".json")]
-        fingerprints = (self.fingerprint(name.removesuffix(".json")) for name in names)
-        return [f for f in fingerprints if f is not None]
 
     # what goes
 
@@ -389,19 +365,3 @@ class Store:
         self._files.check()
         self._files.delete(gone)
         self._lookup.clear_copies()
-
-
-def peak_mib() -> float:
-    """Highest resident memory of this process so far [MiB]; where the system does not tell, the present one.
-
-    Not `getrusage`: a process begins there with the peak of the one that started it, so that the workers of a large
-    program would all look large.
-    """
-    try:
-        peak = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
-    except OSError:
-        peak = None
-    if peak:
-        return int(peak[1]) * 1024 / MIB
-    memory = psutil.Process(os.getpid()).memory_info()
-    return float(getattr(memory, "peak_wset", memory.rss)) / MIB

@@ -20,7 +20,7 @@ from fwclass import conf
 from fwclass.graph.raster_outputs import deliver_rasters
 from fwclass.graph.stage_work import StageInputs
 from fwclass.grid import Box, TileGrid, Window
-from fwclass.store.run_store import peak_mib
+from fwclass.memory import peak_mib
 
 GRID = TileGrid(256.0)
 ROW = "{:>8}{:>14}{:>14}{:>12}{:>14}{:>12}"

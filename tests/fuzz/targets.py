@@ -176,7 +176,7 @@ def _store(path: Path) -> Actions:
     def receipts() -> None:
         for receipt in list(store.receipts("publish")):
             store.done(receipt.stage, receipt.part, receipt.key)
-            store.params(receipt)
+            store.provenance.params(receipt)
             store.path("publish", receipt.part, "laz/a.laz")
 
     return [

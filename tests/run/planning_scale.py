@@ -11,11 +11,11 @@ from pyproj import CRS
 
 from fwclass import conf
 from fwclass.grid import Box
+from fwclass.memory import peak_mib
 from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import SourceFacts, SurveyFacts
 from fwclass.operate.estimate.limits import Room
 from fwclass.operate.estimate.output import deliver
-from fwclass.store.run_store import peak_mib
 from fwclass.workflows import workflow_of
 
 begin = workflow_of("classification").begin

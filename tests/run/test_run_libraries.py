@@ -26,6 +26,7 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.store import libraries, run_store
 from fwclass.store.bucket import Remote
+from fwclass.store.provenance import Provenance
 from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 
@@ -105,7 +106,7 @@ def test_another_commit_is_told_and_makes_nothing_stale(tmp_path, monkeypatch):
 
 def test_receipts_of_before_count_as_done_and_are_told(tmp_path, monkeypatch):
     here(monkeypatch, THEN)
-    monkeypatch.setattr(Store, "_keep_once", lambda *_: "")
+    monkeypatch.setattr(Provenance, "keep", lambda *_: "")
     made(tmp_path)
     monkeypatch.undo()
     here(monkeypatch, NOW)
@@ -211,7 +212,7 @@ def test_on_object_storage_too(tmp_path, monkeypatch):
         monkeypatch.setattr(libraries, "_KNOWN", {})
         here(monkeypatch, NOW)
         store = open_store(location, lists=True)
-        assert store.fingerprints() == [{"fwclass": "0.1.0", "source": "0123456789abcdef", **THEN}]
+        assert store.provenance.fingerprints() == [{"fwclass": "0.1.0", "source": "0123456789abcdef", **THEN}]
         assert library_remarks(store, False)[0].startswith(
             "3 parts were made with other libraries (pyarrow 26.0.1 to 22.0.0)"
         )

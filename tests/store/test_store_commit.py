@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from fwclass.errors import DamagedError, StoreError
+from fwclass.memory import peak_mib
 from fwclass.store.generations import manifest_files
 from fwclass.store.lock import writer
-from fwclass.store.run_store import Store, peak_mib
+from fwclass.store.run_store import Store
 
 
 def write(text):
@@ -177,7 +178,7 @@ def test_a_second_writer_is_told_who_the_first_is(tmp_path):
 
 def test_a_small_process_does_not_inherit_the_peak_of_a_large_one():
     large = np.ones(400 << 17)  # 400 MiB, touched
-    script = "from fwclass.store.run_store import peak_mib; print(peak_mib())"
+    script = "from fwclass.memory import peak_mib; print(peak_mib())"
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert 5 < float(ended.stdout) < 200 and peak_mib() > large.nbytes / 2**20
 

@@ -52,7 +52,7 @@ def test_a_committed_part_is_read_on_another_host(remote, monkeypatch, tmp_path)
         assert store.done("stage", "1_2", "k1") == made == store.receipt("stage", "1_2")
         assert store.done("stage", "1_2", "k2") is None
         assert (store.path("stage", "1_2", "table.zarr") / "c/0").read_text() == "abc"
-        assert store.params(made) == {"cell": 0.5}
+        assert store.provenance.params(made) == {"cell": 0.5}
         assert [r.part for r in store.receipts("stage")] == ["1_2"]
         assert store.parts() == [("stage", "1_2")]
 

@@ -12,7 +12,6 @@ from fwclass.operate.status.walk import STANDINGS, PartState, RunStatus
 from fwclass.run.libraries import by_libraries, text_of
 from fwclass.run.part import Name
 from fwclass.store.libraries import fingerprint
-from fwclass.store.run_store import NO_STAGES
 
 NAMED = 4
 """Parts that are named of those that have one reason."""
@@ -74,8 +73,7 @@ def others(status: RunStatus, request: Request) -> dict[str, int]:
         return {}
     counts: Counter[str] = Counter()
     for stage, part in status.store.parts():
-        if stage not in NO_STAGES:
-            counts[stage] += (stage, part) not in status.states
+        counts[stage] += (stage, part) not in status.states
     return {stage: n for stage, n in counts.items() if n}
 
 

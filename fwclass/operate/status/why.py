@@ -40,7 +40,7 @@ def same(text: str) -> Reason:
 def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
     """Why `receipt` does not do for `task`; `waits` are parts that are not done now, with their status."""
     why = _of_version(task, receipt)
-    why += [] if task.any_libraries else [same(text) for text in stale_by(store.libraries(receipt))]
+    why += [] if task.any_libraries else [same(text) for text in stale_by(store.provenance.libraries(receipt))]
     why += _of_params(task, receipt, store)
     why += _of_files(task, receipt)
     why += _of_parts(task, receipt, store, waits)
@@ -81,7 +81,7 @@ def _of_version(task: Task, receipt: Receipt) -> list[Reason]:
 def _of_params(task: Task, receipt: Receipt, store: Store) -> list[Reason]:
     if receipt.version is None:
         return []
-    then = store.params(receipt)
+    then = store.provenance.params(receipt)
     if then is None:
         return [] if task.params is None else [same("its parameters are not recorded any more")]
     now = json.loads(json.dumps(task.params))  # tuples and keys as they become in a file
