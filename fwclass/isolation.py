@@ -34,6 +34,10 @@ UNUSED = {"laspy": "requests", "pyarrow": "cloudpickle"}
 """Libraries, and what they load to read from a network and to pack functions, which no command has them do: that takes
 as long to load as much of their own."""
 
+LATER = {"pyogrio": "geopandas pandas", "rasterio": "boto3"}
+"""Libraries, and what they load where it is installed to make data frames and to reach buckets: as much once more as
+all that a command loads to write rasters and polygons. They find it when they use it."""
+
 PARTS_OF_NUMPY = ("f2py", "testing")
 """What SciPy loads as it takes all names of numpy, and no command uses: a quarter of what `scipy.ndimage` takes."""
 
@@ -192,12 +196,38 @@ def without(*names: str) -> Iterator[None]:
             sys.modules.pop(name, None)
 
 
+@contextmanager
+def later(*names: str) -> Iterator[None]:
+    """Modules `names` that are installed and not loaded are stood for, where `isolate` was called, as `without`."""
+    absent = [n for n in names if n not in sys.modules] if _isolated() else []
+    standing = {name: module for name in absent if (module := _stand_in(name)) is not None}
+    sys.modules.update(standing)
+    try:
+        yield
+    finally:
+        for name, module in standing.items():
+            if sys.modules.get(name) is module:
+                del sys.modules[name]
+
+
+def _stand_in(name: str) -> Any:
+    from importlib import metadata
+
+    try:
+        version = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+    module: Any = LazyModule(name)
+    module.__version__ = version
+    return module
+
+
 class _Guard:
-    """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files, and
-    those of `UNUSED` without what that names; SciPy without `PARTS_OF_NUMPY`."""
+    """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files,
+    those of `UNUSED` without what that names, those of `LATER` before it; SciPy without `PARTS_OF_NUMPY`."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name not in CONFIGURATIONS and name not in UNUSED and name != "scipy":
+        if not any(name in table for table in (CONFIGURATIONS, UNUSED, LATER, {"scipy"})):
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
@@ -209,7 +239,8 @@ def _guard(name: str, execute: Callable[[ModuleType], None]) -> Callable[[Module
     def exec_module(module: ModuleType) -> None:
         if name == "numba":
             kernel_cache()
-        with away_from(*CONFIGURATIONS.get(name, "").split()), without(*UNUSED.get(name, "").split()):
+        files, unused, after = (table.get(name, "").split() for table in (CONFIGURATIONS, UNUSED, LATER))
+        with away_from(*files), without(*unused), later(*after):
             execute(module)
         if name == "numba":
             _settle_numba()

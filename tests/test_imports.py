@@ -132,6 +132,24 @@ def test_a_command_reads_points_without_a_way_to_the_network_and_a_program_keeps
     subprocess.run([sys.executable, "-c", child], env=environment | CHILDREN, check=True)
 
 
+def test_rasters_and_polygons_are_written_without_data_frames_and_buckets_which_who_asks_for_them_finds() -> None:
+    child = """
+import fwclass, io, pyogrio, rasterio.session, sys
+late = {"geopandas", "pandas", "boto3"}
+assert not late & {*sys.modules}
+assert rasterio.session.boto3.Session and late & {*sys.modules} == {"boto3"}
+import geopandas, pandas
+frame = geopandas.GeoDataFrame({"a": [1]}, geometry=geopandas.points_from_xy([1], [2]))
+frame.to_file(file := io.BytesIO(), driver="GeoJSON")
+file.seek(0)
+assert geopandas.read_file(file).geometry[0].y == 2 and pandas.DataFrame is not None
+"""
+    subprocess.run([sys.executable, "-c", child], env=os.environ | CHILDREN, check=True)
+    own = "import fwclass, pyogrio, sys; sys.exit('geopandas' not in sys.modules)"
+    environment = {n: v for n, v in os.environ.items() if n not in CHILDREN}
+    subprocess.run([sys.executable, "-c", own], env=environment, check=True)
+
+
 def test_a_command_does_not_load_what_packs_functions_to_read_parquet() -> None:
     child = "import fwclass, pyarrow, sys; sys.exit('cloudpickle' in sys.modules)"
     subprocess.run([sys.executable, "-c", child], env=os.environ | CHILDREN, check=True)
