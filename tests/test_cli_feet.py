@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import lasmaker
 import laspy
@@ -17,7 +18,11 @@ from commandline import fwclass
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from fwclass import conf
 from fwclass.formats.projected import metric_twin, project
+from fwclass.graph.model_fit import feature_parameters
+from fwclass.model import FORMAT, LinearMachine
+from fwclass.store.models import save_model
 
 FEET = 1200.0 / 3937.0
 PLANE = {"metres": 32118, "feet": 2263}
@@ -180,3 +185,26 @@ def test_features_of_one_file_in_feet_are_those_of_its_metres(tmp_path: Path) ->
     assert refused.returncode == 2 and "leave --crs out" in refused.stderr
     refused = fwclass("features", feet, tmp_path / "o.parquet", *words, "--set", "read.project_to=EPSG:2263")
     assert refused.returncode == 1 and "where: read.project_to" in refused.stderr, refused.stderr
+
+
+def test_classes_of_one_file_in_feet_are_those_of_its_metres(tmp_path: Path) -> None:
+    """Its points stay in feet, as they were."""
+    feet, metres = (survey(tmp_path / unit, unit, unit) / "a.las" for unit in ("feet", "metres"))
+    names = ("height_above_ground", "planarity_k20")
+    prepared: dict[str, list[float]] = {"fill": [0.0, 0.0], "shift": [0.0, 0.0], "scale": [1.0, 1.0]}
+    classes = [{"name": f"c{code}", "code": code, "codes": [code]} for code in (2, 6)]
+    card: dict[str, Any] = {"format": FORMAT, "features": list(names), "classes": classes, "preparation": prepared}
+    card["computed"] = feature_parameters(names, conf.section("features"))
+    above_1_5_m = LinearMachine(np.array([[1.0, 0.0]]), np.array([-1.5]), card)
+    save_model(tmp_path / "m", above_1_5_m)
+    words = ("--model", tmp_path / "m")
+    refused = fwclass("classify", feet, tmp_path / "f.laz", *words)
+    assert refused.returncode == 1 and "--set read.project_to=EPSG:32118+5703 brings it" in refused.stderr
+    ended = fwclass("classify", feet, tmp_path / "f.laz", *words, "--set", "read.project_to=EPSG:32118+5703")
+    assert ended.returncode == 0, ended.stderr
+    assert fwclass("classify", metres, tmp_path / "m.laz", *words).returncode == 0
+    made, like, source = (laspy.read(path) for path in (tmp_path / "f.laz", tmp_path / "m.laz", feet))
+    assert all((made[axis] == source[axis]).all() for axis in "XYZ")
+    assert made.header.parse_crs().equals(source.header.parse_crs())
+    assert np.mean(np.asarray(made.classification) == np.asarray(like.classification)) > 0.998
+    assert (np.asarray(made.classification) == 6).sum() > 1000

@@ -18,10 +18,12 @@ from pyproj import CRS
 from fwclass.errors import InputError
 from fwclass.formats.projected import project_beams
 from fwclass.read.beam_source import turn_beams
+from fwclass.read.feet import setting_for
 from fwclass.read.packet_references import References
 from fwclass.read.packets import judge
 from fwclass.read.pls_waves import Samplings, find, read_records
 from fwclass.read.points import PointReader, coordinates, gps_times
+from fwclass.read.projection import metres_of
 from fwclass.read.pulsewaves import RETURNING
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.units import METRES_PER_NS
@@ -131,7 +133,8 @@ def _remedy(wrong: str, source: Source) -> str:
     if PART in wrong:
         return "export the file again, or cut it where its beams change"
     if LENGTH in wrong:
-        return "export the file again, with beam vectors of 0.1499 metres a nanosecond, or times in nanoseconds"
+        again = "export the file again, with beam vectors of 0.1499 metres a nanosecond, or times in nanoseconds"
+        return (source.target is None and isinstance(source, PulseSource) and setting_for(source.crs)) or again
     if HORIZONTAL in wrong and source.mirrored:
         return "leave --mirror-beams (read.mirror_beams) out"
     if HORIZONTAL in wrong:
@@ -295,7 +298,7 @@ def _first_samples(source: Source, begin: int = 0) -> FirstSamples:
         row, first = np.unique(parts.pulse, return_index=True)
         step, time = waves.step[row], waves.time[row]
         place = waves.anchor[row] - parts.begin[first, None] * step
-        speed = np.linalg.norm(step, axis=1)
+        speed = np.linalg.norm(step * metres_of(source), axis=1)
         way = parts.begin[first] * speed
         distance = waves.anchor_range[row] + way
         length = np.full(len(row), np.nan)

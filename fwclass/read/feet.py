@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from fwclass.formats.crs import units_of
+from fwclass.formats.projected import metric_twin
+
 FEET = (2.8, 3.4)
 """Lengths, in light's way there and back, of vectors in feet, or whose heights alone are, up to 30 degrees off the
 plumb line."""
 
 
-def in_metres(length: float, otherwise: str) -> str:
-    """What to do where beam vectors are `length` times as long as light's way, which no sane one is."""
-    feet = FEET[0] <= length <= FEET[1]
-    return "bring the file into metres first: its heights, or x, y and z, look like feet" if feet else otherwise
+def in_metres(length: float, otherwise: str, crs: Any = None) -> str:
+    """What to do where beam vectors are `length` times as long as light's way, which no sane one is, in a file of the
+    system `crs` that `read.project_to` would bring."""
+    if not FEET[0] <= length <= FEET[1]:
+        return otherwise
+    return setting_for(crs) or "bring the file into metres first: its heights, or x, y and z, look like feet"
+
+
+def setting_for(crs: Any) -> str:
+    """The setting that brings a file of the system `crs` into metres; "" where it is in metres, or in degrees."""
+    if crs is None or not crs.is_projected or not units_of(crs):
+        return ""
+    return f"--set read.project_to={metric_twin(crs) or 'EPSG:<code>'} brings the file into metres as it is read"

@@ -32,6 +32,7 @@ from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import PARQUET, is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
+from fwclass.read.projection import at_its_word
 from fwclass.read.quantities import quantities_of, words_of
 from fwclass.read.return_counts import (
     backward_fault,
@@ -138,7 +139,7 @@ def info(path: str | Path) -> dict[str, Any]:
     """
     if is_polygon_file(path) and not is_beam_file(path):
         return echo_labels_info(Path(path)) if is_echo_labels(Path(path)) else polygon_info(Path(path))
-    opened = open_source(path)
+    opened = at_its_word(open_source(path))
     if isinstance(opened, BeamSource):
         return beam_rows_info(opened)
     return pulse_info(opened) if isinstance(opened, PulseSource) else _las_info(las_of(opened))

@@ -31,6 +31,7 @@ from fwclass.read.pls_waves import (
     refuse_overlap,
     waves_fault,
 )
+from fwclass.read.projection import metres_of
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseSource
 from fwclass.read.spans import Span, spans_by_points
 from fwclass.read.wave_kernels import clear_of_last, gather_parted
@@ -74,7 +75,7 @@ def check_pls(source: PulseSource) -> None:
     if source.n_records == 0:
         return
     with np.errstate(invalid="ignore"):
-        length = float(np.median(np.linalg.norm(pulses.step, axis=1))) / METRES_PER_NS
+        length = float(np.median(np.linalg.norm(pulses.step * metres_of(source), axis=1))) / METRES_PER_NS
     reasons = ", ".join(f"{n} pulses: {FAULTS[i]}" for i, n in enumerate(counts) if n)
     wvs = (source.waves.path or source.path.with_suffix(".wvz" if source.compressed else ".wvs")).name
     raise InputError(
@@ -85,7 +86,9 @@ def check_pls(source: PulseSource) -> None:
         do=f"put {wvs} beside it"
         if source.waves.kind == "none"
         else in_metres(
-            length, f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged"
+            length,
+            f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged",
+            source.crs,
         ),
     )
 

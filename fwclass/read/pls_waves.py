@@ -16,6 +16,7 @@ from fwclass.read import wave_kernels
 from fwclass.read.packets import VECTOR_RANGE
 from fwclass.read.pls_compressed import PULSE, unpacked_pulses, unpacked_waves
 from fwclass.read.points import ZEROS
+from fwclass.read.projection import metres_of
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, WAVES_HEADER, PulseSource, Sampling
 from fwclass.read.wave_extents import read_waves
 from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, find_segments
@@ -185,8 +186,9 @@ class Segments:
 
 @dataclass(frozen=True)
 class Pulses:
-    """Pulses and what their waves hold: anchor [m], step [m/ns] up the beam, `fault` codes, all segments, and the bytes
-    `data` that these are in, None without any; `stop` is where the compressed waves of each end, 0 for others."""
+    """Pulses and what their waves hold: anchor and step [1/ns] up the beam in the file's own units, `anchor_range` [m],
+    `fault` codes, all segments, and the bytes `data` that these are in, None without any; `stop` is where the
+    compressed waves of each end, 0 for others."""
 
     time: NDArray[np.float64]
     anchor: NDArray[np.float64]
@@ -207,7 +209,7 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings) -> Pulses
     step = away / (-1000.0 * kinds.unit[index])[:, None]
     if source.mirrored:
         step[:, :2] *= -1.0
-    length = np.sqrt((step**2).sum(axis=1))
+    length = np.sqrt(((step * metres_of(source)) ** 2).sum(axis=1))
     fault = kinds.state[index].copy()
     sane = (length >= VECTOR_RANGE[0] * METRES_PER_NS) & (length <= VECTOR_RANGE[1] * METRES_PER_NS)
     fault[(fault == 0) & ~sane] = FAULTS.index("no sane beam vector")

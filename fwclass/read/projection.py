@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from fwclass.formats.crs import units_of
 from fwclass.formats.flat import GEOCENTRIC, HIGHEST, LONGEST, not_flat
-from fwclass.formats.projected import Floats, height_unit, project, project_beams
+from fwclass.formats.projected import Floats, height_unit, metric_twin, project, project_beams
 from fwclass.read.base import Source
 from fwclass.waveforms import Waveforms
 
@@ -40,6 +40,12 @@ def to_project(source: Source, crs: Any) -> bool:
 def is_brought(crs: Any) -> bool:
     """Whether places of the system are none of metres on a plane, so that ``read.project_to`` brings them into one."""
     return crs is not None and bool(crs.is_geocentric or units_of(crs))
+
+
+def at_its_word(source: Source) -> Source:
+    """`source` as it is read where it is in feet, as its system says, and the same projection in metres is known."""
+    twin = metric_twin(source.crs) if is_brought(source.crs) else ""
+    return replace(source, target=twin) if twin else source
 
 
 def metres_of(source: Source) -> tuple[float, float, float]:

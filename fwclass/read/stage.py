@@ -45,11 +45,11 @@ def check_source(source: Source, params: ReadParams) -> None:
     In a LAS file `params.missing_packets` ``keep`` takes its returns instead; a Pulse file has nothing but waveforms.
     """
     source = with_settings(source, params)
-    if source.target is not None and source.crs.is_projected and isinstance(source, PulseSource | BeamSource):
+    if source.target is not None and source.crs.is_projected and isinstance(source, BeamSource):
         raise InputError(
-            "beams in another unit than metres are brought into metres of LAS files alone",
+            "beams in another unit than metres are brought into metres of LAS and PulseWaves files alone",
             where=source.path,
-            expected="metres, or a LAS file",
+            expected="metres, or a LAS or PulseWaves file",
             got=f"{source.crs.name}, in {', '.join(units_of(source.crs))}: distances along its beams are too",
             do="export the file in metres, or as LAS with waveforms",
         )

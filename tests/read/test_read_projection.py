@@ -13,6 +13,8 @@ from plsmaker import Descriptor as PulseDescriptor
 from plsmaker import Pulse, Sampling, write_pls
 from pyproj import CRS, Transformer
 
+from fwclass.read.info import info
+
 UTM = "EPSG:32633"
 
 
@@ -56,8 +58,8 @@ def in_degrees(path, ground, sensor):
 FEET = 1200.0 / 3937.0
 
 
-def in_feet(path, ground, sensor, heights=6360):
-    """A LAS file in US survey feet of UTM zone 16, or with heights in metres."""
+def in_feet(path, ground, sensor, heights=6360, plane=32666):
+    """A LAS file in US survey feet of a `plane` (UTM zone 16), or with heights in metres."""
     n, unit = len(ground), np.array([FEET, FEET, FEET if heights == 6360 else 1.0])
     up = (sensor - ground) / np.linalg.norm(sensor - ground, axis=1, keepdims=True)
     rng = np.random.default_rng(2)
@@ -70,7 +72,7 @@ def in_feet(path, ground, sensor, heights=6360):
         location=at,
         step=METRES_PER_NS * up / unit,
         gps_time=1e-4 * np.arange(n),
-        keys={3072: 32666, 4096: heights},
+        keys={3072: plane, 4096: heights},
     )
 
 
@@ -115,13 +117,54 @@ def test_waveforms_in_feet_are_metres_where_the_truth_is(tmp_path, heights):
     assert [p.to_epsg() for p in las.header.parse_crs().sub_crs_list] == [32616, 5703]
 
 
-def test_pulses_in_feet_are_refused(tmp_path):
-    """Their distances from the sensor are in feet too, and ranges would be three times as long."""
-    y = digitise(gaussian(60, [(150.0, 20.0, 3.5)], 10.0))
-    pulses = [Pulse([2e6, 9e6, 3e3], [0.0, 0.0, -0.49], [[(1000.0, y)]], time=k * 1e-4) for k in range(20)]
-    path = write_pls(tmp_path / "a.pls", pulses, {1: PulseDescriptor([Sampling()])}, keys={1024: 1, 3072: 32666})
-    ended = fwclass("decompose", path, tmp_path / "o.laz", "--set", "read.project_to=EPSG:32616")
-    assert ended.returncode == 1 and "of LAS files alone" in ended.stderr, ended.stderr
+@pytest.mark.parametrize("heights", [6360, 5703])
+def test_pulses_in_feet_are_metres_where_the_truth_is(tmp_path, heights):
+    """Ranges, from the optical centre, which is the anchor here, are metres too."""
+    ground, sensor = (place - np.array([0.0, 1e6, 0.0]) for place in truth())
+    unit = np.array([FEET, FEET, FEET if heights == 6360 else 1.0])
+    rng = np.random.default_rng(3)
+    pulses = []
+    for k, (a, b) in enumerate(zip(sensor, ground, strict=True)):
+        way = b - a
+        time = np.linalg.norm(way) / METRES_PER_NS
+        speed = np.linalg.norm(way / unit) / time
+        begin = np.floor(time - 20.0)
+        y = gaussian(60, [(150.0, time - begin, 3.5)], 10.0) + rng.normal(0, 1.0, 60)
+        pulses.append(Pulse(a / unit, way / unit, [[(begin, digitise(y))]], time=1000.0 + 1e-4 * k, speed=speed))
+    keys = {1024: 1, 3072: 32666, 4096: heights}
+    path = write_pls(tmp_path / "a.pls", pulses, {1: PulseDescriptor([Sampling()])}, keys=keys)
+    refused = fwclass("decompose", path, tmp_path / "o.laz")
+    assert refused.returncode == 1 and "--set read.project_to=EPSG:<code> brings" in refused.stderr, refused.stderr
+    ended = fwclass("decompose", path, tmp_path / "o.laz", "--set", "read.project_to=EPSG:32616+5703")
+    assert ended.returncode == 0, ended.stderr
+    las = laspy.read(tmp_path / "o.laz")
+    off = np.array([np.linalg.norm(las.xyz - there, axis=1).min() for there in ground])
+    assert np.median(off) < 0.01 and np.quantile(off, 0.99) < 0.02
+    away = np.array([np.linalg.norm(sensor[int(k)] - ground[int(k)]) for k in las["pulse"]])
+    assert np.median(np.abs(np.asarray(las["range"]) - away)) < 0.02
+
+
+def test_info_takes_a_system_in_feet_at_its_word(tmp_path):
+    """No waveform could be read, it said, of files that a run reads."""
+    ground, sensor = (place + np.array([-340_000.0, -5_339_000.0, 0.0]) for place in truth(60))
+    las = in_feet(tmp_path / "a.las", ground, sensor, plane=2263)
+    pulses = [
+        Pulse(
+            a / FEET,
+            b - a,
+            [[(3990.0, digitise(gaussian(60, [(150.0, 13.0, 3.5)], 10.0)))]],
+            speed=METRES_PER_NS / FEET,
+        )
+        for a, b in zip(sensor, ground, strict=True)
+    ]
+    pls = write_pls(tmp_path / "b.pls", pulses, {1: PulseDescriptor([Sampling()])}, keys={3072: 2263, 4096: 6360})
+    for path in (las, pls):
+        told = info(path)
+        assert told["waveforms"]["usable"] == 60
+        assert not [fault for fault in told["faults"] if "WAVEFORM" in fault or "beam" in fault], told["faults"]
+        assert abs(told["bounds"][2] * FEET - 240.0) < 10.0
+        refused = fwclass("decompose", path, tmp_path / "o.laz")
+        assert "--set read.project_to=EPSG:32118+5703 brings" in refused.stderr, refused.stderr
 
 
 def test_beams_in_metres_through_places_in_degrees_are_refused(tmp_path):
