@@ -121,6 +121,7 @@ def write_las(
     wave_user: str = "LASF_Spec",
     keys: Mapping[int, int] | None = UTM33,
     wkt: str = "",
+    citations: str = "",
     extra: Mapping[str, tuple[str, float, ArrayLike]] | None = None,
     scale: float = 0.001,
     wave: Mapping[str, ArrayLike] | None = None,
@@ -163,6 +164,7 @@ def write_las(
             points["wave"][name] = values
     records = [extra_bytes(extra)] if extra else []
     records += [geo_keys(keys)] if keys else []
+    records += [vlr("LASF_Projection", 34737, citations.encode() + b"\0")] if citations else []
     records += [vlr("LASF_Projection", 2112, wkt.encode() + b"\0")] if wkt else []
     if "wave" in points.dtype.names:
         records += [vlr(wave_user, 99 + i, d.pack()) for i, d in descriptors.items()]

@@ -11,7 +11,8 @@ from pyproj import Proj, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
-from fwclass.formats.crs import Records, doubtful_system, epsg_of
+from fwclass.formats.crs import Records, doubtful_system
+from fwclass.formats.epsg import epsg_of
 from fwclass.formats.linear_units import linear_units
 from fwclass.units import LAND
 

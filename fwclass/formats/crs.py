@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -11,16 +11,23 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import visible
+from fwclass.formats.epsg import another, epsg_of, projected_named, without_false_codes
 from fwclass.formats.grid_files import without_paths
 from fwclass.formats.las_header import Record
 
 _USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
-_WKT, _KEYS = 2112, 34735
+_WKT, _KEYS, _TEXTS = 2112, 34735, 34737
 _GEOGRAPHIC, _PROJECTED, _VERTICAL, VERTICAL_UNITS = 2048, 3072, 4096, 4099
+_UNITS = 3076
 _USER_DEFINED = 32767
 _TWO_SYSTEMS = "the file names two coordinate systems"
+_TOLD = {
+    "none": "the CRS record names no code of EPSG ({}): its other words count",
+    "another": _TWO_SYSTEMS + ", {}: the words count",
+}
 FEET = {9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
 """Name and metres of the units that are no metres, by EPSG code."""
+UNITS = {9001: ("metre", 1.0), **FEET}
 
 
 class Records(Protocol):
@@ -82,15 +89,6 @@ def crs_of_wkt(text: str | None) -> CRS | None:
     return CRS.from_user_input(text) if text else None
 
 
-def epsg_of(crs: CRS) -> int | None:
-    """Its EPSG code; None where it has none, or its file gives one that is no number."""
-    try:
-        code = crs.to_epsg()
-    except ValueError:
-        return None
-    return None if code is None else int(code)
-
-
 def describe_crs(crs: CRS | None) -> dict[str, Any] | None:
     """Its ``name``, ``epsg`` code and whether it is ``projected``, for JSON; None where there is none."""
     return {"name": crs.name, "epsg": epsg_of(crs), "projected": bool(crs.is_projected)} if crs else None
@@ -110,47 +108,17 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
             crs, paths = without_paths(stated)
             if paths:
                 faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
-            crs, codes = without_false_codes(crs)
-            if codes:
-                faults.append(f"the CRS record names no code of EPSG ({codes[0]}): its other words count")
+            crs, false = without_false_codes(crs)
+            faults += told_codes(false)
             return _in_degrees(crs, faults)
         except CRSError as fault:
             faults.append(f"the CRS record is not used: {visible(str(fault))}")
     return None
 
 
-def without_false_codes(crs: CRS) -> tuple[CRS, list[str]]:
-    """`crs` without the codes of systems that EPSG does not have (a RIEGL's is 0), and these codes: GDAL would look no
-    further than those, and lay rasters in no system at all."""
-    plain = crs.to_json_dict()
-    false = [(node, code) for node in _systems(plain) if (code := _false_code(node))]
-    for node, _ in false:
-        del node["id"]
-    return (CRS.from_json_dict(plain) if false else crs), [code for _, code in false]
-
-
-def _systems(node: Any) -> Iterator[dict[str, Any]]:
-    """`node` and what lies below it, where that is a coordinate system."""
-    if isinstance(node, dict) and str(node.get("type", "")).endswith("CRS"):
-        yield node
-    for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
-        yield from _systems(value)
-
-
-def _false_code(node: Mapping[str, Any]) -> str:
-    """The code of a system that is said to be EPSG's and is none; "" where there is no such."""
-    name = node.get("id", {})
-    code = f"EPSG:{name.get('code')}"
-    return code if str(name.get("authority")).upper() == "EPSG" and not _is_system(code) else ""
-
-
-@lru_cache(maxsize=64)
-def _is_system(code: str) -> bool:
-    """Whether PROJ knows a system by this code: files of a survey name the same one or two."""
-    try:
-        return bool(CRS.from_user_input(code))
-    except CRSError:
-        return False
+def told_codes(false: Sequence[tuple[str, str]]) -> list[str]:
+    """Faults of codes that `without_false_codes` has left out."""
+    return [_TOLD[kind].format(visible(text)) for kind, text in false]
 
 
 def _in_degrees(crs: CRS, faults: list[str]) -> CRS:
@@ -182,11 +150,27 @@ def _from_keys(header: Records, faults: list[str]) -> CRS | None:
         codes = [f"EPSG:{horizontal}+{vertical}"] if vertical and vertical != _USER_DEFINED else []
         for code in [*codes, f"EPSG:{horizontal}"]:
             try:
-                return _with_feet(CRS.from_user_input(code), keys.get(VERTICAL_UNITS, 0))
+                crs = _with_feet(CRS.from_user_input(code), keys.get(VERTICAL_UNITS, 0))
             except CRSError:
                 continue
+            if other := _other_keys(header, crs, keys.get(_UNITS, 0)):
+                faults.append(f"{_TWO_SYSTEMS}, {crs.name} by its code and {other}: the code counts")
+            return crs
         faults.append(f"the GeoTIFF keys name an unknown CRS, EPSG:{horizontal}")
     return None
+
+
+def _other_keys(header: Records, crs: CRS, unit: int) -> str:
+    """What the key of the `unit` of x and y, or a citation that is the name of a system, says against `crs`, which the
+    code names; "" for nothing."""
+    if not crs.axis_info or not (crs.is_projected or crs.is_compound):
+        return ""
+    name, metres = UNITS.get(unit, ("", crs.axis_info[0].unit_conversion_factor))
+    if abs(crs.axis_info[0].unit_conversion_factor / metres - 1.0) > 1e-9:
+        return f"one in {name} by its key of units"
+    texts = [text for record in header.records(_TEXTS, _USERS) for text in record.body.split(b"\0")[0].split(b"|")]
+    named = {text: known for raw in texts if (known := projected_named(text := raw.decode("utf-8", "replace")))}
+    return next((f"{text} by its citation" for text, known in named.items() if another(known, crs)), "")
 
 
 def _with_feet(crs: CRS, unit: int) -> CRS:

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from fwclass.errors import InputError
-from fwclass.formats.crs import FEET, VERTICAL_UNITS, Records, geo_keys
+from fwclass.formats.crs import UNITS, VERTICAL_UNITS, Records, geo_keys
 from fwclass.formats.flat import DEGREES, GEOCENTRIC, words
-
-_UNITS = {9001: ("metre", 1.0), **FEET}
 
 
 @dataclass(frozen=True)
@@ -68,4 +66,4 @@ def _unit(axis: Any) -> tuple[str, float]:
 def _vertical_key(header: Records) -> tuple[str, float] | None:
     """The unit of heights that the GeoTIFF keys name."""
     units = (keys.get(VERTICAL_UNITS) for keys in geo_keys(header))
-    return next((_UNITS[unit] for unit in units if unit in _UNITS), None)
+    return next((UNITS[unit] for unit in units if unit in UNITS), None)

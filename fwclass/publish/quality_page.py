@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.errors import first_few, several
-from fwclass.formats.crs import epsg_of
+from fwclass.formats.epsg import epsg_of
 from fwclass.publish.drawing import View
 from fwclass.publish.figures import share_map
 from fwclass.publish.files import write_page

@@ -28,6 +28,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
+from fwclass.formats.crs import told_codes
+from fwclass.formats.epsg import without_false_codes
 from fwclass.formats.grid_files import names_file, without_paths
 from fwclass.read.beam_source import SPACINGS, SPEEDS, BeamRows, Ragged
 from fwclass.read.feet import in_metres
@@ -104,6 +106,8 @@ class Settings:
             crs, paths = without_paths(CRS.from_user_input(self.crs))
             if paths:
                 raise CRSError(f"it names the file {paths[0]}")
+            crs, false = without_false_codes(crs)
+            faults += told_codes(false)
         except CRSError:
             raise InputError(
                 "this is not a coordinate system",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import InputError
-from fwclass.formats.crs import epsg_of
+from fwclass.formats.epsg import epsg_of
 from fwclass.read.base import Source as Source
 from fwclass.read.beam_formats import PARQUET, open_beam_file
 from fwclass.read.beam_formats import is_beam_file as is_beam_file

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.errors import first_few, refuse_unsound
-from fwclass.formats.crs import epsg_of
+from fwclass.formats.epsg import epsg_of
 from fwclass.neighbours import Points
 
 SHIFTED, ALIKE = 0.1, 0.05

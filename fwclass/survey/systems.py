@@ -10,7 +10,8 @@ from pyproj.exceptions import CRSError
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError, first_few, several, visible
-from fwclass.formats.crs import crs_of_wkt, doubtful_system, units_of, without_false_codes
+from fwclass.formats.crs import crs_of_wkt, doubtful_system, units_of
+from fwclass.formats.epsg import without_false_codes
 from fwclass.formats.flat import refuse_source
 from fwclass.formats.grid_files import without_paths
 from fwclass.formats.projected import metric_twin
@@ -163,8 +164,12 @@ def given_crs(text: str | None, where: str) -> CRS | None:
         crs, paths = without_paths(CRS.from_user_input(text))
         if paths:
             raise CRSError(f"it names the file {paths[0]} by its path")
-        return without_false_codes(crs)[0]
+        crs, false = without_false_codes(crs)
     except CRSError as fault:
         raise ConfigError(
             "this is not a coordinate system", where=where, expected="for example EPSG:25832, or none", got=text
         ) from fault
+    for kind, systems in false:
+        if kind == "another":
+            raise ConfigError("this is two coordinate systems", where=where, expected="one, as EPSG:25832", got=systems)
+    return crs

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from commandline import fwclass
+from pyproj import CRS
 from rawmaker import GROUND, HALF_LIGHT, scene, write_csv, write_parquet
 
 from fwclass.errors import InputError
@@ -322,3 +323,10 @@ def test_rows_that_cannot_be_used_end_with_exit_code_4(tmp_path):
     assert "200, 33.3 %" in ended.stderr
     assert (tmp_path / "o.laz").exists()
     assert fwclass("decompose", path, tmp_path / "p.laz", "--accept-implausible").returncode == 0
+
+
+def test_a_code_of_another_system_beside_the_words_is_told(tmp_path):
+    text = CRS.from_epsg(32632).to_wkt().replace("32632", "32633")
+    path = write_parquet(tmp_path / "a.parquet", scene().columns(), TOLD | {"crs": text})
+    faults = json.loads(fwclass("info", path, "--json").stdout)["faults"]
+    assert any("zone 32N by its words and WGS 84 / UTM zone 33N by EPSG:32633" in fault for fault in faults)
