@@ -21,6 +21,7 @@ from fwclass.decompose.beam_lengths import uneven_echoes
 from fwclass.decompose.channel_rows import channel_rows
 from fwclass.decompose.fitted_echoes import EDGE, OVERLAPPING, SATURATED
 from fwclass.decompose.fitting import Fits, fit_waveforms
+from fwclass.decompose.overload import followed_echoes
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
 from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
@@ -132,6 +133,7 @@ def measure_placement(
     return replace(
         placement,
         recurring=recurring,
+        followed=followed_echoes(fits),
         uneven=uneven_echoes(sample, fits, params.beam_lengths),
         alternate=alternate_heights(sample, fits),
         descriptors=descriptor_heights(sample, fits),

@@ -74,6 +74,8 @@ class Placement:
     places, ranges : roughness along the line as stored, and less the outgoing pulse's time [m]; None unknown.
     outgoing : pulses of the sample with a recorded outgoing pulse.
     recurring : echoes of the sample that no scene makes.
+    followed : shares of the waveforms whose highest echo saturates, and nearly does, that another echo follows; (0, 0)
+        where these are as they should be (`followed_echoes`).
     alternate : how many times as high the echoes of odd pulses are as those of even ones, of the strip or of
         one quarter of it; 1 where that is not sure.
     descriptors : waveform descriptors whose echoes are surely higher or lower than those of the commonest one, and how
@@ -90,6 +92,7 @@ class Placement:
     ranges: tuple[float, float] | None = None
     outgoing: int = 0
     recurring: tuple[Recurring, ...] = ()
+    followed: tuple[float, float] = (0.0, 0.0)
     uneven: tuple[int, int] = (0, 0)
     alternate: float = 1.0
     descriptors: tuple[tuple[int, float], ...] = ()
@@ -108,8 +111,9 @@ class Placement:
         )
         pairs = {name: None if plain[name] is None else tuple(plain[name]) for name in ("places", "ranges")}
         recurring = tuple(Recurring(**one) for one in plain["recurring"])
-        uneven, descriptors = tuple(plain["uneven"]), tuple((k, ratio) for k, ratio in plain["descriptors"])
-        more = {"curves": curves, "recurring": recurring, "uneven": uneven, "descriptors": descriptors}
+        descriptors = tuple((k, ratio) for k, ratio in plain["descriptors"])
+        more = {"curves": curves, "recurring": recurring, "descriptors": descriptors}
+        more |= {name: tuple(plain[name]) for name in ("followed", "uneven")}
         return cls(**{**plain, **pairs, **more})
 
 
@@ -139,7 +143,7 @@ def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], N
 
 def describe_placement(placement: Placement) -> dict[str, Any]:
     """Facts for receipts and reports: ``vendor_offset``, channels with a curve, ``outgoing_time``, or None,
-    ``recurring`` and ``uneven`` echoes, `alternate`, `spacing`, and `descriptors`."""
+    ``recurring``, ``followed`` and ``uneven`` echoes, `alternate`, `spacing`, and `descriptors`."""
     lists = ("heights", "offsets", "receivers")
     channels = [{**asdict(c), **{name: list(getattr(c, name)) for name in lists}} for c in placement.curves]
     recorded = {
@@ -154,6 +158,7 @@ def describe_placement(placement: Placement) -> dict[str, Any]:
         "vendor_offset": channels,
         "outgoing_time": recorded if placement.outgoing else None,
         "recurring": [asdict(one) for one in placement.recurring],
+        "followed": list(placement.followed),
         "uneven": list(placement.uneven),
         "alternate": placement.alternate,
         "spacing": placement.spacing,

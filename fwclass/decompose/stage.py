@@ -261,5 +261,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=21)
-PLACES = Computation(name="places", version=15)
+PLACES = Computation(name="places", version=16)
 DECOMPOSE = Computation(name="decompose", version=20, writes=ECHO_COLUMNS)

@@ -42,7 +42,24 @@ def recurring_facts(places: Mapping[str, Any] | None, counts: Mapping[str, int],
 
 
 def recurring_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What is worth telling of strips: of ``name`` and `recurring_facts`."""
+    """What is worth telling of strips: of ``name``, `recurring_facts` and ``places``."""
+    return [*_recurring(strips), *_overloaded(strips)]
+
+
+def _overloaded(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    some = [(s, s["places"]["followed"]) for s in strips if any((s.get("places") or {}).get("followed", ()))]
+    if not some:
+        return []
+    _, (behind, usual) = max(some, key=lambda one: one[1][0] - one[1][1])
+    names = first_few([str(s["name"]) for s, _ in some], NAMED)
+    return [
+        f"another echo follows {percent_words(behind)} of the saturated ones, {percent_words(usual)} of those that "
+        "nearly saturate: a receiver that swings to and fro when it is overloaded makes such echoes, and no scene; "
+        f"take no echo behind a saturated one (flag 1) for a surface without others around ({names})"
+    ]
+
+
+def _recurring(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     some = [s for s in strips if (s.get("recurring_share") or 0.0) > TOLD_FROM]
     if not some:
         return []
