@@ -30,6 +30,25 @@ CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF", "PYDANTIC_DISABLE_PLUG
 """For this process's own children: nothing is imported from where they start, no grid of a datum is fetched, and no
 package is loaded because it calls itself a plugin of pydantic, which asks all of the environment."""
 
+SETTINGS = (
+    "GDAL_",
+    "GTIFF_",
+    "TIFF_",
+    "COG_",
+    "BIGTIFF_",
+    "CPL_",
+    "VSI_",
+    "OGR_",
+    "OSR_",
+    "ESRI_",
+    "SHAPE_",
+    "GPKG_",
+    "SQLITE_",
+)
+"""How variables begin by which GDAL writes and reads otherwise (the order of bytes, overviews, holes of polygons)."""
+PLACES = ("GDAL_DATA", "CPL_TMPDIR", "GDAL_CONFIG_FILE")
+"""Those that say where something lies; of the last one nothing is read."""
+
 UNUSED = {"laspy": "requests", "pyarrow": "cloudpickle"}
 """Libraries, and what they load to read from a network and to pack functions, which no command has them do: that takes
 as long to load as much of their own."""
@@ -59,6 +78,7 @@ def isolate() -> None:
     """
     for name, value in CHILDREN.items():
         _set(name, value)
+    ignore_settings()
     if not os.environ.get(THREADS, "1").isdecimal() or int(os.environ.get(THREADS, "1")) == 0:
         _set(THREADS, "1")  # what numba ends with a traceback for; no kernel has threads of its own
     _set(SUMS, "1")  # as dask starts workers: last digits of long sums of numpy's depend on it
@@ -74,6 +94,14 @@ def isolate() -> None:
     sys.path[:] = filter(os.path.isabs, sys.path[put_there:])
     if own not in sys.path:  # it was found in what was taken away
         sys.path.append(own)
+
+
+def ignore_settings() -> None:
+    """No variable of the environment and no file of its own decides what GDAL reads and writes: the same survey gives
+    the same bytes, whoever asks for it. Also where a worker was started by hand."""
+    for name in [name for name in os.environ if name.startswith(SETTINGS) and name not in PLACES]:
+        _before.setdefault(name, os.environ.pop(name))
+    _set("GDAL_CONFIG_FILE", os.devnull)
 
 
 def _set(name: str, value: str) -> None:

@@ -162,7 +162,7 @@ def _check_place(written: Path, path: Path, profile: Mapping[str, Any]) -> None:
         not (wanted and wanted.is_projected) or (crs and crs.is_projected)
     ):
         return
-    named = [name for name in ("PROJ_DATA", "PROJ_LIB", "GDAL_DATA", "GDAL_GEOREF_SOURCES") if name in os.environ]
+    named = [name for name in ("PROJ_DATA", "PROJ_LIB", "GDAL_DATA") if name in os.environ]
     raise StoreError(
         "a raster comes out without its coordinate system or its place",
         where=path,

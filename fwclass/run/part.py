@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fwclass.errors import FwclassError, full_or, is_interrupt, system_error
+from fwclass.isolation import ignore_settings
 from fwclass.memory import keep_freed
 from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.logs import Value, log_attempt, log_path
@@ -225,12 +226,14 @@ def _log_values(receipt: Receipt) -> dict[str, Value]:
 
 
 def single_thread() -> None:
-    """No thread pools inside a part: parts are what runs in parallel. Memory that Arrow frees is there for all again,
-    unless ``ARROW_DEFAULT_MEMORY_POOL`` says otherwise: by default it keeps its own, 140 MiB behind an overview.
+    """No thread pools inside a part, and no settings of GDAL's: parts are what runs in parallel. Memory that Arrow
+    frees is there for all again, unless ``ARROW_DEFAULT_MEMORY_POOL`` says otherwise: by default it keeps its own, 140
+    MiB behind an overview.
     """
     import numcodecs.blosc
     import pyarrow as pa
 
+    ignore_settings()
     numcodecs.blosc.use_threads = False
     pa.set_cpu_count(1)
     if "ARROW_DEFAULT_MEMORY_POOL" not in os.environ:
