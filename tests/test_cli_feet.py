@@ -88,6 +88,21 @@ def test_a_run_of_feet_tells_the_setting_that_brings_them_into_metres(tmp_path: 
     assert refused.returncode == 1 and "not in metres" in refused.stderr, refused.stderr
 
 
+def test_feet_that_a_setting_alone_names_are_not_sent_to_read_project_to(tmp_path: Path) -> None:
+    """It brings only what names its own system: the advice was to set what was set."""
+    place = survey(tmp_path / "f", "feet", "feet")
+    lasmaker.write_las(place / "a.las", cloud() / FEET, point_format=6, keys=None, scale=0.01)
+    (place / "s.yaml").write_text("survey: {name: f, sources: ['*.las'], crs: 'EPSG:2263', reference: {kind: none}}")
+    target = ("--set", "read.project_to=EPSG:32118")
+    for more in ((), target):
+        ended = fwclass("run", place / "s.yaml", "--workflow", "ground", "--out", place / "r", "--workers", 0, *more)
+        assert ended.returncode == 1 and "not in metres" in ended.stderr, ended.stderr
+        assert "--set read.project_to" not in ended.stderr and "leave survey.crs out" in ended.stderr
+        ended = fwclass("features", place / "a.las", tmp_path / "f.parquet", "--crs", "EPSG:2263", *target)
+        assert ended.returncode == 1 and "not in metres" in ended.stderr, ended.stderr
+        assert "--set read.project_to" not in ended.stderr
+
+
 def test_files_in_metres_do_not_stay_where_they_are_in_silence(tmp_path: Path) -> None:
     place = survey(tmp_path / "m", "metres", "metres")
     (place / "s.yaml").write_text("survey: {name: s, sources: ['*.las']}\n")

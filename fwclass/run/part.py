@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from fwclass.errors import FwclassError, full_or, is_interrupt, system_error
+from fwclass.errors import FwclassError, full_or, is_interrupt, memory_error, system_error
 from fwclass.isolation import ignore_settings
 from fwclass.memory import keep_freed
 from fwclass.run.inputs import Declared, PartInputs
@@ -170,7 +170,11 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
             raise KeyboardInterrupt from fault
         took, processor = time.perf_counter() - began, time.process_time() - used
         outcome = Outcome(*task.name, "failed", took, message=_message(location, task, fault), processor=processor)
-        trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
+        trace = (
+            ""
+            if isinstance(fault, (FwclassError, OSError, MemoryError))
+            else "".join(traceback.format_exception(fault))
+        )
         log_attempt(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
         return outcome
     processor = time.process_time() - used
@@ -205,6 +209,8 @@ def _message(location: RunLocation, task: Task, fault: Exception) -> str:
         return str(fault)
     if isinstance(fault, OSError):
         return str(system_error(fault, location))
+    if isinstance(fault, MemoryError):
+        return str(memory_error(fault))
     return f"{type(fault).__name__}: {fault}\n  traceback: {log_path(location, *task.name)}"
 
 

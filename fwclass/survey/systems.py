@@ -15,6 +15,7 @@ from fwclass.formats.epsg import without_false_codes
 from fwclass.formats.flat import refuse_source
 from fwclass.formats.grid_files import without_paths
 from fwclass.formats.projected import metric_twin
+from fwclass.read.projection import is_brought
 from fwclass.read.source import Source, refuse_other_system
 from fwclass.run.runner import Runner
 
@@ -67,9 +68,7 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
                 where=path,
                 expected="a projected CRS with x, y and z in metres: every distance here is one",
                 got=f"{crs.name}, in {', '.join(units)}",
-                do=f"--set read.project_to={metric_twin(crs) or 'EPSG:<code>'} brings them into metres as they are "
-                "read; or, if they name their unit wrongly, --set survey.crs=EPSG:<code>, or EPSG:<code>+<code of "
-                "heights>",
+                do=_into_metres(source, crs),
             )
         if not any(crs.equals(known, ignore_axis_order=True) for known, _ in systems):  # whatever they call it
             systems.append((crs, path))
@@ -87,6 +86,19 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
     text = fuller.to_wkt()
     runner.display.say(f"note: {heights_taken(without_heights(config, opened, text), text)}")
     return text
+
+
+def _into_metres(source: Source, crs: CRS) -> str:
+    """What to do with a file whose places are in the system `crs`, not in metres."""
+    if not is_brought(source.crs):
+        return (
+            "files that name this system themselves are brought into metres by read.project_to: write it into them "
+            "(las2las, PDAL), and leave survey.crs out"
+        )
+    return (
+        f"--set read.project_to={metric_twin(crs) or 'EPSG:<code>'} brings them into metres as they are read; or, if "
+        "they name their unit wrongly, --set survey.crs=EPSG:<code>, or EPSG:<code>+<code of heights>"
+    )
 
 
 def _refuse_idle_target(config: Config, opened: Sequence[Source], system: CRS) -> None:

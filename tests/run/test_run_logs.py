@@ -4,6 +4,7 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fwclass.errors import InputError
@@ -102,6 +103,17 @@ def test_ctrl_c_in_compiled_code_is_no_fault_of_the_part(tmp_path):
         execute(tmp_path, Task("one", "a", 1, {}, stopped))
     assert not log_path(tmp_path, "one", "a").exists()
     assert not list((tmp_path / "store" / "staging").glob("*/*/*"))
+
+
+def test_memory_that_runs_out_is_a_sentence(tmp_path):
+    """The part's message was the name of an exception, and the way to a traceback."""
+
+    def hoards(inputs, directory):
+        np.empty((1 << 60,), np.uint8)
+
+    ended = execute(tmp_path, Task("one", "a", 1, {}, hoards))
+    assert ended.status == "failed" and ended.message.startswith("memory ran out\n") and "EiB" in ended.message
+    assert "Error" not in ended.message and "traceback" not in log_path(tmp_path, "one", "a").read_text()
 
 
 @pytest.mark.slow

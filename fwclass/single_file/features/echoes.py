@@ -190,7 +190,8 @@ def _system_of(source: Source, project_to: str | None, crs: Any) -> Any:
     units = linear_units(crs, getattr(source, "header", None), source.path)
     if not units.metres:
         twin = (metric_twin(crs) if crs is not None else "") or "EPSG:<code>"
-        _check_metres(units, crs, source.path, f"--set read.project_to={twin} brings it into metres as it is read")
+        brings = f"--set read.project_to={twin} brings it into metres as it is read"
+        _check_metres(units, crs, source.path, brings if is_brought(source.crs) else CONVERT)
     return crs
 
 
