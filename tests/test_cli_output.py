@@ -7,11 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import commandline
 import pytest
 from lasmaker import write_las
+from smallsurvey import small_survey
 
 import fwclass
 from fwclass.cli.runner import cores_remark
+from fwclass.errors import FwclassError
+from fwclass.run import cluster
 
 FULL = Path("/dev/full")
 PRINTS = [("--help",), ("info", "a.las"), ("info", "a.las", "--json")]
@@ -75,9 +79,25 @@ main()
 
 
 @pytest.mark.parametrize(
-    "workers, cores, words", [(4, 2, "not sooner done than with 2"), (2, 16, "2 of 16 cores"), (2, 3, ""), (2, 2, "")]
+    "workers, cores, words",
+    [(4, 2, "2 of 4: more than 2 cores serve"), (2, 16, "2 of 16 cores"), (2, 3, ""), (2, 2, "")],
 )
 def test_workers_that_do_not_fit_the_cores_are_told(workers: int, cores: int, words: str) -> None:
     """Of 32 cores two worked, and nothing said so; four on two cores took a tenth longer than two."""
     remark = cores_remark(workers, cores)
     assert words in remark and bool(words) == bool(remark)
+
+
+@pytest.mark.parametrize("asked, started", [(9, 2), (2, 2), (1, 1)])
+def test_no_more_workers_are_started_than_cores_serve(
+    asked: int, started: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On two cores four workers took 114 s for what two did in 103, and twice the memory."""
+
+    def start(address: str | None, workers: int, *rest: object, **more: object) -> None:
+        raise FwclassError(f"{workers} at {address}", where="here")
+
+    monkeypatch.setattr(cluster, "CORES", 2)
+    monkeypatch.setattr(cluster, "Cluster", start)
+    run = commandline.fwclass("run", small_survey(tmp_path), "--out", tmp_path / "run", "--workers", asked)
+    assert f"{started} at None" in run.stderr

@@ -60,6 +60,7 @@ def open_runner(
     from fwclass.run.local import Loop, WhenNeeded
     from fwclass.run.progress import Display
     from fwclass.run.runner import Runner
+    from fwclass.store.bucket import Remote
     from fwclass.store.run_location import locked, unmade_again
 
     location = location.resolve() if isinstance(location, Path) else location
@@ -75,7 +76,7 @@ def open_runner(
 
             cluster = Cluster(
                 scheduler,
-                workers,
+                workers if isinstance(location, Remote) else min(workers, CORES),
                 limits.worker_memory_gib,
                 limits.window,
                 limits.retries,
@@ -86,7 +87,7 @@ def open_runner(
                 compiles=display.compiling,
             )
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
-            if remark := cores_remark(workers, CORES) if scheduler is None else "":
+            if remark := cores_remark(workers, CORES, isinstance(location, Remote)) if scheduler is None else "":
                 display.say(f"workers          {remark}")
             display.workers = cluster.workers
             return cluster
@@ -105,10 +106,13 @@ def open_runner(
         runner.store.sweep()
 
 
-def cores_remark(workers: int, cores: int) -> str:
-    """What is said of a number of workers that leaves cores idle, or that these cannot serve; empty for none."""
+def cores_remark(workers: int, cores: int, far: bool = False) -> str:
+    """What is said of a number of workers that leaves cores idle, or that these cannot serve; empty for none. A store
+    that is `far` is waited for: more workers than cores are started there."""
     if workers > cores:
-        return f"{workers} on {several(cores, 'core')}: not sooner done than with {cores}, and each takes its memory"
+        if far:
+            return ""
+        return f"{cores} of {workers}: more than {several(cores, 'core')} serve take longer (--scheduler starts any)"
     if 2 * workers <= cores:
         return f"{workers} of {cores} cores: --workers N, or run.workers, takes more, each with memory of its own"
     return ""
