@@ -27,7 +27,7 @@ from fwclass.read.cloud import first_beams
 from fwclass.read.echo_labels_info import describe_echo_labels, echo_labels_info
 from fwclass.read.las import LasSource
 from fwclass.read.packet_references import References
-from fwclass.read.packets import FAULTS, REPEATED, looked_into
+from fwclass.read.packets import FAULTS, LONGER, REPEATED, longer, looked_into
 from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import PARQUET, is_polygon_file
@@ -77,6 +77,7 @@ class _Tally:
     flags: dict[str, int] = field(default_factory=lambda: {"withheld": 0, "synthetic": 0})
     heights: dict[int, int] = field(default_factory=dict)
     repeated: int = 0
+    longer: int = 0
     before: Rows | None = None
 
     def add(self, source: LasSource, points: Any, step: float) -> None:
@@ -104,7 +105,9 @@ class _Tally:
             self.heights[int(bin_)] = self.heights.get(int(bin_), 0) + int(n)
         if source.has_waves:
             refs = References.of(points)
-            self.packets += np.bincount(looked_into(source, refs), minlength=len(FAULTS))
+            fault = looked_into(source, refs)
+            self.packets += np.bincount(fault, minlength=len(FAULTS))
+            self.longer += int(((fault == 0) & longer(source, refs)).sum())
             self.descriptors += np.bincount(refs.descriptor, minlength=256)
             rows = Rows.of_points(source, points)
             self.repeated += count_repeats(source, rows, self.before)
@@ -266,6 +269,8 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
         faults.append(f"at least {missing} returns of pulses with several are missing (a cropped or filtered file)")
     if tally.repeated:
         faults.append(f"{tally.repeated} of {n} returns: {REPEATED}")
+    if tally.longer:
+        faults.append(f"{tally.longer} of {n} returns: {LONGER}")
     if source.has_waves and tally.packets[0] < n:
         if tally.packets[0] == 0:
             faults.append("NO WAVEFORM CAN BE READ: the returns alone can be used (read.missing_packets=keep)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, first_few
 from fwclass.formats.las_header import packet_endings
 from fwclass.read.feet import in_metres
 from fwclass.read.las import LasSource
@@ -20,6 +20,9 @@ from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
 from fwclass.schema import Table
 from fwclass.units import METRES_PER_NS
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+
+NAMED = 3
+"""Waveform descriptors that a refusal names."""
 
 
 def check_las(source: LasSource, params: ReadParams) -> None:
@@ -49,8 +52,22 @@ def check_las(source: LasSource, params: ReadParams) -> None:
         where=source.path,
         expected=f"point format {source.point_format} with its waveforms in {source.waves.path or wdp}",
         got=reasons,
-        do=f"{_advice(source, wdp, times[-1])}, {keep}",
+        do=f"{_descriptors_advice(source, counts) or _advice(source, wdp, times[-1])}, {keep}",
     )
+
+
+def _descriptors_advice(source: LasSource, counts: NDArray[np.int64]) -> str:
+    """What to do where the file's waveform descriptors are to blame; "" where the commonest fault is another."""
+    name = FAULTS[int(np.argmax(counts))]
+    used = [f"{d.n_samples} of {d.bits} bits" for _, d in sorted(source.descriptors.items()) if not d.empty]
+    named = (
+        f"its waveform descriptors name {first_few(used, NAMED)}" if used else "no waveform descriptor names samples"
+    )
+    if name == "unsupported samples":
+        return f"{named}: export it with samples of 8 or 16 bits, or as a table of raw waveforms (docs/waveforms.md)"
+    if name == "packet size too small":
+        return f"{named}, more than packets hold: export it again with descriptors that fit"
+    return ""
 
 
 def _advice(source: LasSource, wdp: str, length: float) -> str:

@@ -48,6 +48,10 @@ MAX_SPACING = 100.0
 
 REPEATED = "waveform packet repeats samples of the return before (taken once)"
 UNITLESS = "descriptor without a usable gain or offset (taken for the gain of the others)"
+LONGER = "waveform packet larger than its descriptor says (what it holds beyond is left out)"
+PADDED = 8
+"""Bytes behind the samples of a packet that may be padding."""
+
 MOST_GAIN = 1e4
 """Ratio of two descriptors' gains that a receiver may have; more is a mistake."""
 
@@ -133,6 +137,16 @@ def judge(source: LasSource, refs: References, shared: tuple[int, ...] = ()) -> 
         mark("packet shared by too many returns", np.isin(key, np.array(shared, np.uint64)))
     mark("no sane return location or beam vector", ~_sane(table, refs, metres_of(source)))
     return fault
+
+
+def longer(source: LasSource, refs: References) -> NDArray[np.bool_]:
+    """Per point whether its packet is plain and holds more than the samples that its descriptor names."""
+    return _longer(_Lookup.of(source), refs)
+
+
+def _longer(table: _Lookup, refs: References) -> NDArray[np.bool_]:
+    index = refs.descriptor
+    return ~table.packed[index] & (refs.size.astype(np.int64) > table.bytes[index] + PADDED)
 
 
 def looked_into(source: LasSource, refs: References) -> NDArray[np.uint8]:
@@ -313,11 +327,11 @@ def _without_damaged(
 
 
 def _count(table: _Lookup, refs: References, fault: NDArray[np.uint8], has_packet: NDArray[np.bool_]) -> dict[str, int]:
-    """Returns without a usable packet by reason, and those whose samples have no usable unit."""
+    """Returns without a usable packet by reason, those whose samples have no usable unit, and those with more."""
     counts = np.bincount(fault[~has_packet], minlength=len(FAULTS))
     faults = {name: int(n) for name, n in zip(FAULTS, counts, strict=True) if n and name}
-    without_unit = int((has_packet & table.unitless[refs.descriptor]).sum())
-    return faults | ({UNITLESS: without_unit} if without_unit else {})
+    told = {UNITLESS: table.unitless[refs.descriptor], LONGER: _longer(table, refs)}
+    return faults | {name: int(n) for name, where in told.items() if (n := (has_packet & where).sum())}
 
 
 def _repeated(skip: NDArray[np.int64]) -> dict[str, int]:

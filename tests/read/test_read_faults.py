@@ -17,6 +17,7 @@ from fwclass.errors import InputError
 from fwclass.formats.crs import units_of
 from fwclass.formats.linear_units import linear_units
 from fwclass.read.info import describe, info
+from fwclass.read.packets import LONGER, PADDED
 from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
 from fwclass.read.stage import check_source, index_source, read_cloud, read_span
@@ -78,6 +79,29 @@ def test_a_bad_reference_is_counted_and_its_return_kept(tmp_path, params, name, 
     assert waves.samples.tolist() == list(range(60)) * 5
     found = info(path)
     assert any(f == f"1 of {N} returns: {name}" for f in found["faults"]), found["faults"]
+
+
+@pytest.mark.parametrize(
+    ("descriptor", "advice"),
+    [
+        (Descriptor(bits=32), "name 60 of 32 bits: export it with samples of 8 or 16 bits, or as a table"),
+        (Descriptor(n_samples=0), "no waveform descriptor names samples: export it"),
+        (Descriptor(n_samples=61), "name 61 of 8 bits, more than packets hold: export it again"),
+    ],
+)
+def test_a_bad_descriptor_is_named(tmp_path, params, descriptor, advice):
+    """It was said that file and waveforms do not fit each other, and to ask for both again."""
+    path = six(tmp_path / "a.las", descriptors={1: descriptor})
+    with pytest.raises(InputError, match=advice):
+        check_source(open_source(path), params)
+
+
+@pytest.mark.parametrize("more", [8, 9])
+def test_packets_that_hold_more_than_their_descriptor_names_are_told(tmp_path, params, more):
+    path = six(tmp_path / "a.las", waveforms=[np.arange(60 + more)] * N)
+    waves, words = read(path, params), f"{N} of {N} returns: {LONGER}"
+    assert waves.faults == ({LONGER: N} if more > PADDED else {}) and len(waves.samples) == 60 * N
+    assert (words in info(path)["faults"]) == (more > PADDED)
 
 
 @pytest.mark.parametrize(
