@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import shutil
 
 import pytest
 from commandline import fwclass
@@ -91,6 +93,25 @@ def test_a_run_that_keeps_no_parts_keeps_its_deliveries(place):
     told = {"report.html", "report.json", "generation.json", "manifest.json"}
     bare, whole = (delivered(place / name) for name in ("bare", "r"))
     assert {n: d for n, d in bare.items() if n not in told} == {n: d for n, d in whole.items() if n not in told}
+
+
+def test_sources_that_changed_after_it_was_cleaned_are_told(tmp_path):
+    """`status` said that all was done."""
+    place = small_survey(tmp_path)
+    place.write_text(place.read_text().replace("[a.las]", "['*.las']"))
+    assert fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=tmp_path).returncode == 0
+    assert fwclass("clean", "r", "--keep", "delivery", cwd=tmp_path).returncode == 0
+    os.utime(tmp_path / "a.las", (1, 1))
+    shutil.copy(tmp_path / "a.las", tmp_path / "copy")
+    assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+    (tmp_path / "b.las").write_bytes((tmp_path / "a.las").read_bytes()[:-1] + b"\x01")
+    told = fwclass("status", "r", cwd=tmp_path)
+    assert told.returncode == 3 and "sources changed or came since then: b.las" in told.stdout, told.stdout
+    (tmp_path / "b.las").rename(tmp_path / "a.las")
+    told = fwclass("status", "r", cwd=tmp_path)
+    assert told.returncode == 3 and "sources changed or came since then: a.las" in told.stdout, told.stdout
+    (tmp_path / "copy").rename(tmp_path / "a.las")
+    assert fwclass("status", "r", cwd=tmp_path).returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,11 @@ class Digests:
         return digest_file(path)
 
 
+def remembered(store: Store) -> set[str]:
+    """Digests of all foreign files that runs of this store have read."""
+    return {str(facts[-1]) for facts in _load(store).values()}
+
+
 def _load(store: Store) -> dict[str, Any]:
     """What was remembered; nothing where that is damaged, and all files are read again."""
     try:

@@ -12,6 +12,7 @@ from fwclass.operate.status.walk import STANDINGS, PartState, RunStatus
 from fwclass.run.libraries import by_libraries, text_of
 from fwclass.run.part import Name
 from fwclass.store.libraries import fingerprint
+from fwclass.survey.file_digests import remembered
 
 NAMED = 4
 """Parts that are named of those that have one reason."""
@@ -27,9 +28,17 @@ def is_delivered(status: RunStatus, request: Request) -> bool:
 
 
 def is_cleaned(status: RunStatus) -> bool:
-    """Whether a whole delivery stands alone: what it was made of was removed, and its sources can be read."""
+    """Whether a whole delivery stands alone: what it was made of was removed, and its sources are those that were read
+    last."""
     shown = status.store.generations.current()
-    return shown is not None and shown.whole and status.fault is None and not status.store.parts()
+    left = shown is not None and shown.whole and status.fault is None and not status.store.parts()
+    return left and not _other_sources(status)
+
+
+def _other_sources(status: RunStatus) -> list[str]:
+    """Names of source files that no run of this directory has read with these bytes."""
+    known = remembered(status.store)
+    return sorted({file.name for task in status.tasks.values() for file in task.external if file.digest not in known})
 
 
 def as_data(status: RunStatus, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:
@@ -92,7 +101,10 @@ def as_text(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
     if shown is not None and not writer and not status.store.parts():
         gone = "nothing is left of what it was made of (`fwclass clean`, or run.keep_intermediate: false)"
         after = f"the next run makes all of it anew: {request.command()}"
-        return "\n".join([rows[0], "", f"delivery {shown.name} stands; {gone}, and {after}"])
+        stands = f"delivery {shown.name} stands; {gone}, and {after}"
+        others_now = first_few(_other_sources(status), NAMED)
+        came = [f"sources changed or came since then: {others_now}"] if others_now else []
+        return "\n".join([rows[0], "", stands, *came])
     rows += ["", *(_every(status) if every else _grouped(status))]
     rows += _failed(status, request)
     if status.ends is not None and status.fault is None:
