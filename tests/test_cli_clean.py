@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -11,7 +12,10 @@ import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
 
+from fwclass.errors import LockedError
+from fwclass.operate.clean import clean
 from fwclass.operate.sizes import sizes_of
+from fwclass.store.lock import writer
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +116,19 @@ def test_sources_that_changed_after_it_was_cleaned_are_told(tmp_path):
     assert told.returncode == 3 and "sources changed or came since then: a.las" in told.stdout, told.stdout
     (tmp_path / "copy").rename(tmp_path / "a.las")
     assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+
+
+def test_a_full_disk_is_cleaned(place, tmp_path, monkeypatch):
+    """It could not be: the name of who holds the run could not be written."""
+    shutil.copytree(place / "r", tmp_path / "r", symlinks=True)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("fwclass.store.lock.os.write", full)
+    with writer(tmp_path / "r"), pytest.raises(LockedError, match="one that did not leave its name"):
+        clean(tmp_path / "r", "delivery", print)
+    assert clean(tmp_path / "r", "delivery", print).parts > 0
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from fwclass.errors import LockedError, StoreError, visible
+from fwclass.errors import FULL, LockedError, StoreError, visible
 from fwclass.paths import below, open_below, open_regular
 
 
@@ -65,8 +65,11 @@ def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
             raise LockedError(lock.refusal, where=root, got=holder_text(_facts(stream) or {}), do=lock.do)
         stream.seek(0)
         stream.truncate()
-        stream.write(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}))
-        stream.flush()
+        try:
+            os.write(stream.fileno(), json.dumps({"host": socket.gethostname(), "pid": os.getpid()}).encode())
+        except OSError as fault:  # the lock holds without the name, and who frees space needs it
+            if fault.errno not in FULL:
+                raise
         try:
             yield lambda: _same(path, stream.fileno(), root)
         except Exception:
