@@ -46,6 +46,8 @@ SETTINGS = (
     "SQLITE_",
 )
 """How variables begin by which GDAL writes and reads otherwise (the order of bytes, overviews, holes of polygons)."""
+OVERVIEWS = "_OVERVIEW"
+"""How those end by which it packs the overviews of rasters (``COMPRESS_OVERVIEW``)."""
 PLACES = ("GDAL_DATA", "CPL_TMPDIR", "GDAL_CONFIG_FILE")
 """Those that say where something lies; of the last one nothing is read."""
 
@@ -99,8 +101,9 @@ def isolate() -> None:
 def ignore_settings() -> None:
     """No variable of the environment and no file of its own decides what GDAL reads and writes: the same survey gives
     the same bytes, whoever asks for it. Also where a worker was started by hand."""
-    for name in [name for name in os.environ if name.startswith(SETTINGS) and name not in PLACES]:
-        _before.setdefault(name, os.environ.pop(name))
+    for name in [name for name in os.environ if name.startswith(SETTINGS) or name.endswith(OVERVIEWS)]:
+        if name not in PLACES:
+            _before.setdefault(name, os.environ.pop(name))
     _set("GDAL_CONFIG_FILE", os.devnull)
 
 

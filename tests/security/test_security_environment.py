@@ -37,6 +37,7 @@ def test_a_raster_without_its_place_is_refused(tmp_path: Path, monkeypatch, name
 SETTINGS = {
     "GDAL_TIFF_ENDIANNESS": "BIG",
     "GDAL_TIFF_OVR_BLOCKSIZE": "256",
+    "COMPRESS_OVERVIEW": "LZW",
     "GTIFF_WRITE_TOWGS84": "YES",
     "GTIFF_ESRI_CITATION": "YES",
     "OSR_STRIP_TOWGS84": "NO",
