@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -178,10 +179,7 @@ def status(
         click.echo(json.dumps(data, indent=1))
     else:
         if scheduled is not None:
-            when = f"next {scheduled['next']}" if scheduled.get("next") else "waits for files"
-            when += "" if isinstance(location, Path) else f", heard of {scheduled.get('heartbeat')}"
-            sentence = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
-            click.echo(visible(sentence))
+            click.echo(_schedule_words(scheduled, near=isinstance(location, Path)))
         click.echo(as_text(run_status, request, writer, every))
         click.echo(sizes.as_text())
         if verified is not None:
@@ -189,3 +187,11 @@ def status(
     stands = is_delivered(run_status, request) or (as_asked and writer is None and is_cleaned(run_status))
     if not stands or (verified is not None and not verified.sound):
         sys.exit(PARTIAL)
+
+
+def _schedule_words(scheduled: Mapping[str, Any], near: bool) -> str:
+    """The schedule that keeps a run, and what it waits for; of a run that is not `near`, when it was last heard of."""
+    when = f"next {scheduled['next']}" if scheduled.get("next") else "waits for files"
+    heard = "" if near else f", heard of {scheduled.get('heartbeat')}"
+    host = f"pid {scheduled.get('pid')} on {scheduled.get('host')}"
+    return visible(f"a schedule is at work on it: {host}, {when}{heard}")

@@ -130,20 +130,25 @@ def deliver_quality(
     density_facts = density.facts(params.void_spacings)
     least = (params.void_spacings * (density_facts["spacing"] or 0.0)) ** 2
     voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
-    layers, checked, covered, gaps = list[Layer](), None, None, list[Void]()
+    covered, gaps = None, list[Void]()
     if area_source is not None:
         covered, gaps = area_coverage(counted, read_area(here.file(), crs, **area_source), least)
-    for name, boxes in (("voids", voids), ("gaps", gaps)):
-        if boxes:
-            areas = np.array([v.area for v in boxes[:LISTED]])
-            layers.append(Layer(name, box_wkb([v.box for v in boxes[:LISTED]]), {"area_m2": areas}))
+    checked = None
     if here.parts(CHECK_POINTS):
-        points = here.inputs.arrays(CHECK_POINTS, "all", FILE)[0]
-        layers.append(Layer("check_points", point_wkb(points["x"], points["y"]), compared_points(points), "Point"))
         checked = {k: v for k, v in here.inputs.meta(CHECK_POINTS, "all").items() if k in CHECKED}
+    layers = _layers(here, voids, gaps)
     if layers:
         write_gpkg(layers, here.directory / POLYGONS, system)
     echoes, noise = (sum(int(m[name]) for m in metas) for name in ("echoes", "noise"))
+    remarks = [
+        *([LEFT_ASIDE] if left_aside else []),
+        *(["all echoes are noise"] if not echoes else []),
+        *(density_remarks(density_facts) or (piece_remarks(full[0].pieces(), full[0].area) if len(full) == 1 else [])),
+        *strip_remarks(strips),
+        *step_remarks(strips),
+        *roughness_remarks(strips["roughness"]),
+        *(check_remarks(checked, params.check_points.reach) if checked else ()),
+    ]
     facts = {
         "survey": survey,
         "echoes": echoes + noise,
@@ -156,24 +161,26 @@ def deliver_quality(
         "coverage": covered,
         "check_points": checked,
         **({"judged_by": "returns"} if left_aside else {}),
-        "remarks": [
-            *([LEFT_ASIDE] if left_aside else []),
-            *(["all echoes are noise"] if not echoes else []),
-            *(
-                density_remarks(density_facts)
-                or (piece_remarks(full[0].pieces(), full[0].area) if len(full) == 1 else [])
-            ),
-            *strip_remarks(strips),
-            *step_remarks(strips),
-            *roughness_remarks(strips["roughness"]),
-            *(check_remarks(checked, params.check_points.reach) if checked else ()),
-        ],
+        "remarks": remarks,
     }
     write_json(here.directory / FACTS, facts)
     largest = Box(*max(places.values(), key=lambda b: (Box(*b).area, b)))
     pictures, named = _pictures(counted, differences, largest, publish), list(files.values())
     render_quality(facts, pictures, __version__, here.directory / PAGE, system, named)
     return {"quality": facts, "layers": [layer.name for layer in layers]}
+
+
+def _layers(here: StageInputs, voids: Sequence[Void], gaps: Sequence[Void]) -> list[Layer]:
+    """For a GIS: the largest voids and gaps as boxes, and the check points with what lies at them."""
+    layers = []
+    for name, areas in (("voids", voids[:LISTED]), ("gaps", gaps[:LISTED])):
+        if areas:
+            sizes = np.array([v.area for v in areas])
+            layers.append(Layer(name, box_wkb([v.box for v in areas]), {"area_m2": sizes}))
+    if here.parts(CHECK_POINTS):
+        points = here.inputs.arrays(CHECK_POINTS, "all", FILE)[0]
+        layers.append(Layer("check_points", point_wkb(points["x"], points["y"]), compared_points(points), "Point"))
+    return layers
 
 
 def _density_raster(

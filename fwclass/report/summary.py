@@ -81,28 +81,13 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     if report.get("bathymetry"):
         rows.append(f"water       {water_words(report['bathymetry'])} in waveforms")
     rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
-    accuracy, model, trained = report["accuracy"], report.get("model") or {}, report["training"] or {}
+    model, trained = report.get("model") or {}, report["training"] or {}
     if model.get("path"):
         count = len(model["features"])
         rows.append(f"classifier  {model['path']}, by its own {count} features; survey.features is not looked at")
     if trained.get("context_trial"):
         rows.append(f"layers      {trained['context_trial']}")
-    if accuracy:
-        kappa = accuracy["kappa"]
-        rows.append(
-            f"accuracy    {100 * accuracy['overall_accuracy']:.1f} % overall"
-            + (f", kappa {kappa:.3f}" if kappa is not None else "")
-            + f" on {accuracy['area']}"
-        )
-        rows += [f"objects     {text}" for text in object_lines(accuracy.get("objects"))]
-    elif trained:
-        none = (
-            "unknown: no labelled echo lies in a test area and areas.gap from all that trains (areas.train, "
-            "corrections; with areas.train: all none is left)"
-        )
-        failed = any(f["stage"] in OF_ACCURACY for f in report["failed"])
-        lacking = "not assessed: parts of the assessment failed" if failed else none
-        rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
+    rows += _accuracy_lines(report)
     quality, remarks = report.get("quality") or {}, list(report.get("remarks", ()))
     if quality and not trained and not model.get("path"):  # a run that judges, or filters the ground
         rows += quality_lines(quality)
@@ -119,7 +104,34 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(
             f"water       {flat} of {len(report['water'])} polygons flattened, each with its level in report.json"
         )
-    order = (*KINDS, "other", "page")
+    rows += _output_lines(report, root)
+    rows.append(f"report      {root / 'report.html'}")
+    return "\n".join(rows)
+
+
+def _accuracy_lines(report: Mapping[str, Any]) -> list[str]:
+    """How well the test areas are classified, or why that is not known."""
+    if accuracy := report["accuracy"]:
+        kappa = "" if accuracy["kappa"] is None else f", kappa {accuracy['kappa']:.3f}"
+        return [
+            f"accuracy    {100 * accuracy['overall_accuracy']:.1f} % overall{kappa} on {accuracy['area']}",
+            *(f"objects     {text}" for text in object_lines(accuracy.get("objects"))),
+        ]
+    if not report["training"]:
+        return []
+    if not report["whole"]:
+        return ["accuracy    not assessed: not all of the survey is made"]
+    if any(f["stage"] in OF_ACCURACY for f in report["failed"]):
+        return ["accuracy    not assessed: parts of the assessment failed"]
+    return [
+        "accuracy    unknown: no labelled echo lies in a test area and areas.gap from all that trains (areas.train, "
+        "corrections; with areas.train: all none is left)"
+    ]
+
+
+def _output_lines(report: Mapping[str, Any], root: Path | Url) -> list[str]:
+    """Where the files of every kind lie that were delivered."""
+    rows, order = [], (*KINDS, "other", "page")
     for kind, names in sorted(report["outputs"].items(), key=lambda one: order.index(one[0])):
         if kind == "contours":
             rows += [f"{kind:<11} {root / name}" for name in names if name.endswith(".gpkg")]
@@ -134,8 +146,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             rows += [f"{kind:<11} {root / name}" for name in names]
         elif names:
             rows.append(f"{kind:<11} {root / kind}  ({several(len(names), 'file')})")
-    rows.append(f"report      {root / 'report.html'}")
-    return "\n".join(rows)
+    return rows
 
 
 def quality_lines(quality: Mapping[str, Any]) -> Iterator[str]:

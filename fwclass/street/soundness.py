@@ -205,24 +205,10 @@ def _slope(across: NDArray[np.float64], up: NDArray[np.float64]) -> float:
     return float(np.median((up[second] - up[first])[apart > 0.0] / apart[apart > 0.0]))
 
 
-def recording_faults(
-    counts: Mapping[str, Any],
-    params: StreetParams,
-    left_out: Mapping[str, int],
-    rows: tuple[int, str],
-    stream: Mapping[str, int],
-) -> list[str]:
-    """What no sound recording shows, a sentence each, with the bound that it passes; none of a sound one. Where nothing
-    tells how the vehicle moved, nothing is said of its way.
-
-    `counts`: of `Track.counts`. `left_out`: points of a LAS file, or frames, by `OUTSIDE` and `SECOND`; `rows`: how
-    many of which there are. `stream`: frames of a stream that were lost, by cause.
-    """
+def _left_out_faults(counts: Mapping[str, Any], params: StreetParams, stream: Mapping[str, int]) -> list[str]:
+    """Too many frames that are left out, or that come after a leap of the clock."""
     sound, said, facts = params.sound, [], counts["sound"]
-    frames, used, faults = counts["frames"], counts["used"], counts["faults"]
-    if not used:
-        each = ", ".join(f"{n:,} {name}" for name, n in faults.items() if n)
-        return [f"none of {frames:,} frames can be used: {each}; are times in seconds?"] if frames else []
+    frames, faults = counts["frames"], counts["faults"]
     lost = {
         name: faults[name]
         for name in ("doubled", "out of order", "other beams", "other limits", "no intensities")
@@ -243,13 +229,24 @@ def recording_faults(
             f"{facts['leap_metres']:,.1f} of {facts['metres']:,.1f} m of road lie in leaps of the clock, where nothing "
             "tells how the vehicle went: cut the recording there"
         )
-    moves = faults.get("no speed", 0) < used or "impossible speed or place" in faults
+    return said
+
+
+def _speed_faults(counts: Mapping[str, Any], params: StreetParams) -> list[str]:
+    """Too many frames whose speed or place cannot be, or that have none."""
+    said, frames, faults = [], counts["frames"], counts["faults"]
     for cause, words in (
         ("impossible speed or place", "have a speed or place that no vehicle has: are they in metres and seconds?"),
         ("no speed", "have no speed, and the last one was taken: mend the column speed"),
     ):
-        if moves and faults.get(cause, 0) > sound.max_left_out * frames:
+        if faults.get(cause, 0) > params.sound.max_left_out * frames:
             said.append(f"{faults[cause]:,} of {frames:,} frames {words}")
+    return said
+
+
+def _range_faults(counts: Mapping[str, Any], params: StreetParams) -> list[str]:
+    """Too few returns among the ranges, too many of one range, or too many frames that repeat the one before."""
+    sound, said, facts = params.sound, [], counts["sound"]
     ranges = counts["returns"] + sum(counts["missing"].values())
     if counts["returns"] < sound.least_returns * ranges:
         cause, n = max(counts["missing"].items(), key=lambda item: item[1])
@@ -267,9 +264,31 @@ def recording_faults(
             f"{100 * facts['same_share']:.1f} % of the returns have one range, {facts['same_range']:g} m: a code for "
             "no return? write NaN for it, or set the recording's range_max"
         )
-    said += (
-        _light_faults(facts, params) + _mounting_faults(facts, params) + (_way_faults(facts, params) if moves else [])
-    )
+    return said
+
+
+def recording_faults(
+    counts: Mapping[str, Any],
+    params: StreetParams,
+    left_out: Mapping[str, int],
+    rows: tuple[int, str],
+    stream: Mapping[str, int],
+) -> list[str]:
+    """What no sound recording shows, a sentence each, with the bound that it passes; none of a sound one. Where nothing
+    tells how the vehicle moved, nothing is said of its way.
+
+    `counts`: of `Track.counts`. `left_out`: points of a LAS file, or frames, by `OUTSIDE` and `SECOND`; `rows`: how
+    many of which there are. `stream`: frames of a stream that were lost, by cause.
+    """
+    sound, facts = params.sound, counts["sound"]
+    frames, used, faults = counts["frames"], counts["used"], counts["faults"]
+    if not used:
+        each = ", ".join(f"{n:,} {name}" for name, n in faults.items() if n)
+        return [f"none of {frames:,} frames can be used: {each}; are times in seconds?"] if frames else []
+    moves = faults.get("no speed", 0) < used or "impossible speed or place" in faults
+    said = _left_out_faults(counts, params, stream) + (_speed_faults(counts, params) if moves else [])
+    said += _range_faults(counts, params) + _light_faults(facts, params) + _mounting_faults(facts, params)
+    said += _way_faults(facts, params) if moves else []
     for cause, most, words in (
         (OUTSIDE, sound.max_outside, "give that of the whole drive, in the recording's time"),
         (SECOND, sound.max_second, "is the trajectory that of the scanner itself, at its own time?"),
