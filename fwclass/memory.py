@@ -12,6 +12,8 @@ import re
 from functools import cache
 from pathlib import Path
 
+from fwclass.units import MIB
+
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 """Of mallopt(3)."""
 
@@ -74,4 +76,4 @@ def peak_mib() -> float:
     import psutil  # not every command has a use for it
 
     memory = psutil.Process(os.getpid()).memory_info()
-    return float(getattr(memory, "peak_wset", memory.rss)) / (1 << 20)
+    return float(getattr(memory, "peak_wset", memory.rss)) / MIB

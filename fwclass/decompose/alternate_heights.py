@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import Fits
-from fwclass.units import SIGMA_PER_MAD
+from fwclass.units import ERROR_OF_MEDIAN, SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
 
 Floats = NDArray[np.float64]
@@ -20,9 +20,6 @@ FEWEST = 200
 
 LEAST, SURE = 0.02, 5.0
 """Ratio of both heights less 1 from which it is told, and in standard errors."""
-
-ERROR_OF_MEDIAN = 1.2533
-"""Standard error of a median over that of a mean."""
 
 PIECES = 4
 """Parts along a strip that are asked on their own: in a file joined of two, odd pulses of one are even ones here."""

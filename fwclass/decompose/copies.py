@@ -20,16 +20,13 @@ from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.pulse_sample import of_channel, rows_of
 from fwclass.decompose.sample_parity import estimate_even_pulse, evened
 from fwclass.decompose.system_pulse import Channel, SystemPulse
-from fwclass.units import SIGMA_PER_MAD
+from fwclass.units import ERROR_OF_MEDIAN, SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
 
 Floats = NDArray[np.float64]
 
 MOST_VALUES = 1_000_000
 """Samples of the waveforms that tell of a copy, about, at most."""
-
-ERROR_OF_MEDIAN = 1.2533
-"""Standard error of a median over that of a mean."""
 
 ROUNDS = 4
 STRAY, SMOOTH = 2.0, 0.02
@@ -55,9 +52,9 @@ def estimate_single_pulse(
     copies = {c.key: c.copies for c in (_measure(c, pulse, even, fit, params.copies) for c in pulse.channels)}
     if not any(copies.values()):
         return pulse
-    known = replace(pulse, channels=tuple(replace(c, copies=copies[c.key]) for c in pulse.channels))
-    once = estimate_pulse(without_copies(even, known, fit)[0], params, recorded)
-    old = {c.key: c for c in known.channels}
+    with_copies = replace(pulse, channels=tuple(replace(c, copies=copies[c.key]) for c in pulse.channels))
+    once = estimate_pulse(without_copies(even, with_copies, fit)[0], params, recorded)
+    old = {c.key: c for c in with_copies.channels}
     return replace(
         once,
         channels=tuple(

@@ -14,7 +14,7 @@ from fwclass.errors import InputError
 from fwclass.formats.crs import Records, doubtful_system
 from fwclass.formats.epsg import epsg_of
 from fwclass.formats.linear_units import linear_units
-from fwclass.units import LAND
+from fwclass.units import ADJUSTED, GPS_WEEK, LAND
 
 LEAST_MARGIN, MOST_MARGIN = 1.0, 10.0
 """Degrees around the area of a system, between these: its own width beside it, as whole countries keep one UTM zone
@@ -26,9 +26,6 @@ ROUNDED = 0.05
 STRETCHED = 0.05
 """Logarithm of the ratio of lengths: below 0.002 in systems of surveys, up to 0.03 in those of a continent, 0.37 in Web
 Mercator at 46 degrees."""
-
-WEEK, ADJUSTED = 604_800.0, 1e9
-"""s"""
 
 LATEST_GPS = 1e10
 """s, 300 years: no GPS time, of a week or of an epoch, is larger."""
@@ -101,10 +98,10 @@ def outside_of_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> st
 
     `low`, `high`: least and largest x and y in units of `crs`; further numbers are not looked at.
     """
-    known = _in_degrees(crs, low, high)
-    if known is None:
+    in_degrees = _in_degrees(crs, low, high)
+    if in_degrees is None:
         return ""
-    name, bounds, lons, lats = known
+    name, bounds, lons, lats = in_degrees
     if any(_near(bounds, lon, lat) for lon, lat in zip(lons, lats, strict=True)):
         return ""
     xs, ys = _five(low, high)
@@ -135,10 +132,10 @@ def place_in_area(crs: Any, low: Sequence[float], high: Sequence[float]) -> tupl
 
     `low`, `high`: least and largest x and y in units of `crs`; further numbers are not looked at.
     """
-    known = _in_degrees(crs, low, high)
-    if known is None:
+    in_degrees = _in_degrees(crs, low, high)
+    if in_degrees is None:
         return None
-    _, bounds, lons, lats = known
+    _, bounds, lons, lats = in_degrees
     away = min(_beyond(bounds, lon, lat) for lon, lat in zip(lons, lats, strict=True))
     return away, _place(lons[4], lats[4])
 
@@ -207,7 +204,7 @@ def time_faults(first: float, last: float) -> list[str]:
 def dates(first: float, last: float) -> bool:
     """Whether GPS times [s] that are called adjusted standard time are it: neither those of a week nor of another
     epoch, which would be dates in September 2011 and beyond 2043."""
-    return -ADJUSTED <= first <= last < ADJUSTED and not 0.0 <= first <= last <= WEEK
+    return -ADJUSTED <= first <= last < ADJUSTED and not 0.0 <= first <= last <= GPS_WEEK
 
 
 def kind_faults(first: float, last: float, standard: bool) -> list[str]:
@@ -217,9 +214,9 @@ def kind_faults(first: float, last: float, standard: bool) -> list[str]:
         return []
     span = f"GPS times are {first:,.0f} to {last:,.0f} s,"
     if standard and not dates(first, last):
-        other = "seconds of the week" if last <= WEEK else "seconds of another epoch (1970, 1980)"
+        other = "seconds of the week" if last <= GPS_WEEK else "seconds of another epoch (1970, 1980)"
         return [f"{span} {other}, though they are called adjusted standard time: they tell no date"]
-    if not standard and (first < 0.0 or last > 2.0 * WEEK):  # seconds of a week run on where a flight does
+    if not standard and (first < 0.0 or last > 2.0 * GPS_WEEK):  # seconds of a week run on where a flight does
         return [f"{span} though they are called seconds of the week: adjusted standard time?"]
     return []
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import pyproj
 
 from fwclass.formats.area_of_use import dates
 from fwclass.publish.files import write_page
+from fwclass.units import GPS_EPOCH, utc_of
 
 STAC = "1.0.0"
 """QGIS reads items of this version and no other."""
@@ -22,13 +23,6 @@ EXTENSIONS = (
     "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
     "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
 )
-GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
-ADJUSTED = 1_000_000_000
-"""Seconds that adjusted standard GPS time leaves out (LAS 1.4 R15, GPS time)."""
-
-LEAP_SECONDS = 18
-"""GPS time less UTC since 2017; a survey of 2012 is dated two seconds off."""
-
 DATE_LINE = 180.0
 """Degrees of longitude."""
 
@@ -167,7 +161,7 @@ def _item(
 def _date(times: Sequence[float] | None) -> dict[str, Any]:
     if times is None:
         return {"datetime": _text(GPS_EPOCH)}
-    return {"datetime": _text(GPS_EPOCH + timedelta(seconds=times[0] + ADJUSTED - LEAP_SECONDS))}
+    return {"datetime": _text(utc_of(times[0]))}
 
 
 def _text(time: datetime) -> str:

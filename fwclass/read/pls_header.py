@@ -15,6 +15,7 @@ from fwclass.formats.checks import check_length, check_scales
 from fwclass.formats.las_header import MAX_EVLR_BODY, Record, text
 from fwclass.paths import open_sized
 from fwclass.read.pls_compressed import PULSE, RECORD_HEADER, RECORD_NUMBER, Chunks, read_chunks
+from fwclass.units import ADJUSTED, GPS_WEEK
 
 SIGNATURE = b"PulseWavesPulse\0"
 SPEC = "PulseWaves_Spec"
@@ -25,9 +26,8 @@ HEADER = 352
 
 LAST_AVLR, MAX_AVLRS = 0xFFFFFFFF, 1000
 
-STANDARD_TIME, WEEK, EPOCH = 7e8, 604_800.0, 1e9
-"""GPS time [s]: above the first it counts from 1980 (2002 and later), up to the second it may count from the start of
-a week; the third is what LAS takes off."""
+STANDARD_TIME = 7e8
+"""GPS time [s] above which it counts from 1980 (2002 and later); within a week it may count from that week's start."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
         pulse_size,
         n_pulses,
         t_scale,
-        t_offset - EPOCH if first >= STANDARD_TIME else t_offset,
-        first > WEEK,
+        t_offset - ADJUSTED if first >= STANDARD_TIME else t_offset,
+        first > GPS_WEEK,
         scales,
         offsets,
         (b[0], b[2], b[4], b[1], b[3], b[5]),

@@ -20,18 +20,14 @@ from fwclass.formats.checks import cut_off
 from fwclass.formats.last_line import check_last_line
 from fwclass.paths import open_regular
 from fwclass.schema import Table
-from fwclass.units import number_of
+from fwclass.units import ADJUSTED, GPS_WEEK, number_of
 
 RECORD = np.dtype("<f8")
 FIELDS = 17
 """Doubles of an SBET record: time, latitude, longitude, altitude, then velocities, attitude, rates."""
 
-WEEK = 604_800.0
 DAY = 86_400.0
 """s, no flight pauses for longer: times that fall back at the end of a week fall by a week, but for a pause."""
-
-ADJUSTED = 1e9
-"""Adjusted standard GPS time is GPS seconds minus this (LAS 1.4 R15, global encoding)."""
 
 MAX_BYTES = 4 << 30
 """Largest file; ten hours at 200 Hz are 1 GB."""
@@ -160,14 +156,14 @@ def in_survey_time(trajectory: Table, first: float, last: float, where: object) 
 
 def _moves(begin: float, end: float, first: float, last: float) -> list[float]:
     """Moves between the time scales that make sense for these times [s], ascending."""
-    weekly = 2.0 * WEEK  # seconds of a week run on where a flight does
+    weekly = 2.0 * GPS_WEEK  # seconds of a week run on where a flight does
     moves = {-ADJUSTED}
     if begin >= 0.0 and end < weekly:  # to adjusted standard time
-        low, high = ((t + ADJUSTED) // WEEK for t in (first, last))
-        moves |= {(low + k) * WEEK - ADJUSTED for k in range(-1, int(min(high - low, 2.0)) + 1)}
+        low, high = ((t + ADJUSTED) // GPS_WEEK for t in (first, last))
+        moves |= {(low + k) * GPS_WEEK - ADJUSTED for k in range(-1, int(min(high - low, 2.0)) + 1)}
     if first >= 0.0 and last < weekly:  # to seconds of a week, from seconds since 1980 or adjusted ones
         offset = 0.0 if begin >= ADJUSTED else ADJUSTED
-        moves |= {offset - ((begin + offset) // WEEK + k) * WEEK for k in (0, 1)}
+        moves |= {offset - ((begin + offset) // GPS_WEEK + k) * GPS_WEEK for k in (0, 1)}
     return sorted(moves)
 
 
@@ -221,7 +217,7 @@ def _sbet(path: Path, size: int) -> _Columns:
             do="check that the file is a smoothed best estimate of trajectory, or export it as text with a heading",
         )
     fall = np.diff(time, prepend=time[:1])
-    new_week = np.abs(fall + WEEK) < DAY
+    new_week = np.abs(fall + GPS_WEEK) < DAY
     if ((fall < 0) & ~new_week).any():
         at = int(np.argmax((fall < 0) & ~new_week))
         raise InputError(
@@ -231,7 +227,7 @@ def _sbet(path: Path, size: int) -> _Columns:
             got=f"record {at}: {time[at]:.3f} s after {time[at - 1]:.3f} s",
             do="give flights that were joined as files of their own (survey.trajectory.files), or export it again",
         )
-    return time + np.cumsum(new_week) * WEEK, np.degrees(lon), np.degrees(lat), z, True
+    return time + np.cumsum(new_week) * GPS_WEEK, np.degrees(lon), np.degrees(lat), z, True
 
 
 def _first_fields(path: Path, records: int) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,10 @@ from fwclass.quality.covered import CoveredArea
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Survey
+from fwclass.units import utc_of
 
-GPS_EPOCH, ADJUSTED, LEAP_SECONDS = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000, 18
 LEAST_SURE = 5
+"""Tiles of the least sure ones that are named."""
 
 
 def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
@@ -87,7 +87,7 @@ def legacy_codes(runner: Runner, survey: Survey, config: Config) -> dict[str, An
 
 
 def _date(seconds: float) -> str:
-    return (GPS_EPOCH + timedelta(seconds=seconds + ADJUSTED - LEAP_SECONDS)).strftime("%Y-%m-%d")
+    return utc_of(seconds).strftime("%Y-%m-%d")
 
 
 def unsure_of_run(tiles: Sequence[Receipt], config: Config, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
@@ -106,9 +106,14 @@ def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> 
     for one in classes:
         code = str(one["code"])
         count = sum(f["classes"].get(code, 0) for f in facts.values())
-        known, total = np.sum([f["sure"].get(code, (0, 0.0)) for f in facts.values()], axis=0).tolist()
+        counted, total = np.sum([f["sure"].get(code, (0, 0.0)) for f in facts.values()], axis=0).tolist()
         rows.append(
-            {"name": one["name"], "code": one["code"], "echoes": count, "confidence": total / known if known else None}
+            {
+                "name": one["name"],
+                "code": one["code"],
+                "echoes": count,
+                "confidence": total / counted if counted else None,
+            }
         )
     order = least_sure_first(facts)
     least = ([key for key in order if facts[key]["points"] >= WORTH] or order)[:LEAST_SURE]

@@ -28,8 +28,8 @@ def radiometry_facts(
     total = by_strip(meta["sums"] for meta in metas)
     if not total:
         return None
-    known = Calibration.from_json(calibration) if calibration is not None else Calibration()
-    said = faults(total, known, {s.number: s.path.name for s in strips}, params.sound, flown)
+    calibrated = Calibration.from_json(calibration) if calibration is not None else Calibration()
+    said = faults(total, calibrated, {s.number: s.path.name for s in strips}, params.sound, flown)
     return {"implausible": said + altitude_faults(sensors, params)}
 
 

@@ -27,6 +27,7 @@ from fwclass.read.return_counts import (
 )
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Strip
+from fwclass.units import GPS_WEEK
 
 FEW = 1_000
 """Returns of a file below which nothing is said of them."""
@@ -39,9 +40,6 @@ MISSING = 0.1
 
 SEVERAL = 0.05
 """Share of another file's returns that are of pulses with several before a file without any is told."""
-
-WEEK = 604_800.0
-"""s; adjusted standard time has been below it since 14 September 2011 alone, for a week."""
 
 ANOTHER_SCALE = 4.0
 """Ratio of medians from which it is said; flight lines of one survey differ by 1.7."""
@@ -247,9 +245,10 @@ def _unnumbered(counts: Mapping[str, tuple[int, int]]) -> list[str]:
 def _times(counted: Mapping[str, Mapping[str, Any]], called_weekly: Container[str]) -> list[str]:
     """That GPS times do not pass, are of two kinds, or of another kind than their file says."""
     still = [n for n, f in counted.items() if f["times"] and f["times"][0] == f["times"][1]]
-    known = {n: f["times"] for n, f in counted.items() if f["times"] and n not in still}
-    weekly = [n for n, (first, last) in known.items() if first >= 0 and last <= WEEK]
-    others = [n for n in known if n not in weekly]
+    times = {n: f["times"] for n, f in counted.items() if f["times"] and n not in still}
+    # adjusted time is within a week's seconds in one week of 2011 alone
+    weekly = [n for n, (first, last) in times.items() if first >= 0 and last <= GPS_WEEK]
+    others = [n for n in times if n not in weekly]
     said = []
     if still:
         said.append(
@@ -261,7 +260,7 @@ def _times(counted: Mapping[str, Mapping[str, Any]], called_weekly: Container[st
             f"GPS times of {first_few(weekly, NAMED)} are seconds of the week, those of {first_few(others, NAMED)} are "
             "not: lines, trajectories and dates mean something else in both; bring them to one kind"
         )
-    other = [n for n in known if n in called_weekly and kind_faults(known[n][0], known[n][1], standard=False)]
+    other = [n for n in times if n in called_weekly and kind_faults(times[n][0], times[n][1], standard=False)]
     if other:
         said.append(
             f"GPS times of {first_few(other, NAMED)} are called seconds of the week and are beyond one: where they "

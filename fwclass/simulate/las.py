@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from datetime import date, timedelta
+from datetime import timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
 from fwclass.simulate.params import Recording, SimulateParams
-from fwclass.units import QUANTUM
+from fwclass.units import ADJUSTED, GPS_EPOCH, QUANTUM
 
 WDP_HEADER = 60
 """Bytes of the extended variable length record header that opens a WDP file; packets follow."""
@@ -25,9 +25,6 @@ SHORT, LONG = 1, 2
 
 PICOSECONDS = 1000
 """Sample spacing [ps]."""
-
-GPS_EPOCH, GPS_ADJUSTMENT = date(1980, 1, 6), 1e9
-"""Day from which GPS time counts, and what adjusted standard GPS time leaves off [s]."""
 
 INTENSITY_SCALE = 64.0
 """Intensity of a return per DN of its peak."""
@@ -89,7 +86,7 @@ def _header(params: SimulateParams, version: str, point_format: int) -> laspy.La
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.system_identifier = "fwclass simulated scanner"
     header.generating_software = "fwclass simulate"
-    header.creation_date = GPS_EPOCH + timedelta(seconds=params.flight.first_gps_time + GPS_ADJUSTMENT)
+    header.creation_date = GPS_EPOCH.date() + timedelta(seconds=params.flight.first_gps_time + ADJUSTED)
     header.add_crs(_crs(params))
     return header
 

@@ -20,9 +20,9 @@ from fwclass.errors import ConfigError, StoreError
 from fwclass.store.params import StoreParams
 from fwclass.store.refusals import LostRace, as_store_error, lasting
 from fwclass.store.url import Url
+from fwclass.units import MIB
 
 T = TypeVar("T")
-MIB = 1 << 20
 CREDENTIALS = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
 LEAST = 3
 """Times that a request is made before it is given up."""

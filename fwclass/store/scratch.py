@@ -22,8 +22,8 @@ from fwclass.store.atomic import digest_of, file_digest, files_below, remove_dir
 from fwclass.store.digests import MEND, digest_now, remember
 from fwclass.store.objects import Download, Objects
 from fwclass.store.params import StoreParams
+from fwclass.units import GIB
 
-GIB = 1 << 30
 KEPT = 64
 """Directories that were handed out last: somebody may be about to open them."""
 TRIES = 3

@@ -12,6 +12,7 @@ from fwclass.grid import TileGrid, millimetres
 from fwclass.hashing import mix
 from fwclass.schema import Table, canonical_key
 from fwclass.stage import Computation
+from fwclass.units import ADJUSTED, GPS_WEEK
 
 MORTON_CELL = 2_000
 """Edge of the cells of the spatial sort [mm]; only the order of rows in a tile depends on it."""
@@ -22,9 +23,6 @@ adjustments of strips move it, few of which lose it at a cell's edge."""
 
 TICK = 1e-6
 """s, in which times are compared: standard GPS time is stored to 2.4e-7 s, pulses follow at 5e-7 s at least."""
-
-WEEK, ADJUSTMENT = 604_800.0, 1e9
-"""s"""
 
 
 @dataclass(frozen=True)
@@ -185,9 +183,9 @@ def _is_timed(time: NDArray[np.float64]) -> NDArray[np.bool_]:
 def _week_ticks(time: NDArray[np.float64]) -> NDArray[np.int64]:
     """Multiples of `TICK` since the week began, of times of the week, of standard and of adjusted standard time; those
     of whole and half microseconds lie amid a multiple's reach, so that rounding of the formats moves none."""
-    adjusted = (time < 0) | ((time > WEEK) & (time < ADJUSTMENT))
-    of_week = time % WEEK + np.where(adjusted, ADJUSTMENT % WEEK, 0.0)
-    return np.floor(of_week % WEEK / TICK + 0.25).astype(np.int64)
+    adjusted = (time < 0) | ((time > GPS_WEEK) & (time < ADJUSTED))
+    of_week = time % GPS_WEEK + np.where(adjusted, ADJUSTED % GPS_WEEK, 0.0)
+    return np.floor(of_week % GPS_WEEK / TICK + 0.25).astype(np.int64)
 
 
 SPLIT = Computation("split", 1)

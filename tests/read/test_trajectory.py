@@ -14,10 +14,11 @@ from pyproj import Transformer
 
 from fwclass.errors import InputError
 from fwclass.read import trajectory
-from fwclass.read.trajectory import ADJUSTED, WEEK, in_survey_time, read_trajectory, thin_trajectory
+from fwclass.read.trajectory import in_survey_time, read_trajectory, thin_trajectory
 from fwclass.schema import Table
 from fwclass.simulate.params import SimulateParams
 from fwclass.simulate.stage import write_trajectory
+from fwclass.units import ADJUSTED, GPS_WEEK
 
 CRS = "EPSG:25832"
 ROWS = np.array([[10.0, 500.0, 800.0, 370.5], [10.5, 530.0, 801.0, 371.0], [11.0, 560.0, 802.0, 371.25]])
@@ -150,16 +151,16 @@ def test_text_in_degrees_is_the_sbet(tmp_path: Path) -> None:
 
 def test_sbet_across_the_end_of_a_week_runs_on(tmp_path: Path) -> None:
     rows, _ = around()
-    rows[:, 0] = (WEEK - 0.5 + np.arange(len(rows)) / 200.0) % WEEK
+    rows[:, 0] = (GPS_WEEK - 0.5 + np.arange(len(rows)) / 200.0) % GPS_WEEK
     got = read_trajectory(written(tmp_path, sbet(rows)), CRS)
     np.testing.assert_allclose(np.diff(got["gps_time"]), 1 / 200, atol=1e-9)
 
 
-@pytest.mark.parametrize("fall", [0.02, 3 * 86_400.0, WEEK + 2 * 86_400.0])
+@pytest.mark.parametrize("fall", [0.02, 3 * 86_400.0, GPS_WEEK + 2 * 86_400.0])
 def test_sbet_whose_times_fall_back_is_refused(tmp_path: Path, fall: float) -> None:
     """It was sorted in silence, or moved by a week."""
     rows, _ = around()
-    rows[:, 0] += 2 * WEEK
+    rows[:, 0] += 2 * GPS_WEEK
     rows[len(rows) // 2 :, 0] -= fall
     with pytest.raises(InputError, match="fall back"):
         read_trajectory(written(tmp_path, sbet(rows)), CRS)
@@ -251,7 +252,7 @@ def flown(begin: float) -> Table:
 
 
 SECOND_OF_WEEK, WEEKS = 216_000.0, 2149
-SINCE_1980 = WEEKS * WEEK + SECOND_OF_WEEK
+SINCE_1980 = WEEKS * GPS_WEEK + SECOND_OF_WEEK
 SCALES = {"week": SECOND_OF_WEEK, "adjusted": SINCE_1980 - ADJUSTED, "1980": SINCE_1980}
 
 
@@ -264,8 +265,8 @@ def test_time_scales_are_brought_together(mine: str, theirs: str) -> None:
 
 
 def test_flight_across_the_end_of_a_week() -> None:
-    begin = WEEKS * WEEK - 200.0
-    for sow in (WEEK - 200.0,):
+    begin = WEEKS * GPS_WEEK - 200.0
+    for sow in (GPS_WEEK - 200.0,):
         for first in (begin - ADJUSTED + 20.0, begin - ADJUSTED + 300.0):
             got = in_survey_time(flown(sow), first, first + 100.0, "flight.out")
             assert got["gps_time"][0] == begin - ADJUSTED
@@ -283,9 +284,9 @@ def test_times_of_another_day_are_refused_with_both_spans(begin: float) -> None:
 def test_seconds_of_the_week_do_not_tell_which_of_several_weeks() -> None:
     first = SCALES["adjusted"] + 100.0
     with pytest.raises(InputError, match="several weeks"):
-        in_survey_time(flown(SECOND_OF_WEEK), first, first + WEEK, "flight.out")
+        in_survey_time(flown(SECOND_OF_WEEK), first, first + GPS_WEEK, "flight.out")
     # adjusted standard time does
-    assert in_survey_time(flown(first), first, first + WEEK, "flight.out")["gps_time"][0] == first
+    assert in_survey_time(flown(first), first, first + GPS_WEEK, "flight.out")["gps_time"][0] == first
 
 
 def test_a_survey_without_times_is_told_so() -> None:

@@ -27,8 +27,7 @@ from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of
 from fwclass.publish.cog import STRIPE
 from fwclass.survey.bounds import CLOUD_ROWS
-
-MIB = 1 << 20
+from fwclass.units import MIB
 
 
 @dataclass(frozen=True)

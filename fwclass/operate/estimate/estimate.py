@@ -14,8 +14,8 @@ from fwclass.grid import TileGrid
 from fwclass.operate.estimate.amounts import Amount, amounts
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import MOST_SQUARES, held_squares
+from fwclass.units import MIB
 
-MIB = 1 << 20
 NEAR = 0.1
 """A gain of less than this share is none: a size that is set stays."""
 

@@ -11,8 +11,7 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.raster_outputs import MAX_CELLS
 from fwclass.operate.estimate.estimate import Choice, Estimate
-
-MIB, GIB = 1 << 20, 1 << 30
+from fwclass.units import MIB
 
 
 @dataclass(frozen=True)

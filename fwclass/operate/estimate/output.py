@@ -12,13 +12,13 @@ from fwclass.formats.gdal import write_shapes
 from fwclass.formats.wkb import box_wkb
 from fwclass.graph.ground_auto import halo_of
 from fwclass.grid import Box
-from fwclass.operate.estimate.estimate import MIB
 from fwclass.operate.estimate.forecast import Forecast, as_json
 from fwclass.operate.estimate.picture import plan_picture
 from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.paths import below
 from fwclass.store.atomic import move_into_place, write_json
 from fwclass.temporary import temporary_directory
+from fwclass.units import MIB
 
 NAMES = ("tiles.gpkg", "plan.png", "plan.json")
 
