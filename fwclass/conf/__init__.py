@@ -96,12 +96,12 @@ def presets() -> dict[str, dict[str, Any]]:
 
 def preset(name: str) -> dict[str, Any]:
     """One of `presets`."""
-    known = presets()
-    if name not in known:
+    shipped = presets()
+    if name not in shipped:
         raise ConfigError(
-            "no such preset", where="ground.preset", expected=", ".join(known), got=name, do=nearest(name, known)
+            "no such preset", where="ground.preset", expected=", ".join(shipped), got=name, do=nearest(name, shipped)
         )
-    return known[name]
+    return shipped[name]
 
 
 def build(path: Path, raw: dict[str, Any], where: str = "", classifies: bool = True) -> Config:

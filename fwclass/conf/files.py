@@ -49,12 +49,12 @@ def find(name: str | Path) -> Path:
     by_name = shipped / f"{path.stem}.yaml"
     if path.parent in (Path(), Path("conf/surveys")) and by_name.is_file():
         return by_name
-    known = [p.stem for p in shipped.glob("*.yaml")]
+    names = [p.stem for p in shipped.glob("*.yaml")]
     raise ConfigError(
         "no such configuration",
         where=path,
         expected="a YAML file, or the name of one that comes with fwclass",
-        got=nearest(path.stem, known),
+        got=nearest(path.stem, names),
         do="give its path",
     )
 

@@ -11,10 +11,10 @@ from fwclass.street.params import ScannerParams
 
 def scanner(name: str) -> ScannerParams:
     """The data sheet of a scanner, by name; `ConfigError` for one that is not there."""
-    known = sorted(p.stem for p in (conf_directory() / "street").glob("*.yaml"))
-    if name not in known:
+    names = sorted(p.stem for p in (conf_directory() / "street").glob("*.yaml"))
+    if name not in names:
         raise ConfigError(
-            "no such scanner", where="street.scanner", expected=", ".join(known), got=name, do=nearest(name, known)
+            "no such scanner", where="street.scanner", expected=", ".join(names), got=name, do=nearest(name, names)
         )
     try:
         return ScannerParams.model_validate(read(conf_directory() / "street" / f"{name}.yaml"))

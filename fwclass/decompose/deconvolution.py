@@ -55,13 +55,13 @@ def backscatter_samples(
     fits = fit_waveforms(waves, fit, pulse, doubt)
     spacing, length = waves.pulses["sample_spacing"].astype(np.float64), np.diff(waves.offsets)
     kinds, kind = pulses_of(waves, pulse)
-    known = [*(c for c in pulse.channels if c.freedom > 0.0), None]
+    channels = [*(c for c in pulse.channels if c.freedom > 0.0), None]
     height, energy = np.zeros(len(waves.samples)), np.zeros(len(waves.samples))
     usable = np.isfinite(fits.noise) & np.isfinite(fits.baseline) & (length > 0)
     gain = waves.pulses["gain"].astype(np.float64)
     for step, which in np.unique(np.stack([spacing, kind], axis=1)[usable], axis=0):
         rows = np.flatnonzero(usable & (spacing == step) & (kind == which))
-        own, channel = kinds[int(which)], known[int(which)]
+        own, channel = kinds[int(which)], channels[int(which)]
         shape, before = pulse_at_samples(own, float(step))
         error = height_error(own, channel) if channel else math.sqrt(float(step) / own.energy)
         limit = params.threshold * error * fits.noise[rows]

@@ -230,9 +230,9 @@ def _settings(
 
 def channels_of(pulse: SystemPulse, pulses: Table) -> tuple[list[Channel], NDArray[np.float64], NDArray[np.int64]]:
     """The receiver's channels, also as (c + 1, 4) numbers, the last for an unknown channel; every row's channel."""
-    known = [c for c in pulse.channels if c.freedom > 0.0]
-    values = [(c.baseline, c.baseline_sd, c.noise, c.freedom) for c in known]
-    return known, np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_rows(known, pulses)
+    channels = [c for c in pulse.channels if c.freedom > 0.0]
+    values = [(c.baseline, c.baseline_sd, c.noise, c.freedom) for c in channels]
+    return channels, np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_rows(channels, pulses)
 
 
 def sample_limits(waves: Waveforms, pulse: SystemPulse) -> NDArray[np.float64]:
@@ -295,8 +295,8 @@ def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: Decompos
 
 def pulses_of(waves: Waveforms, pulse: SystemPulse) -> tuple[list[SystemPulse], NDArray[np.int64]]:
     """The pulses of the channels, the strip's last, and int64 (waveforms,): which of them each is fitted with."""
-    known, _, channel_of = channels_of(pulse, waves.pulses)
-    return [pulse.of(channel) for channel in (*known, None)], channel_of
+    channels, _, channel_of = channels_of(pulse, waves.pulses)
+    return [pulse.of(channel) for channel in (*channels, None)], channel_of
 
 
 def model_of(

@@ -77,11 +77,11 @@ def _heights(middle: Floats, near: Floats, counts: NDArray[np.bool_], params: St
     weight = counts.astype(np.float64)
     for _ in range(ROUNDS):
         weighted = weight[:, :, None] * x
-        known = x.transpose(0, 2, 1) @ weighted + 1e-9 * np.eye(3)
-        plane = np.linalg.solve(known, weighted.transpose(0, 2, 1) @ near[:, :, 2:])
+        normal = x.transpose(0, 2, 1) @ weighted + 1e-9 * np.eye(3)
+        plane = np.linalg.solve(normal, weighted.transpose(0, 2, 1) @ near[:, :, 2:])
         off = np.abs(near[:, :, 2] - (x @ plane)[:, :, 0])
         weight = counts / (1.0 + (off / params.plane_residual) ** 2) ** 2  # Cauchy's, squared: outliers lose all
-    error = params.plane_residual * np.sqrt(np.linalg.inv(known)[:, 0, 0])
+    error = params.plane_residual * np.sqrt(np.linalg.inv(normal)[:, 0, 0])
     agree = (counts & (off <= 2.0 * params.plane_residual)).sum(axis=1) / counts.sum(axis=1)
     sure = (agree >= AGREE) & (SURE * error <= params.window)
     return np.where(sure, plane[:, 0, 0], np.nan)

@@ -48,20 +48,20 @@ def part_groups(
         mine = group == k
         kinds, count = np.unique(receiver[mine & bright], return_counts=True)
         order = np.argsort(-count, kind="stable")
-        known: list[tuple[list[int], float, Shape]] = []
+        groups: list[tuple[list[int], float, Shape]] = []
         many = kinds[order[count[order] >= least]].tolist()
         for r in many if len(many) > 1 else ():
             rows = np.flatnonzero(mine & bright & (receiver == r))
             own, shape = float(np.median(noise[rows])), shape_of(rows)
-            for members, usual, main in known:
+            for members, usual, main in groups:
                 if max(own, usual) < NOISIER * min(own, usual) and alike(main, shape):
                     members.append(r)
                     break
             else:
-                known.append(([r], own, shape))
+                groups.append(([r], own, shape))
         parted[mine] = len(channels)
         channels.append((k, ()))
-        for members, *_ in known[1:]:
+        for members, *_ in groups[1:]:
             parted[mine & np.isin(receiver, members)] = len(channels)
             channels.append((k, tuple(sorted(members))))
     return parted, channels

@@ -27,10 +27,10 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
     noise (`Channel.misfit`), the share of the threshold that is therefore asked of further echoes, whether its noise is
     correlated, the step of its samples [DN], its `recovery` [ns, DN], `copies` [ns, share], and
     `parity`."""
-    known = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
+    outgoing = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
     rows = []
     for channel in pulse.channels or (None,):
-        own, left = pulse.of(channel), known.get(channel.key, recorded) if channel else recorded
+        own, left = pulse.of(channel), outgoing.get(channel.key, recorded) if channel else recorded
         rows.append(
             {
                 "sample_spacing": channel and channel.sample_spacing,

@@ -104,10 +104,10 @@ def recovered(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> 
     cut = _summed(floor_doubt(waves, pulse), later)
     if not any(c.recovery > 0.0 for c in pulse.channels):
         return waves, cut
-    known = _saturated(waves, pulse)
-    if known is None:
+    saturated = _saturated(waves, pulse)
+    if saturated is None:
         return waves, cut
-    part, rows = known
+    part, rows = saturated
     lower = np.zeros(len(part.row))
     doubt = np.where(part.near, UNKNOWN, 0.0)
     for _ in range(ROUNDS - 1):
@@ -133,10 +133,10 @@ def _measure(channel: Channel, pulse: SystemPulse, waves: Waveforms, params: Dec
     full = np.flatnonzero(np.maximum.reduceat(mine.samples, mine.offsets[:-1]) >= channel.clip)
     mine = rows_of(mine, full[:: max(-(-len(full) // MOST), 1)])
     trial = replace(channel, recovery=1.0, recovery_doubt=0.5, receivers=())
-    known = _saturated(mine, replace(pulse, channels=(trial,))) if len(full) >= FEWEST else None
-    if known is None or known[0].waves.pulses.rows < FEWEST:
+    saturated = _saturated(mine, replace(pulse, channels=(trial,))) if len(full) >= FEWEST else None
+    if saturated is None or saturated[0].waves.pulses.rows < FEWEST:
         return channel
-    part, spacing = known[0], channel.sample_spacing
+    part, spacing = saturated[0], channel.sample_spacing
     lower, doubt = np.zeros(len(part.row)), np.where(part.near, UNKNOWN, 0.0)
     gain, share, depth, time = 0.0, 0.5, 0.0, 0.0
     for _ in range(ROUNDS):

@@ -201,12 +201,12 @@ def _match(
     left += waves.samples
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     kinds, kind = pulses_of(waves, pulse)
-    known = [*(c for c in pulse.channels if c.freedom > 0.0), None]
+    channels = [*(c for c in pulse.channels if c.freedom > 0.0), None]
     parts = []
     for step, which in np.unique(np.stack([spacing, kind], axis=1)[wanted], axis=0):
         mine = np.flatnonzero(wanted & (spacing == step) & (kind == which))
         speed = np.sqrt((velocity[mine] ** 2).sum(axis=1))
-        shape = _Shape.of(kinds[int(which)], known[int(which)], float(step), params.window / float(speed.max()))
+        shape = _Shape.of(kinds[int(which)], channels[int(which)], float(step), params.window / float(speed.max()))
         parts.append(_of_kind(waves, strip, fits, mine, start, velocity, met, echoes, left, shape, params))
     some = [p for p in parts if p is not None]
     return Candidates.joined(some) if some else None

@@ -170,8 +170,10 @@ def roughness_of(x: Floats, y: Floats, z: Floats) -> float:
     _, near = scipy.spatial.cKDTree(places).query(places[some], k=NEIGHBOURS + 1)
     near = np.asarray(near)[:, 1:]
     local = np.concatenate([np.ones((*near.shape, 1)), places[near] - places[some][:, None]], axis=2)
-    known = local.transpose(0, 2, 1) @ local + 1e-6 * np.eye(3)
-    weights = np.linalg.solve(known, local.transpose(0, 2, 1))[:, 0]  # of the neighbours, for the height in the middle
+    products = local.transpose(0, 2, 1) @ local + 1e-6 * np.eye(3)
+    weights = np.linalg.solve(products, local.transpose(0, 2, 1))[
+        :, 0
+    ]  # of the neighbours, for the height in the middle
     off = height[some] - (weights * height[near]).sum(axis=1)
     return float(SIGMA_PER_MAD * np.median(np.abs(off) / np.sqrt(1.0 + (weights**2).sum(axis=1))))
 

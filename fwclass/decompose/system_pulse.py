@@ -140,8 +140,8 @@ class SystemPulse:
         """Height at `time` [ns] after the peak; 0 outside of what is known."""
         if self.shape == "gaussian":
             return np.asarray(np.exp(-0.5 * (time * FWHM_PER_SIGMA / self.fwhm) ** 2))
-        known = self.first + self.step * np.arange(len(self.values))
-        return np.interp(time, known, self.values, left=0.0, right=0.0)
+        times = self.first + self.step * np.arange(len(self.values))
+        return np.interp(time, times, self.values, left=0.0, right=0.0)
 
     @property
     def energy(self) -> float:
@@ -165,9 +165,9 @@ class SystemPulse:
 
         `InputError`: a key too few or too many, a number that is none or out of its range, too many values.
         """
-        known = {f.name for f in fields(cls)}
-        if not isinstance(stored, Mapping) or set(stored) != known:
-            raise _refusal("other keys", where, sorted(known), _names(stored))
+        names = {f.name for f in fields(cls)}
+        if not isinstance(stored, Mapping) or set(stored) != names:
+            raise _refusal("other keys", where, sorted(names), _names(stored))
         if stored["shape"] not in ("gaussian", "measured"):
             raise _refusal("an unknown shape", where, "gaussian or measured", stored["shape"])
         pulse = cls(
@@ -241,10 +241,10 @@ def _check_values(pulse: SystemPulse, where: object) -> None:
 def _channels(stored: object, where: object) -> tuple[Channel, ...]:
     if not isinstance(stored, list) or len(stored) > MOST_CHANNELS:
         raise _refusal("channels of another kind", where, f"a list of at most {MOST_CHANNELS}", type(stored).__name__)
-    known = {f.name for f in fields(Channel)}
+    names = {f.name for f in fields(Channel)}
     for one in stored:
-        if not isinstance(one, Mapping) or set(one) != known:
-            raise _refusal("a channel with other keys", where, sorted(known), _names(one))
+        if not isinstance(one, Mapping) or set(one) != names:
+            raise _refusal("a channel with other keys", where, sorted(names), _names(one))
     return tuple(
         Channel(
             sample_spacing=_number(one, "sample_spacing", where, 0.0, 1e6, above=True),

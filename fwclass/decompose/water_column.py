@@ -213,8 +213,8 @@ def _receiver(
 ) -> NDArray[np.float64]:
     """Level [DN], its information [samples], variance of the noise made white [DN^2] and its freedom, of every row."""
     if channel is None:
-        known = fits.baseline[rows], np.full(len(rows), WEAK), fits.noise[rows] ** 2 * innovation, np.zeros(len(rows))
-        return np.stack(known, axis=1)
+        unknown = fits.baseline[rows], np.full(len(rows), WEAK), fits.noise[rows] ** 2 * innovation, np.zeros(len(rows))
+        return np.stack(unknown, axis=1)
     variance = channel.noise**2 * innovation
     sure = variance / max((channel.baseline_sd * level) ** 2, 1e-4 * variance)
     return np.tile([channel.baseline, sure, variance, channel.freedom], (len(rows), 1))

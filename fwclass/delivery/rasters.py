@@ -36,10 +36,10 @@ class Raster:
 def read_raster(directory: Path, name: str) -> Raster:
     """A raster below `directory` by its name there, without ending; `InputError` for one that is not there,
     or is damaged."""
-    known = {p.relative_to(directory).with_suffix("").as_posix(): p for p in sorted(directory.rglob("*.tif"))}
-    if name not in known:
-        raise InputError("there is no such raster", where=directory, got=name, do=nearest(name, known))
-    with delivered_raster(known[name]) as file:
+    rasters = {p.relative_to(directory).with_suffix("").as_posix(): p for p in sorted(directory.rglob("*.tif"))}
+    if name not in rasters:
+        raise InputError("there is no such raster", where=directory, got=name, do=nearest(name, rasters))
+    with delivered_raster(rasters[name]) as file:
         tags = file.tags(1)
         names = {int(k.removeprefix("CLASS_")): v for k, v in tags.items() if k.startswith("CLASS_")}
         crs = file.crs.to_wkt() if file.crs is not None else ""

@@ -155,8 +155,8 @@ class ColourColumns:
 
     def _bytes_of(self, name: str, values: NDArray) -> NDArray[np.uint8]:
         if name == "strip":  # the codes that `kinds` gives
-            known = sorted({int(f["strip"]) for f in self._delivery.report["input"]["files"]})
-            return np.asarray(np.searchsorted(known, values) % NO_VALUE, np.uint8)
+            strips = sorted({int(f["strip"]) for f in self._delivery.report["input"]["files"]})
+            return np.asarray(np.searchsorted(strips, values) % NO_VALUE, np.uint8)
         span = self._span(name)
         return ByteScale(span.low, span.high).bytes_of(values)
 
@@ -181,10 +181,10 @@ class ColourColumns:
             return None
 
     def _field(self, name: str) -> dict[str, str]:
-        known = {f["name"]: f for f in self.fields}
-        if name not in known:
+        by_name = {f["name"]: f for f in self.fields}
+        if name not in by_name:
             raise InputError("no such column", where=self._delivery.path, got=name)
-        return known[name]
+        return by_name[name]
 
     def _span(self, name: str) -> ColourSpan:
         return self._open.cache.get(("span", name), lambda: self._measured(name), lambda _: 64)

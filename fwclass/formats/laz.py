@@ -84,8 +84,8 @@ def check_laz(header: Header) -> None:
             got=f"{header.n_points} in {header.size} bytes",
             do="the file is damaged, or its points are equal: take out duplicates, or write it as LAS",
         )
-    known = _looks(header)
-    if known in _SOUND:
+    state = _looks(header)
+    if state in _SOUND:
         return
     with header.path.open("rb") as stream:
         table_at, n_chunks = _chunk_table_place(header, stream)
@@ -97,7 +97,7 @@ def check_laz(header: Header) -> None:
         else:
             starts = [at + header.record_length for _, at, _ in chunks]
         _check_codes(header, stream, starts)
-    _remember(known, _SOUND)
+    _remember(state, _SOUND)
 
 
 def _looks(header: Header) -> tuple[str, int, int, int, int]:
@@ -118,9 +118,9 @@ def check_written(header: Header) -> None:
     whole, the lengths of its layers, and codes of what never changes (837 bytes at most were measured). Point formats 0
     to 5 code extra bytes among the points: where these never change, zeros prove nothing.
     """
-    known = _looks(header)
+    state = _looks(header)
     extra = header.record_length - RECORD_LENGTH[header.point_format]
-    if known in _WRITTEN or (extra and header.point_format in _LEGACY):
+    if state in _WRITTEN or (extra and header.point_format in _LEGACY):
         return
     with header.path.open("rb") as stream:
         end, _ = _chunk_table_place(header, stream)
@@ -133,7 +133,7 @@ def check_written(header: Header) -> None:
             got=f"at least {least * SECTOR} bytes of zeros from byte {hole}",
             do="wait for the end of the upload, or copy the file again",
         )
-    _remember(known, _WRITTEN)
+    _remember(state, _WRITTEN)
 
 
 def _items(header: Header, body: bytes) -> list[Item]:

@@ -266,8 +266,8 @@ def _check_tables(path: Path, *_: tuple[int, ...]) -> None:
 def _systems(opened: sqlite3.Connection) -> list[str]:
     """Texts of the coordinate systems that the file defines."""
     name = "gpkg_spatial_ref_sys"
-    known = [str(row[1]) for row in opened.execute(f"PRAGMA table_info({name})")]
-    texts = [column for column in known if column.lower().startswith("definition")]
+    columns = [str(row[1]) for row in opened.execute(f"PRAGMA table_info({name})")]
+    texts = [column for column in columns if column.lower().startswith("definition")]
     rows = opened.execute(f"SELECT {', '.join(texts)} FROM {name}") if texts else ()  # noqa: S608 (names of two columns)
     return [str(text) for row in rows for text in row if text]
 

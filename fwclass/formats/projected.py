@@ -126,8 +126,8 @@ def _metric_code(crs: CRS) -> int | None:
         named.pop("id", None)
         named["name"] = re.sub(r" \((ft|ftUS|foot|US [Ss]urvey f(ee|oo)t)\)", "", named.get("name", ""))
     code = CRS.from_json_dict(plain).to_epsg(LIKE)
-    known = None if code is None else CRS.from_epsg(code)
-    same = known is not None and not units_of(known) and str(known.datum) == str(crs.datum)
+    metric = None if code is None else CRS.from_epsg(code)
+    same = metric is not None and not units_of(metric) and str(metric.datum) == str(crs.datum)
     return code if same else None
 
 

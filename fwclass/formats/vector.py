@@ -46,22 +46,22 @@ def header(path: Path, layer: str | None, setting: str = "survey.reference.layer
 
     `InputError`: the file cannot be read or holds no layer. `ConfigError`: no such layer, or several and none is named.
     """
-    known = layers(path)
-    if not known:
+    names = layers(path)
+    if not names:
         raise InputError("the file holds no layer with geometries", where=path, do="check the export of the polygons")
-    if layer is None and len(known) > 1:
+    if layer is None and len(names) > 1:
         raise ConfigError(
             "the file has several layers",
             where=path,
             expected=f"one, or {setting}",
-            got=", ".join(known),
-            do=set_words(setting, known[0]),
+            got=", ".join(names),
+            do=set_words(setting, names[0]),
         )
-    if layer is not None and layer not in known:
+    if layer is not None and layer not in names:
         raise ConfigError(
-            "the file has no such layer", where=path, expected=", ".join(known), got=layer, do=nearest(layer, known)
+            "the file has no such layer", where=path, expected=", ".join(names), got=layer, do=nearest(layer, names)
         )
-    chosen = layer or known[0]
+    chosen = layer or names[0]
     about = _query(path, lambda gdal, place: gdal.read_info(place, layer=chosen, force_feature_count=True))
     if len(about["fields"]) > MOST_FIELDS:
         raise InputError(

@@ -172,11 +172,11 @@ def _folds_at(x: NDArray, y: NDArray, squares: NDArray, fold_of: NDArray) -> NDA
     """int64 (rows,): the fold of the square (x, y) of every row; -1 for one that is none of `squares` (n, 2)."""
     width = int(squares[:, 1].max() - squares[:, 1].min()) + 1
     low = squares.min(axis=0)
-    known = (squares[:, 0] - low[0]) * width + squares[:, 1] - low[1]  # rises, as `squares` are in order
+    numbers = (squares[:, 0] - low[0]) * width + squares[:, 1] - low[1]  # rises, as `squares` are in order
     inside = (y >= low[1]) & (y < low[1] + width)
     asked = (x - low[0]) * width + y - low[1]
-    place = np.minimum(np.searchsorted(known, asked), len(known) - 1)
-    return np.where(inside & (known[place] == asked), fold_of[place], -1).astype(np.int64)
+    place = np.minimum(np.searchsorted(numbers, asked), len(numbers) - 1)
+    return np.where(inside & (numbers[place] == asked), fold_of[place], -1).astype(np.int64)
 
 
 def learns_context(plan: Plan) -> bool:

@@ -109,8 +109,8 @@ def parts_for(plan: Plan, block: Tile) -> list[Name]:
         return []
     edge = square_edge(plan)
     near = [_square_of(block, plan), *TileGrid(edge).touching(block.box)]
-    known = set(squares(plan)) if block.origin != (0.0, 0.0) else {near[0]}
-    return [(AUTO, square.key) for square in dict.fromkeys(near) if square in known]
+    all_squares = set(squares(plan)) if block.origin != (0.0, 0.0) else {near[0]}
+    return [(AUTO, square.key) for square in dict.fromkeys(near) if square in all_squares]
 
 
 def halo_of(plan: Plan) -> float:

@@ -246,12 +246,12 @@ class OfRows(Adapter):
         rows = here.rows()
         table = self.columns(self.function(rows, **settings), rows.rows, CLASSIFY.writes)
         codes, counts = np.unique(table["classification"], return_counts=True)
-        known = {c.code for c in classes}
-        strange = [int(c) for c in codes if int(c) not in known]
+        codes_of_classes = {c.code for c in classes}
+        strange = [int(c) for c in codes if int(c) not in codes_of_classes]
         if strange:
             raise self.fault(
                 "a class that the survey has not",
-                sorted(known),
+                sorted(codes_of_classes),
                 strange,
                 "give codes of survey.classes, or add it there",
             )
@@ -346,8 +346,8 @@ def _column_names(name: str, reads: Iterable[str]) -> tuple[str, ...]:
 
 
 def _halo(name: str, halo: float) -> float:
-    known = isinstance(halo, (int, float)) and math.isfinite(halo) and 0.0 <= halo <= MAX_REACH
-    if not known:
+    sound = isinstance(halo, (int, float)) and math.isfinite(halo) and 0.0 <= halo <= MAX_REACH
+    if not sound:
         raise ConfigError(
             "this cannot be a halo",
             where=f"stage {name}, halo",

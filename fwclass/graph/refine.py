@@ -103,8 +103,8 @@ def draw_fine_tile(
     if rows == "boundary":
         inside &= at_boundary(chunk, layer.pair, layer.within)
     key = canonical_key(own)
-    known = Table({"z": np.zeros(own.rows, np.float32)})  # which rows have a value is not known before it is computed
-    sample = candidates(known, own["reference"], key, inside, drawing, classes, places(own), corrected)
+    blank = Table({"z": np.zeros(own.rows, np.float32)})  # which rows have a value is not known before it is computed
+    sample = candidates(blank, own["reference"], key, inside, drawing, classes, places(own), corrected)
     order = np.argsort(key)
     chosen = order[np.searchsorted(key[order], sample.key)]
     table = own.take(chosen)

@@ -144,24 +144,24 @@ STAGES = (
 def providers(plan: Plan, stages: Iterable[Stage] = STAGES) -> dict[str, str]:
     """Which stage's tables of tiles hold each column. Where two have one (places: echoes' and reference points'), the
     first counts."""
-    known: dict[str, str] = {}
+    stage_of: dict[str, str] = {}
     for stage in stages:
         if stage.over == "tile":
             for column in stage.columns(plan):
-                known.setdefault(column, stage.name)
-    return known
+                stage_of.setdefault(column, stage.name)
+    return stage_of
 
 
 def graph_of(plan: Plan, stages: Iterable[Stage] = STAGES) -> list[dict[str, Any]]:
     """Every stage that a run has: ``name``, ``over`` (what a part of it is), ``unit`` of its cost, and ``reads``, the
     stages whose parts it reads or is planned by; in the order of the run."""
     stages = [s for s in stages if s.when(plan)]
-    known = providers(plan, stages)
+    stage_of = providers(plan, stages)
     nodes: dict[str, dict[str, Any]] = {}
     names = {s.name for s in stages}
     for stage in stages:
         columns = (*names_under(stage.reads, plan), *names_under(stage.own, plan))
-        sources = {known.get(c, COMPUTE_FEATURES.name) for c in columns} | set(stage.after)
+        sources = {stage_of.get(c, COMPUTE_FEATURES.name) for c in columns} | set(stage.after)
         if columns:
             sources.add(TILE_ECHOES.name)
         one = nodes.setdefault(stage.name, {"name": stage.name, "over": stage.over, "unit": stage.unit, "reads": []})

@@ -80,9 +80,9 @@ def reference_codes(code: NDArray[np.int16], classes: Sequence[ClassDef], where:
 
     `ConfigError` for codes that no class is delivered as, or counts.
     """
-    known = {0: 0, **{c: c for one in classes for c in one.codes}}
-    known |= {c.code: c.code if c.code in c.codes else c.codes[0] for c in classes if c.codes}
-    unknown = sorted(set(np.unique(code).tolist()) - known.keys())
+    code_of = {0: 0, **{c: c for one in classes for c in one.codes}}
+    code_of |= {c.code: c.code if c.code in c.codes else c.codes[0] for c in classes if c.codes}
+    unknown = sorted(set(np.unique(code).tolist()) - code_of.keys())
     if unknown:
         raise ConfigError(
             "corrections have codes that no class of the survey has",
@@ -92,6 +92,6 @@ def reference_codes(code: NDArray[np.int16], classes: Sequence[ClassDef], where:
             do="add the class to survey.classes, or take these corrections back",
         )
     table = np.zeros(256, np.int16)
-    for given, own in known.items():
+    for given, own in code_of.items():
         table[given] = own
     return np.asarray(table[code])

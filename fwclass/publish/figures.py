@@ -121,8 +121,8 @@ def share_map(
 
 def tint_range(dtm: NDArray[np.float32]) -> tuple[float, float]:
     """Heights [m] of the lowest and the highest tint: all but the outermost hundredths of the cells."""
-    known = dtm[np.isfinite(dtm)]
-    low, high = np.percentile(known, (1, 99)) if known.size else (0.0, 1.0)
+    finite = dtm[np.isfinite(dtm)]
+    low, high = np.percentile(finite, (1, 99)) if finite.size else (0.0, 1.0)
     return float(low), float(high)
 
 

@@ -66,11 +66,11 @@ def colours(classes: Iterable[Mapping[str, Any]]) -> dict[int, RGB]:
     spare = 0
     for item in classes:
         name, code = str(item["name"]).lower().replace("_", " "), int(item["code"])
-        known = BY_NAME.get(_SAME.get(name, name)) or BY_CODE.get(code)
-        if known is None:
-            known = SPARE[spare % len(SPARE)]
+        colour = BY_NAME.get(_SAME.get(name, name)) or BY_CODE.get(code)
+        if colour is None:
+            colour = SPARE[spare % len(SPARE)]
             spare += 1
-        out[code] = known
+        out[code] = colour
     return out
 
 

@@ -199,8 +199,8 @@ def _symbol(parent: Xml.Element, name: str, fill: RGB | None, line: RGB, width: 
 
 
 def _class_colours(names: Mapping[int, str]) -> dict[int, RGB]:
-    known = colours({"name": name, "code": code} for code, name in names.items())
-    return dict(sorted(known.items()))
+    palette = colours({"name": name, "code": code} for code, name in names.items())
+    return dict(sorted(palette.items()))
 
 
 def _label(code: int, names: Mapping[int, str]) -> str:

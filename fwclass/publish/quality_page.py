@@ -46,10 +46,10 @@ class Picture:
 
 def density_picture(values: NDArray[np.float32], view: View, params: PublishParams) -> Picture | None:
     """Map of pulses per m²; NaN where there is no echo, None where there is none at all."""
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return None
-    low, high = (float(v) for v in np.percentile(known, (2, 98)))
+    low, high = (float(v) for v in np.percentile(finite, (2, 98)))
     high = max(high, low + 0.01)
     png = share_map(np.clip((values - low) / (high - low), 0, 1), view, params, HEIGHTS)
     text = "First echoes in every cell. What is white has no echo."
@@ -58,10 +58,10 @@ def density_picture(values: NDArray[np.float32], view: View, params: PublishPara
 
 def difference_picture(values: NDArray[np.float32], view: View, params: PublishParams) -> Picture | None:
     """Map of the largest difference of two strips [m]; NaN where none are compared, None where none are at all."""
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return None
-    high = max(STRIPS_APART, float(np.percentile(known, 98)))
+    high = max(STRIPS_APART, float(np.percentile(finite, 98)))
     png = share_map(np.clip(values / high, 0, 1), view, params, NEAR)
     text = "The largest difference in height of two strips, where both see one flat surface. White: no such place."
     return Picture("Differences of strips", text, png, "0", f"{100 * high:.3g}", "cm", _gradient(NEAR))

@@ -196,8 +196,8 @@ def _cell(count: int, total: int, right: bool) -> dict[str, str]:
 
 def _dots(names: Iterable[str], classes: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     by_code = colours(classes)
-    known = {str(c["name"]): css(by_code[int(c["code"])]) for c in classes}
-    return {n: known.get(n, "#b8c1c9") for n in names}
+    colour_of = {str(c["name"]): css(by_code[int(c["code"])]) for c in classes}
+    return {n: colour_of.get(n, "#b8c1c9") for n in names}
 
 
 def distribution(

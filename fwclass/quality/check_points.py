@@ -236,14 +236,14 @@ def facts_of(points: Sequence[Floats], height: Floats, near: Floats, code: NDArr
 def _far_off(dz: Floats) -> NDArray[np.bool_]:
     """bool (n,): the difference [m] is further from the median than `FAR_OFF`, and than six robust standard deviations
     of all."""
-    known = dz[np.isfinite(dz)]
-    if len(known) < 3:
+    finite = dz[np.isfinite(dz)]
+    if len(finite) < 3:
         return np.zeros(len(dz), bool)
-    middle = np.median(known)
-    spread = SIGMA_PER_MAD * float(np.median(np.abs(known - middle)))
+    middle = np.median(finite)
+    spread = SIGMA_PER_MAD * float(np.median(np.abs(finite - middle)))
     return np.isfinite(dz) & (np.abs(dz - middle) > max(FAR_OFF, 6.0 * spread))
 
 
 def _median(values: Floats) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else None

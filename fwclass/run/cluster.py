@@ -395,17 +395,17 @@ def settle_tracker() -> None:
     tracker: Any = resource_tracker._resource_tracker
     if "_send" in vars(tracker):  # done before
         return
-    known = set[tuple[object, ...]]()
+    registered = set[tuple[object, ...]]()
 
     def send_known(command: str, name: str, kind: str) -> None:
         tracker.ensure_running()
         thing = (tracker._pid, name, kind)
         if command == "REGISTER":
-            known.add(thing)
-        elif thing not in known:
+            registered.add(thing)
+        elif thing not in registered:
             return
         else:
-            known.remove(thing)
+            registered.remove(thing)
         with suppress(OSError):  # it was killed since; Python's own `_send` would tell the next one of this name
             os.write(tracker._fd, f"{command}:{name}:{kind}\n".encode("ascii"))
 

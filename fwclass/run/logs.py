@@ -95,5 +95,5 @@ def _value(value: Value) -> str:
 
 
 def _escape(c: str) -> str:
-    known = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
-    return known.get(c) or (f"\\u{ord(c):04x}" if ord(c) < 0x10000 else f"\\U{ord(c):08x}")
+    escapes = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
+    return escapes.get(c) or (f"\\u{ord(c):04x}" if ord(c) < 0x10000 else f"\\U{ord(c):08x}")

@@ -90,14 +90,14 @@ def _figures(matrix: NDArray[np.float64]) -> tuple[float, float, float]:
 
 def mean(values: NDArray[np.float64]) -> float:
     """Mean over the folds (folds,) that have a value; NaN if none has."""
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else float("nan")
+    finite = values[~np.isnan(values)]
+    return float(finite.mean()) if len(finite) else float("nan")
 
 
 def spread(values: NDArray[np.float64]) -> float:
     """Standard deviation over the folds (folds,); NaN is no value, 0 with fewer than two."""
-    known = values[~np.isnan(values)]
-    return float(known.std(ddof=1)) if len(known) > 1 else 0.0
+    finite = values[~np.isnan(values)]
+    return float(finite.std(ddof=1)) if len(finite) > 1 else 0.0
 
 
 def as_good(one: Score, best: Score) -> bool:

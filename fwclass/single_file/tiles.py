@@ -98,10 +98,10 @@ class FileTiles:
         }
         self._facts: dict[Name, Mapping[str, Any]] = {}
         self._features: list[Name] = []
-        known = dict.fromkeys(table, TILE.name)
+        stage_of = dict.fromkeys(table, TILE.name)
         for stage in self._stages.values():
             for column in stage.columns(plan) if stage.over == "tile" else ():
-                known.setdefault(column, stage.name)
+                stage_of.setdefault(column, stage.name)
         edges = {stage.edge(plan) for stage in self._stages.values() if stage.edge is not None}
         layout = Layout(
             config.whole,
@@ -113,9 +113,9 @@ class FileTiles:
             {},
             np.nan,
             table.rows,
-            providers=known,
+            providers=stage_of,
         )
-        self.plan = replace(plan, tiled=layout, providers=known)
+        self.plan = replace(plan, tiled=layout, providers=stage_of)
         named = (stage for stage in self._stages.values() if stage.name in self._words)
         self._numbers = {stage.name: [0, len(stage.all_parts(self.plan))] for stage in named}
 

@@ -29,10 +29,10 @@ _guard = threading.Lock()
 
 def digest_now(path: Path | str) -> str:
     """Digest of a file's bytes; they are not read where this process has, and the file looks as it did then."""
-    known = _known.get(str(path))
+    entry = _known.get(str(path))
     now = looks(path)
-    if known is not None and known[0] == now:
-        return known[1]
+    if entry is not None and entry[0] == now:
+        return entry[1]
     with counted("checking"):
         digest = file_digest(Path(path))
     _remember(str(path), now, digest)

@@ -92,11 +92,11 @@ def read_kept(path: Path, columns: Iterable[str], groups: list[int]) -> Table:
 
 def _groups_in(file: File) -> tuple[Group, ...]:
     with _guard:
-        known = _groups.get(file)
-    if known is None:
-        known = groups_of(Path(file[0]))
-        _note_groups(file, known)
-    return known
+        groups = _groups.get(file)
+    if groups is None:
+        groups = groups_of(Path(file[0]))
+        _note_groups(file, groups)
+    return groups
 
 
 def _note_groups(file: File, groups: tuple[Group, ...]) -> None:

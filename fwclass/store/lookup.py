@@ -44,8 +44,8 @@ class _Remembered:
 
     def get(self, path: str, looks: Looks) -> tuple[Receipt | None, Mark] | None:
         """What was kept of the file, None where it looks otherwise now."""
-        known = self._receipts.get(path)
-        return known[1] if known is not None and known[0] == looks else None
+        entry = self._receipts.get(path)
+        return entry[1] if entry is not None and entry[0] == looks else None
 
     def keep(self, path: str, looks: Looks, receipt: tuple[Receipt | None, Mark]) -> None:
         with self._guard:
@@ -56,8 +56,8 @@ class _Remembered:
             self._bytes += looks[0]
 
     def _drop(self, path: str) -> None:
-        known = self._receipts.pop(path, None)
-        self._bytes -= known[0][0] if known else 0
+        entry = self._receipts.pop(path, None)
+        self._bytes -= entry[0][0] if entry else 0
 
 
 _remembered = _Remembered()
@@ -113,9 +113,9 @@ class Lookup:
         if looks is None:
             return None
         path = f"{self._files.root}/{key}"
-        known = _remembered.get(path, looks)
-        if known is not None:
-            return known
+        entry = _remembered.get(path, looks)
+        if entry is not None:
+            return entry
         receipt = self._read(key, self._files.get(key))
         if receipt is not None and time.time_ns() - max(looks[1:]) > SETTLED:
             _remembered.keep(path, looks, receipt)

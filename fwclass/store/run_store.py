@@ -85,8 +85,8 @@ class Store:
 
     def receipt(self, stage: str, part: str) -> Receipt | None:
         """The part's receipt, or None; a damaged one says nothing, so that the part is made again."""
-        known = self._lookup.receipt((stage, part))
-        return known[0] if known else None
+        entry = self._lookup.receipt((stage, part))
+        return entry[0] if entry else None
 
     def look_up(self, names: Iterable[Name]) -> None:
         """Receipts of all these parts will be asked for: a store that is far away fetches them together."""
@@ -307,11 +307,11 @@ class Store:
         """Remove the files of parts and keep their receipts, which say so from before the first is gone; how many."""
         count = 0
         for name in names:
-            known = self._lookup.receipt(name)
-            if known is None or known[0] is None or known[0].emptied or known[0].place != "store":
+            entry = self._lookup.receipt(name)
+            if entry is None or entry[0] is None or entry[0].emptied or entry[0].place != "store":
                 continue
-            receipt = replace(known[0], emptied=True)
-            self._put_receipt(receipt, known[1])
+            receipt = replace(entry[0], emptied=True)
+            self._put_receipt(receipt, entry[1])
             self._files.delete_below(self._files.unit(receipt), RECEIPT)
             count += 1
         return count

@@ -73,8 +73,8 @@ def _is_number(value: Any) -> bool:
 
 def pattern(called: str, expression: str) -> Kind:
     """Text that all of a regular expression matches."""
-    known = re.compile(expression)
-    return Kind(called, lambda value: isinstance(value, str) and known.fullmatch(value) is not None)
+    compiled = re.compile(expression)
+    return Kind(called, lambda value: isinstance(value, str) and compiled.fullmatch(value) is not None)
 
 
 COUNT = Kind("a count", lambda value: type(value) is int and 0 <= value <= LARGEST_WHOLE)
@@ -114,10 +114,10 @@ _tests: dict[int, tuple[Shape, _Test]] = {}
 
 
 def _test_of(shape: Shape) -> _Test:
-    known = _tests.get(id(shape))
-    if known is None:
-        known = _tests[id(shape)] = shape, _make_test(shape)
-    return known[1]
+    test = _tests.get(id(shape))
+    if test is None:
+        test = _tests[id(shape)] = shape, _make_test(shape)
+    return test[1]
 
 
 def _make_test(shape: Shape) -> _Test:

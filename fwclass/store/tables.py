@@ -167,9 +167,9 @@ def _values(column: pa.ChunkedArray, field: pa.Field) -> NDArray:
 def open_parquet(path: Path) -> pq.ParquetFile:
     """A Parquet file; the footer of one with many row groups is kept in memory while the file stays as it is."""
     with legible(path, _TABLE):
-        now, known = _looks(path), _footers.get(str(path))
-        if known is not None and known[0] == now:
-            return pq.ParquetFile(path, metadata=known[1], pre_buffer=False)
+        now, footer = _looks(path), _footers.get(str(path))
+        if footer is not None and footer[0] == now:
+            return pq.ParquetFile(path, metadata=footer[1], pre_buffer=False)
         file = pq.ParquetFile(path, pre_buffer=False)  # to read ahead from a disk of here takes longer than to read
         if file.metadata.num_row_groups >= MANY_GROUPS:
             _keep_footer(str(path), now, file.metadata)

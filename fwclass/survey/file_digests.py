@@ -87,7 +87,7 @@ def remembered(store: Store) -> set[str]:
 def _load(store: Store) -> dict[str, Any]:
     """What was remembered; nothing where that is damaged, and all files are read again."""
     try:
-        known = unseal(store.recall(_INPUTS) or {})
+        digests = unseal(store.recall(_INPUTS) or {})
     except (DamagedError, TypeError, ValueError):
         return {}
-    return known if all(isinstance(v, list) and len(v) >= 3 for v in known.values()) else {}
+    return digests if all(isinstance(v, list) and len(v) >= 3 for v in digests.values()) else {}

@@ -70,7 +70,7 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
                 got=f"{crs.name}, in {', '.join(units)}",
                 do=_into_metres(source, crs),
             )
-        if not any(crs.equals(known, ignore_axis_order=True) for known, _ in systems):  # whatever they call it
+        if not any(crs.equals(other, ignore_axis_order=True) for other, _ in systems):  # whatever they call it
             systems.append((crs, path))
     fuller = with_heights([crs for crs, _ in systems])
     if len(systems) > 1 and fuller is None:

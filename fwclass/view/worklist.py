@@ -60,9 +60,9 @@ class WorkList:
 
     def of(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:
         """(rows,), which of `places` unsure echoes at `x`, `y` belong to; -1 for none."""
-        known = dict(zip(map(tuple, self.squares.tolist()), self.number.tolist(), strict=True))
+        number_of = dict(zip(map(tuple, self.squares.tolist()), self.number.tolist(), strict=True))
         squares, at = np.unique(_squares(x, y, self.cell), axis=0, return_inverse=True)
-        place = np.array([known.get((i, j), -1) for i, j in squares.tolist()], np.int64)
+        place = np.array([number_of.get((i, j), -1) for i, j in squares.tolist()], np.int64)
         return np.asarray(place[at.ravel()], np.int64)
 
 

@@ -68,8 +68,8 @@ class Workflow:
         """
         config = config if self.settle is None else self.settle(config)
         classifying = [s for s in self.stages if s.name == CLASSIFY_REGULARIZED.name]
-        known = any(s is CLASSIFY_REGULARIZED for s in classifying)
-        if self.classifies and classifying and not known and config.classify.regularize.strength > 0:
+        regularized = any(s is CLASSIFY_REGULARIZED for s in classifying)
+        if self.classifies and classifying and not regularized and config.classify.regularize.strength > 0:
             raise ConfigError(
                 "this workflow's own classifier knows no neighbours that agree",
                 where=f"workflow {self.name}: classify.regularize.strength",
@@ -77,7 +77,7 @@ class Workflow:
                 got=config.classify.regularize.strength,
                 do="--set classify.regularize.strength=0",
             )
-        if not known:
+        if not regularized:
             lines = config.classify.lines.model_copy(update={"codes": ()})
             config = replace(config, classify=config.classify.model_copy(update={"lines": lines}))
         columns = tuple(c for stage in self.stages for c in stage.declares)

@@ -61,12 +61,14 @@ def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], d
 
 def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]:
     """Why codes that the files hold are in no class."""
-    known = {code: m for m in MEANINGS for code in m.codes}
+    meaning_of = {code: m for m in MEANINGS for code in m.codes}
     covered = {code for m in classes for code in m.codes}
     left = {}
     for code, n in sorted(codes.items()):
         if n and code not in covered:
-            words = NO_CLASS.get(code) or (known[code].name if code in known else "no code of the LAS specification")
+            words = NO_CLASS.get(code) or (
+                meaning_of[code].name if code in meaning_of else "no code of the LAS specification"
+            )
             left[str(code)] = f"{words}, {n:,} points"
     return left
 

@@ -79,8 +79,8 @@ def draw_scene(
 
 
 def _of(classes: Sequence[Mapping[str, Any]]) -> list[tuple[int, int, int]]:
-    known = colours(classes)
-    return [known[int(c["code"])] for c in classes]
+    palette = colours(classes)
+    return [palette[int(c["code"])] for c in classes]
 
 
 def _dot(colour: NDArray, name: str) -> Line2D:

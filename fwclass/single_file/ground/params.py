@@ -132,10 +132,10 @@ def _plain_words(message: str) -> str:
 
 
 def _check_preset(name: str | None) -> None:
-    known = conf.presets()
-    if name is not None and name not in known:
+    presets = conf.presets()
+    if name is not None and name not in presets:
         raise ConfigError(
-            "no such preset", where="--preset", expected=", ".join(known), got=name, do=closest(name, known)
+            "no such preset", where="--preset", expected=", ".join(presets), got=name, do=closest(name, presets)
         )
 
 

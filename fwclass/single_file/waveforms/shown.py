@@ -98,9 +98,9 @@ def noise_chances(fits: Fits, waves: Waveforms, pulse: SystemPulse, inflation: f
     """
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     kinds, kind = pulses_of(waves, pulse)
-    known = [*(c for c in pulse.channels if c.freedom > 0.0), None]
+    channels = [*(c for c in pulse.channels if c.freedom > 0.0), None]
     error, sigma = np.full(len(spacing), np.nan), np.full(len(spacing), np.nan)
-    for k, (own, channel) in enumerate(zip(kinds, known, strict=True)):
+    for k, (own, channel) in enumerate(zip(kinds, channels, strict=True)):
         of_shape = (kind == k) & (spacing > 0.0)
         error[of_shape] = height_error(own, channel) if channel else np.sqrt(spacing[of_shape] / own.energy)
         sigma[of_shape] = own.fwhm / (FWHM_PER_SIGMA * spacing[of_shape])

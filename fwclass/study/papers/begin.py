@@ -44,13 +44,13 @@ def _require_further(config: Config) -> None:
 
 def features_like(config: Config, bases: Iterable[str]) -> tuple[str, ...]:
     """The survey's features, and those that it computes besides, that a paper has too, in the paper's order."""
-    known = tuple(dict.fromkeys((*config.features_asked, *config.features.also)))
-    names = tuple(n for b in bases for n in known if base_of(n) == b)
+    columns = tuple(dict.fromkeys((*config.features_asked, *config.features.also)))
+    names = tuple(n for b in bases for n in columns if base_of(n) == b)
     if len(names) < 2:
         raise ConfigError(
             "the survey has too few features of the paper",
             where=f"{config.path}: survey.features",
             expected=", ".join(bases),
-            got=", ".join(known),
+            got=", ".join(columns),
         )
     return names

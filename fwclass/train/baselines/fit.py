@@ -98,9 +98,9 @@ def count_right(
     are of one class. X is float64 (rows, features), without NaN."""
     if len(np.unique(y[learns])) < 2 or not judged.any():
         return 0
-    known = {k: w for k, w in weights.items() if (y[learns] == k).any()} if weights else None
+    of_present = {k: w for k, w in weights.items() if (y[learns] == k).any()} if weights else None
     with _one_thread():
-        svm = _svc(c, gamma, known).fit(X[learns], y[learns])
+        svm = _svc(c, gamma, of_present).fit(X[learns], y[learns])
         return int((svm.predict(X[judged]) == y[judged]).sum())
 
 

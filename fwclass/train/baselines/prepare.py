@@ -23,8 +23,8 @@ def preparation(X: NDArray[np.float32], scaling: str) -> Preparation:
 
 
 def _median(column: NDArray[np.float32]) -> float:
-    known = column[~np.isnan(column)]
-    return float(np.median(known.astype(np.float64))) if len(known) else 0.0
+    finite = column[~np.isnan(column)]
+    return float(np.median(finite.astype(np.float64))) if len(finite) else 0.0
 
 
 def fewer(sample: Sample, rows: int, edge: float = 0.0) -> Sample:
