@@ -29,6 +29,8 @@ MOST_VALUES = 1_000_000
 """Samples of the waveforms that tell of a copy, about, at most."""
 
 ROUNDS = 4
+"""Of taking copies of copies off, and of leaving out what departs."""
+
 STRAY, SMOOTH = 2.0, 0.02
 """Times the usual by which a waveform departs that has an echo where the copy is, and the least singular value that
 counts of the samples before, as a share of the largest."""

@@ -20,8 +20,14 @@ CORE = 1.3
 """Half width of the part of an echo that its time, height and width are fitted to, in FWHM."""
 
 STEPS = 8
+"""Gauss-Newton steps of every echo."""
+
 MOST_WIDTHS = 1500
+"""Widths, the surest, that tell the one that they share."""
+
 FARTHEST = 12.0
+"""Bound of the parameters of the widths' model: logarithms, log odds, typical errors."""
+
 STRAY = 0.02
 """Share of widths that follow no model."""
 

@@ -20,6 +20,8 @@ ROUNDING = 1.0 / math.sqrt(12.0)
 """Standard deviation of rounding to whole DN."""
 
 MOST_FREEDOM = 1000.0
+"""Degrees of freedom of a noise that varies between waveforms no more than chance lets it."""
+
 FEWEST = 4
 """Samples that a waveform must have clear of echoes to count."""
 
@@ -41,6 +43,8 @@ SWINGING = 1.5
 """From this ratio on what lies below the level is no noise; real receivers have 0.4 to 0.9 (Q680i, Leica, GeoLas)."""
 
 TRIM = 0.025
+"""Share of the values on either side that is left out, or put onto the outermost inside."""
+
 TRIM_LOSS = 0.7588
 """Variance of a normal distribution without its outer 2.5 % on both sides."""
 

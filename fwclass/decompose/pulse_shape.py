@@ -16,6 +16,8 @@ from fwclass.waveforms import Waveforms
 Floats = NDArray[np.floating]
 
 WIDTH_ROUNDS, SHAPE_ROUNDS, STEEP_ROUNDS = 6, 5, 12
+"""Rounds at most in which widths, the shape, and a shape that rises steeply, settle."""
+
 STEADY = 2e-3
 """Share of the width, or of the height, by which two rounds may differ at the end."""
 

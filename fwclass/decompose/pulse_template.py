@@ -23,6 +23,8 @@ GAUSSIAN_RISE = 0.7166
 """Rise time of a Gaussian, 10 to 90 % of its height, over its FWHM."""
 
 STEPS_PER_FWHM = 64.0
+"""Times at which the pulse is stored."""
+
 BEFORE, LEAST_AFTER = 2.5, 1.5
 """Reach of the template ahead of the peak, and its least reach behind it, in FWHM."""
 
@@ -35,10 +37,13 @@ wrong there (a steep rise, an end that is cut off), not the samples: they are ju
 receivers' noise never reaches it: the RIEGL sample's pulse stays byte for byte what it is without."""
 
 ROUNDS = 6
+"""Fits of the spline, after each of which samples far from it count less."""
+
 SURE, FAINTEST = 4.0, 1e-3
 """Standard errors, and share of the height, above which the far part of the pulse is believed."""
 
 RIDGE = 1e-3
+"""Of the normal equations' mean diagonal, put onto second differences of coefficients that no sample determines."""
 
 
 NARROWEST, WIDEST, SIZES = 0.6, 1.8, 65

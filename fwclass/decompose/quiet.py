@@ -44,7 +44,9 @@ FEWEST_CLEAR = 10_000
 LAGS = 32
 """Samples apart that pairs are looked at; in the farther half the noise has forgotten itself."""
 MOST_ORDER = 12
+"""Samples from which the next one is foretold at most."""
 FEWEST_LAGS = 4
+"""Samples apart, at least, that tell where the noise has forgotten itself."""
 
 GAIN_TOLERANCE, WORTH, SURE = 0.1, 0.02, 3.0
 """An order is enough when the variance behind the matched filter is what it is taken for to 10 % (5 % of the

@@ -38,6 +38,8 @@ NEAR = 1.5
 """FWHM behind the end of saturation within which when the recovery begins, and how, is not known."""
 
 ROUNDS, SWEEPS = 3, 3
+"""Fits of the recovery, and passes over the stretches of saturation in each."""
+
 UNKNOWN = 1e8
 """Variance of samples that are not to count [DN^2]."""
 

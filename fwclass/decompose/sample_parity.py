@@ -24,6 +24,7 @@ from fwclass.waveforms import Waveforms
 Floats = NDArray[np.float64]
 
 TRIMMED, ROUNDS = 4.0, 3
+"""Robust deviations beyond which a sample does not count, round by round."""
 
 NONE = (0.0, np.inf)
 """A parity and its standard error, of which nothing is known."""
@@ -120,9 +121,9 @@ def _parity(waves: Waveforms, channel: Channel, least: int, params: ParityParams
     kept = np.ones(len(sums), np.bool_)
     for _ in range(ROUNDS):
         answer = np.linalg.lstsq(known[kept], turns[kept], rcond=None)[0]
-        left = turns - known @ answer
-        sigma = SIGMA_PER_MAD * float(np.median(np.abs(left)))
-        kept = np.abs(left) <= TRIMMED * sigma
+        residual = turns - known @ answer
+        sigma = SIGMA_PER_MAD * float(np.median(np.abs(residual)))
+        kept = np.abs(residual) <= TRIMMED * sigma
     _, one, other = answer
     spread = np.linalg.pinv(known[kept].T @ known[kept])[1:, 1:] * sigma**2
     error = 0.5 * np.sqrt(max(float(spread.sum()), 0.0))

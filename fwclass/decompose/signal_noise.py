@@ -29,9 +29,11 @@ _Key = tuple[float, float, tuple[int, ...]]
 FEWEST = 200
 """Bright single echoes below which nothing is said."""
 MOST_SAMPLES = 2_000_000
+"""Of the waveforms that are fitted for it, about, at most."""
 BRIGHT = 2.0
 """Standard deviations of the noise from which a sample belongs to an echo here."""
 PARAMETERS = 3
+"""Of an echo: height, time and width."""
 ROUNDS, CUTS = 24, 100
 """Fits and regressions at most."""
 SETTLED, LEAST = 0.005, 5e-5
@@ -162,10 +164,10 @@ def _single(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Deco
     signal, noise = signal_of(fits, part, pulse, params), channel.autoregression
     whole = np.arange(len(row)) - np.repeat(part.offsets[:-1], lengths) >= len(noise.phi)
     use = np.flatnonzero(whole & one[row])
-    left = np.convolve(np.nan_to_num(part.samples - signal - fits.baseline[row]), noise.filter)[use]
+    residual = np.convolve(np.nan_to_num(part.samples - signal - fits.baseline[row]), noise.filter)[use]
     height = np.full(rows, np.nan)
     height[fits.row] = fits.amplitude
-    return _Single(left, signal[use], row[use], np.where(one, height, np.nan))
+    return _Single(residual, signal[use], row[use], np.where(one, height, np.nan))
 
 
 class _Bright(NamedTuple):

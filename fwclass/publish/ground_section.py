@@ -10,6 +10,7 @@ from fwclass.publish.sections import number, percent
 FLAGS_LIMIT = {"ptd": 1e-3, "iptd": 1e-3}
 """Share of flags that may differ between blocks and one block; a TIN reaches further than a raster."""
 RASTER_LIMIT = 1e-4
+"""The same of raster filters."""
 ERRORS = (("Type I (ground lost)", "type_i"), ("Type II (other taken)", "type_ii"), ("total", "total_error"))
 CELLS_LIMIT = 1e-3
 """Share of terrain cells that may differ by more than a centimetre."""

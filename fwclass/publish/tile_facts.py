@@ -20,6 +20,7 @@ WORTH = 100
 """Echoes of a tile that is worth a look; one of three strays is not."""
 
 PER_METRE = 1000
+"""Places are counted in whole millimetres."""
 
 _FIELDS = (
     ("Z", 8, "floating"),

@@ -12,6 +12,8 @@ from fwclass.quality.pieces import PlacedStrip
 from fwclass.units import SIGMA_PER_MAD
 
 ROUNDS = 30
+"""At most, of weights that follow the residuals."""
+
 TUKEY = 6.0
 """Standard deviations from which on a pair does not count (Tukey's biweight)."""
 
@@ -87,8 +89,8 @@ def adjust(strips: Sequence[PlacedStrip], pairs: Pairs, max_tilt_error: float) -
         free &= ~unsure
     free &= np.isfinite(error)
     values[free], errors[free] = x.reshape(n, 3)[free], error[free]
-    left = design.residuals(x)
-    return Adjusted(values, errors, counts, sigma, float(np.sqrt((left**2).mean())))
+    residual = design.residuals(x)
+    return Adjusted(values, errors, counts, sigma, float(np.sqrt((residual**2).mean())))
 
 
 class _Design:
@@ -118,11 +120,11 @@ class _Design:
     def solve(self, free: NDArray[np.bool_]) -> tuple[NDArray, NDArray, NDArray, float]:
         """Solution (3 strips), covariance, the share of each unknown that is not seen, and sigma."""
         used = np.flatnonzero(free.ravel())
-        left = np.concatenate([self.dz[some] - np.median(self.dz[some]) for some, _, _ in self.blocks])
+        residual = np.concatenate([self.dz[some] - np.median(self.dz[some]) for some, _, _ in self.blocks])
         x, sigma = np.zeros(3 * self.n), np.nan
         for _ in range(ROUNDS):
-            spread = max(SIGMA_PER_MAD * float(np.median(np.abs(left))), LEAST_SIGMA)
-            far = np.minimum(1.0, (left / (TUKEY * spread)) ** 2)
+            spread = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), LEAST_SIGMA)
+            far = np.minimum(1.0, (residual / (TUKEY * spread)) ** 2)
             weight = self.weight * (1 - far) ** 2
             normal, right = np.zeros((3 * self.n, 3 * self.n)), np.zeros(3 * self.n)
             for some, at, rows in self.blocks:
@@ -134,10 +136,10 @@ class _Design:
             inverse = vector[:, seen] / value[seen] @ vector[:, seen].T
             before, x = x, np.zeros(3 * self.n)
             x[used] = inverse @ right[used]
-            left = self.residuals(x)
+            residual = self.residuals(x)
             inside = np.where(far < 1, self.weight, 0.0)
             freedom = inside.sum() - seen.sum()
-            sigma = float(np.sqrt((inside * left**2).sum() / freedom)) if freedom > 0 else np.nan
+            sigma = float(np.sqrt((inside * residual**2).sum() / freedom)) if freedom > 0 else np.nan
             if np.abs(x - before).max() < LEAST_SIGMA / 100:
                 break
         cov, unseen = np.zeros((3 * self.n, 3 * self.n)), np.zeros(3 * self.n)

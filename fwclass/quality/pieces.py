@@ -16,6 +16,8 @@ SUMS = ("n", "x", "y", "t", "xx", "xy", "yy", "xt", "yt", "tt")
 from the beginning of the span; whole numbers, and exact in any order."""
 
 UNIT, TICK = 0.1, 0.01
+"""m and s: places and times of the sums are whole numbers of these."""
+
 MAX_TIME = 1e12
 """s, beyond which a time is none."""
 

@@ -19,7 +19,9 @@ from fwclass.ground.tin.tin import Tin, tin_heights, tin_raster, unique_points
 from fwclass.units import QUANTUM
 
 _FLOOR = 1e-9
+"""m, so that points of the TIN itself are within a tolerance of 0."""
 _STEEPEST = 0.9
+"""Quantile of the facets' slopes that `angle_of_slope` is taken times."""
 _APART = 6.0
 """Distance of the stand-ins around the cloud [cells]: near enough to follow the ground at its border."""
 

@@ -19,9 +19,13 @@ from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
 
 _MARGIN = 2
+"""Cells around those of the cloud."""
 _BESIDE = 1000.0
+"""mm outside of the cloud's box, where points that close the TIN stand."""
 _NEAREST = 3
+"""Seeds that such a point takes its height from."""
 _SLIDES = 4
+"""Steps in which squares as large as a cell slide over one along each axis."""
 
 
 class Cloud(NamedTuple):
