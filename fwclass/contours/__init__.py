@@ -1,0 +1,1 @@
+"""Contour lines of the terrain: pieces by blocks, smoothed and joined."""

@@ -1,1 +1,1 @@
-"""Waveforms to echoes: Gaussian decomposition."""
+"""Waveforms to echoes: the system's pulse, measured on the survey, fitted to every echo by least squares."""

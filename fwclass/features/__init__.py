@@ -1,0 +1,1 @@
+"""Features of echoes from their neighbours: spheres, cylinders, nearest echoes, cells and pulses."""

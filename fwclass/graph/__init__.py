@@ -1,1 +1,1 @@
-"""Which parts a run has, and what each needs: the edges of the graph, and no more than the edges."""
+"""The stages of a run as records, one file a subject, and the parts that are planned from them."""

@@ -1,4 +1,4 @@
-"""Stages that deliver what leads to the rest: an overview of the echoes, the list of tiles, a QGIS project."""
+"""Stages that deliver the list of tiles, the tiles as polygons, and a QGIS project of the whole delivery."""
 
 from __future__ import annotations
 

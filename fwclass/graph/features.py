@@ -16,7 +16,7 @@ from fwclass.schema import Table
 
 
 def neighbourhood_features(plan: Plan) -> FeatureRequest:
-    """The features of a neighbourhood that a run computes; who asks in another order gets the same part."""
+    """The features of a neighbourhood that a run computes, in an order that does not depend on the survey's list."""
     return FeatureRequest.of(sorted(n for n in plan.computed if is_feature(n)))
 
 

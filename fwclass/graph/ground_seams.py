@@ -1,4 +1,4 @@
-"""What the ground's blocks change: filter and terrain once more in windows that lie elsewhere."""
+"""The stage that measures what cutting the ground into blocks changes: filter and terrain again in other windows."""
 
 from __future__ import annotations
 

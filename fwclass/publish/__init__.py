@@ -1,0 +1,1 @@
+"""Files that are delivered: clouds, rasters, vectors, projects, reports, pictures."""

@@ -1,4 +1,4 @@
-"""What no sound survey shows, and what was not to be missed: a run that is delivered ends by it, or not."""
+"""Whether a delivered run ends with exit code 4: for what no sound survey shows, or a threshold that is missed."""
 
 from __future__ import annotations
 

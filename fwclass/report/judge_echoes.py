@@ -1,4 +1,4 @@
-"""What no sound echoes of one file show: a command on them ends by it, or not."""
+"""Whether a command on one file ends with exit code 4, for what no sound echoes show."""
 
 from __future__ import annotations
 

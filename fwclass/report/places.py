@@ -1,4 +1,4 @@
-"""Where every file of a survey lies: where its coordinate system is used, as its own header has it, near the others."""
+"""Whether every file of a survey lies where its coordinate system is used, where its header says, near the others."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ from fwclass.store.scratch import worker_directory
 _OUTSIDE = re.compile(r'<link rel="shortcut icon" href="https?://[^">]*"[^>]*>')
 """Of a performance report: its icon, which would be fetched."""
 
-MUSTER = 2.0
+LOOK_EVERY = 2.0
 """Seconds between looks at whether workers are missing."""
 
 SLOW_START = 120.0
@@ -121,15 +121,14 @@ def wait_by_monotonic_clock() -> None:
     They wait until a time of the wall clock (`distributed.batched`, tornado's `IOLoop.time`): where that is set back by
     an hour, nothing is sent for one.
     """
-    settle_tracker()
+    quiet_tracker()
     ahead = time.time() - time.monotonic()
     setattr(IOLoop, "time", lambda loop: time.monotonic() + ahead)  # noqa: B010 (a method of theirs, on purpose)
     distributed.batched.time = lambda: time.monotonic() + ahead
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
-    """A terminal sends Ctrl-C to the workers too; only the command heeds it, and ends them. Nor do they heed the wall
-    clock."""
+    """Has a worker ignore Ctrl-C, which a terminal sends to it too and the command answers, and the wall clock."""
 
     name = "unheeding"
 
@@ -213,7 +212,7 @@ class Cluster:
         self._seconds = 3600.0 * part_hours
         self._check_workers()
         if self._cluster is not None:
-            threading.Thread(target=self._muster, daemon=True).start()
+            threading.Thread(target=self._replace_workers, daemon=True).start()
 
     def _check_workers(self) -> None:
         """`FwclassError` if a worker computes by other code than this process, or no worker of this machine lives."""
@@ -246,9 +245,9 @@ class Cluster:
             self._client.retire_workers([address], close_workers=True, remove=True)
         return True
 
-    def _muster(self) -> None:
-        """A worker that was killed while it started is given up by its nanny: start another."""
-        while not self._over.wait(MUSTER):
+    def _replace_workers(self) -> None:
+        """Start another worker for each that its nanny has given up, as it was killed while it started."""
+        while not self._over.wait(LOOK_EVERY):
             if self._cluster is not None and len(self._cluster.workers) < self._wanted:
                 self._cluster.scale(self._wanted)
 
@@ -387,10 +386,10 @@ def data_frame(read: Callable[[str], Any], files: Sequence[str]) -> Any:
     return dask.dataframe.from_map(read, list(files))
 
 
-def settle_tracker() -> None:
-    """Let the tracker of this process hear of those semaphores alone that it was told of.
+def quiet_tracker() -> None:
+    """Keep the resource tracker of this process from printing tracebacks about semaphores that it does not know.
 
-    One that was killed is started again, and prints a traceback for every name that only the first one knew.
+    One that was killed is started again, and is told to forget names that only the first one had.
     """
     tracker: Any = resource_tracker._resource_tracker
     if "_send" in vars(tracker):  # done before
@@ -399,13 +398,13 @@ def settle_tracker() -> None:
 
     def send_known(command: str, name: str, kind: str) -> None:
         tracker.ensure_running()
-        thing = (tracker._pid, name, kind)
+        semaphore = (tracker._pid, name, kind)
         if command == "REGISTER":
-            registered.add(thing)
-        elif thing not in registered:
+            registered.add(semaphore)
+        elif semaphore not in registered:
             return
         else:
-            registered.remove(thing)
+            registered.remove(semaphore)
         with suppress(OSError):  # it was killed since; Python's own `_send` would tell the next one of this name
             os.write(tracker._fd, f"{command}:{name}:{kind}\n".encode("ascii"))
 

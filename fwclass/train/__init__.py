@@ -1,0 +1,1 @@
+"""Training: the sample that is drawn, trees and forests, importance of features, other kinds of classifier."""

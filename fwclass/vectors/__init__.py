@@ -1,0 +1,1 @@
+"""Outlines of buildings, and tops and crowns of trees, from classified echoes."""

@@ -1,0 +1,1 @@
+"""The level of standing and running water, and its shores."""
