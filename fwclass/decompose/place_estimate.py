@@ -162,13 +162,13 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             walks = len(curve.offsets) > 1
             if (curve.phase or walks) and _placed_alike(sample, fits, near, gap):
                 curve = replace(curve, heights=curve.heights[:1], offsets=(0.0,), phase=False, alike=walks)
-            left = gap[near] - curve.at(fits.amplitude[near])
+            residual = gap[near] - curve.at(fits.amplitude[near])
             location = sample.pulses["anchor_time"].astype(np.float64)[fits.row[near]]
             pieces = np.array_split(np.arange(len(near)), PIECES)  # by pulse, as rows are
-            stretch = _stretch(left, location) or max((_stretch(left[p], location[p]) for p in pieces), key=abs)
-            drift = 0.0 if curve.phase or curve.alike else _drift([left[p] for p in pieces])
-            astray = float((np.abs(left) > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
-            slipped = 0.0 if curve.phase or curve.alike else _slipped(left / spacing, within / float(spacing))
+            stretch = _stretch(residual, location) or max((_stretch(residual[p], location[p]) for p in pieces), key=abs)
+            drift = 0.0 if curve.phase or curve.alike else _drift([residual[p] for p in pieces])
+            astray = float((np.abs(residual) > ASTRAY / METRES_PER_NS + SURE * fits.time_sigma[near]).mean())
+            slipped = 0.0 if curve.phase or curve.alike else _slipped(residual / spacing, within / float(spacing))
             receivers = next((c.receivers for c in pulse.channels[int(k) : int(k) + 1]), ())
             curve = replace(
                 curve,
@@ -279,15 +279,15 @@ def _curve(gap: Floats, height: Floats, spacing: float, saturation: float) -> Of
             np.array([constant if abs(constant) > SURE * whole else 0.0]),
         )
     curve = OffsetCurve(spacing, saturation, tuple(heights), tuple(offsets), constant, 0.0, len(gap), False)
-    left = gap - curve.at(height)
-    (low, high), far = np.quantile(left, [0.25, 0.75]), np.quantile(np.abs(left), PHASE_SHARE)
+    residual = gap - curve.at(height)
+    (low, high), far = np.quantile(residual, [0.25, 0.75]), np.quantile(np.abs(residual), PHASE_SHARE)
     return OffsetCurve(
         spacing,
         saturation,
         tuple(float(v) for v in heights),
         tuple(float(v) for v in offsets),
         constant,
-        float(_robust(left)[1]),
+        float(_robust(residual)[1]),
         len(gap),
         bool(high - low >= PHASE_SPREAD * spacing and far <= PHASE_REACH * spacing),
     )

@@ -93,8 +93,8 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
         peak, height, width = bright_peaks(waves, level, noise, params)
     of = [k for k, _ in parted]
     kinds, clips, steps = kinds[of], clips[of], steps[of]
-    known, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
-    for k, channel in known.items():
+    receiver, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
+    for k, channel in receiver.items():
         noise[group == k] = channel.noise
     pulses: dict[int, SystemPulse] = {}
     bright = (peak >= 0) & (group >= 0)
@@ -116,7 +116,7 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
             step=float(steps[k]),
             receivers=parted[k][1],
         )
-        for k, channel in known.items()
+        for k, channel in receiver.items()
     ]
     return replace(strip, channels=tuple(channels))
 
@@ -212,12 +212,12 @@ def _prefer_recorded(
     """The `recorded` pulse of `channel`, where the `echoes` do not show theirs; else `pulse`."""
     if recorded is None or params.width:
         return pulse
-    left = recorded.of(next((c for c in recorded.channels if c.key[:2] == channel), None))
-    if left.echoes < FEWEST:
+    outgoing = recorded.of(next((c for c in recorded.channels if c.key[:2] == channel), None))
+    if outgoing.echoes < FEWEST:
         return pulse
-    if echoes is not None and (pulse.fwhm < FAR * left.fwhm or _share_a_width(echoes)):
+    if echoes is not None and (pulse.fwhm < FAR * outgoing.fwhm or _share_a_width(echoes)):
         return pulse
-    return replace(left, echoes=0, outgoing=left.echoes, channels=())
+    return replace(outgoing, echoes=0, outgoing=outgoing.echoes, channels=())
 
 
 def _share_a_width(echoes: Echoes) -> bool:

@@ -60,8 +60,8 @@ def spacing_ratio(sample: Waveforms, fits: Fits, late: Floats) -> float:
         return 1.0
     ratio = math.exp(float(np.median(near)))
     for _ in range(ROUNDS):
-        left = np.abs(begin + ratio * time)
-        level = left <= MOST_BENT * max(float(np.median(left)), 1e-9)
+        residual = np.abs(begin + ratio * time)
+        level = residual <= MOST_BENT * max(float(np.median(residual)), 1e-9)
         a, b = begin[level], time[level]
         both, product = float((a * a).sum() * (b * b).sum()), -float((a * b).sum())
         if len(a) < FEWEST or product <= 0.0 or product**2 < ALONE * both:

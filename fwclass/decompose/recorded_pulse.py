@@ -30,7 +30,7 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
     outgoing = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
     rows = []
     for channel in pulse.channels or (None,):
-        own, left = pulse.of(channel), outgoing.get(channel.key, recorded) if channel else recorded
+        own, as_sent = pulse.of(channel), outgoing.get(channel.key, recorded) if channel else recorded
         rows.append(
             {
                 "sample_spacing": channel and channel.sample_spacing,
@@ -40,7 +40,7 @@ def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None, params: Dec
                 "fwhm": own.fwhm,
                 "echoes": own.echoes,
                 "outgoing": own.outgoing,
-                "recorded_fwhm": left and left.fwhm,
+                "recorded_fwhm": as_sent and as_sent.fwhm,
                 "misfit": channel and channel.misfit,
                 "further_detection": further_share(channel, params),
                 "correlated": bool(channel and channel.phi),

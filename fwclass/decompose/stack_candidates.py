@@ -197,8 +197,8 @@ def _match(
     pulse: SystemPulse,
 ) -> Candidates | None:
     """The products of the `wanted` rows whose samples reach around the surface, channel by channel."""
-    left = -np.repeat(np.nan_to_num(fits.baseline), np.diff(waves.offsets)) - signal_of(fits, waves, pulse, fit)
-    left += waves.samples
+    residual = -np.repeat(np.nan_to_num(fits.baseline), np.diff(waves.offsets)) - signal_of(fits, waves, pulse, fit)
+    residual += waves.samples
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     kinds, kind = pulses_of(waves, pulse)
     channels = [*(c for c in pulse.channels if c.freedom > 0.0), None]
@@ -207,7 +207,7 @@ def _match(
         mine = np.flatnonzero(wanted & (spacing == step) & (kind == which))
         speed = np.sqrt((velocity[mine] ** 2).sum(axis=1))
         shape = _Shape.of(kinds[int(which)], channels[int(which)], float(step), params.window / float(speed.max()))
-        parts.append(_of_kind(waves, strip, fits, mine, start, velocity, met, echoes, left, shape, params))
+        parts.append(_of_kind(waves, strip, fits, mine, start, velocity, met, echoes, residual, shape, params))
     some = [p for p in parts if p is not None]
     return Candidates.joined(some) if some else None
 

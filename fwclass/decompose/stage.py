@@ -86,9 +86,9 @@ def decompose(
     names = ECHO_COLUMNS if bathymetry is None else (*ECHO_COLUMNS, *BATHYMETRY_COLUMNS)
     table = Table({name: echoes[name] for name in names})
     own = table.take(_echo_of_return(table, links))
-    seen = (own["origin"] == FITTED) & (own["fit_flags"] & (SATURATED | VENDOR_KEPT) == 0)
+    measured = (own["origin"] == FITTED) & (own["fit_flags"] & (SATURATED | VENDOR_KEPT) == 0)
     lone = returns_without_echo(waves, table, links, params)
-    odd = odd_waveforms(waves) | belonging(waves, own, seen)
+    odd = odd_waveforms(waves) | belonging(waves, own, measured)
     return table, links, {**judged, "returns_without_echo": lone, **odd}
 
 

@@ -86,22 +86,22 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
     empty, or there is no such tile.
     """
     delivery, keys = open_run(run), sorted(set(tiles))
-    known = {str(t["tile"]): t for t in delivery.tiles}
+    by_key = {str(t["tile"]): t for t in delivery.tiles}
     for key in keys:
-        if key not in known:
+        if key not in by_key:
             raise ConfigError(
                 "no such tile in this delivery",
                 where=delivery.path,
                 expected="names of files in laz/tiles",
                 got=key,
-                do=nearest(key, list(known)[:50]),
+                do=nearest(key, list(by_key)[:50]),
             )
     with whole_directory(directory) as beside:
-        labels = {key: _copy_tile(delivery, Path(known[key]["file"]), key, beside) for key in keys}
-        _write_project(delivery, [known[key] for key in keys], beside)
+        labels = {key: _copy_tile(delivery, Path(by_key[key]["file"]), key, beside) for key in keys}
+        _write_project(delivery, [by_key[key] for key in keys], beside)
         note = Note(str(delivery.root), delivery.report["survey"], delivery.path.name, labels)
         write_json(beside / NOTE, asdict(note))
-    echoes = sum(int(known[key]["echoes"]) for key in keys)
+    echoes = sum(int(by_key[key]["echoes"]) for key in keys)
     size = sum(tile_file(directory, key).stat().st_size for key in keys)
     collect = shlex.join(("fwclass", "label", "collect", str(directory)))
     return (

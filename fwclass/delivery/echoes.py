@@ -188,8 +188,8 @@ def table_row(path: Path, names: Sequence[str], row: int) -> dict[str, Any]:
 
 def _there(file: pq.ParquetFile, names: Sequence[str]) -> list[str]:
     """Those of the columns that a file has."""
-    known = set(file.schema_arrow.names)  # which is read from the file's head every time
-    return [n for n in names if n in known]
+    in_file = set(file.schema_arrow.names)  # which is read from the file's head every time
+    return [n for n in names if n in in_file]
 
 
 @contextmanager

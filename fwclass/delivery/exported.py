@@ -35,8 +35,8 @@ class ExportedRun(ViewedRun):
     def colours(self) -> Sequence[str]:
         """The columns that the delivered COPC has, strips, and what is right and differs."""
         delivered = [f["name"] for f in table_fields(self.delivery.table(next(iter(self.tiles))))]
-        left = {*delivered} - {*copc_columns(delivered), "strip"} | {*DRAWN}
-        return [f["name"] for f in self.index()["columns"] if f["name"] not in left]
+        left_out = {*delivered} - {*copc_columns(delivered), "strip"} | {*DRAWN}
+        return [f["name"] for f in self.index()["columns"] if f["name"] not in left_out]
 
     def scale(self, part: str) -> dict[str, Any]:
         """As that of the viewer, with names of files alone: where they lie on this host is nobody's business."""

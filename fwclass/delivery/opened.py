@@ -353,6 +353,6 @@ class Far:
     def __call__(self, names: Sequence[str]) -> None:
         """The files of these names, and for one that ends with ``/`` all below it; what is not there is passed over."""
         below = tuple(name for name in names if name.endswith("/"))
-        wanted = {n: f for n, f in self._listed.items() if n in names or n.startswith(below)}
-        if wanted:
-            self._generations.files.fetch(self._generation.key, wanted)
+        files = {n: f for n, f in self._listed.items() if n in names or n.startswith(below)}
+        if files:
+            self._generations.files.fetch(self._generation.key, files)

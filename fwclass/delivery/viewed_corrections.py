@@ -150,19 +150,19 @@ class Corrections:
     def add(self, columns: Mapping[str, NDArray], code: int) -> Change:
         """Give the echoes (strip, pulse, echo_number, x, y, z) the class `code`, `TAKEN_BACK` for none."""
         now = 0
-        wanted = EchoLabels.of(columns, np.full(len(columns["strip"]), code), 0, self.who)
+        corrections = EchoLabels.of(columns, np.full(len(columns["strip"]), code), 0, self.who)
 
         def change(earlier: EchoLabels) -> EchoLabels:
             nonlocal now
             now = _next(earlier)
-            stands = _standing_codes(earlier, wanted.key)
+            stands = _standing_codes(earlier, corrections.key)
             return EchoLabels.of(
-                {n: v[stands != code] for n, v in columns.items()}, wanted.code[stands != code], now, self.who
+                {n: v[stands != code] for n, v in columns.items()}, corrections.code[stands != code], now, self.who
             )
 
         rows = add_corrections(self._delivery.root, change).rows
         self._ask_again = 0.0
-        return Change(now if rows else 0, rows, wanted.rows - rows)
+        return Change(now if rows else 0, rows, corrections.rows - rows)
 
     def revert(self, when: int) -> Change:
         """Give the echoes of the rows that this user wrote at `when` what they had before; not those that have another

@@ -122,8 +122,8 @@ def oriented_inclination(chunk: Chunk, scale: Scale, params: FeaturesParams) -> 
 
 def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, tuple[str, ...]]:
     """`scales` without `base`, and without scales that nothing is left of."""
-    left = {scale: tuple(b for b in bases if b != base) for scale, bases in scales.items()}
-    return {scale: bases for scale, bases in left.items() if bases}
+    scales_left = {scale: tuple(b for b in bases if b != base) for scale, bases in scales.items()}
+    return {scale: bases for scale, bases in scales_left.items() if bases}
 
 
 def name_features(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:

@@ -53,13 +53,13 @@ def vector_gdal() -> Any:
     others = sorted(set(pyogrio.list_drivers()) - DRIVERS)
     pyogrio.set_gdal_config_options(_OPTIONS | {"GDAL_SKIP": ",".join(others)})
     _ogr._register_drivers()  # takes those away that are to be skipped
-    left = sorted(set(pyogrio.list_drivers()) - DRIVERS)
-    if left:
+    drivers = sorted(set(pyogrio.list_drivers()) - DRIVERS)
+    if drivers:
         raise FwclassError(
             "GDAL cannot be kept from opening files of other formats",
             where=f"pyogrio {pyogrio.__version__}",
             expected="drivers of GeoPackage, GeoJSON and Shapefile alone",
-            got=", ".join(left),
+            got=", ".join(drivers),
             do="install the version of pyogrio that requirements.lock names, or convert the polygons to GeoParquet",
         )
     return pyogrio

@@ -47,5 +47,5 @@ def fine_layer(plan: Plan) -> FineLayer | None:
 
 
 def _layer(plan: Plan, pair: tuple[int, int], within: float, names: tuple[str, ...]) -> FineLayer:
-    known = {*plan.names, *plan.computed}
-    return FineLayer(pair, within, names, tuple(n for n in names if n not in known))
+    computed = {*plan.names, *plan.computed}
+    return FineLayer(pair, within, names, tuple(n for n in names if n not in computed))

@@ -62,19 +62,19 @@ def surroundings(
 ) -> BlockEchoes:
     """Echoes of `block` grown by `halo` [m] from the tiles that are there."""
     box, here = block.box.grown(halo), set(present)
-    wanted = {**dict.fromkeys(("x", "y"), "tile"), **columns}
+    stages = {**dict.fromkeys(("x", "y"), "tile"), **columns}
     tables, owned, pieces = [], [], []
     for key in TileGrid(tile_size).keys_touching(box):
         if key not in here:
             continue
-        table = inputs.rows(key, wanted, box).select(wanted)
+        table = inputs.rows(key, stages, box).select(stages)
         own = block.box.contains(table["x"], table["y"])
         tables.append(table)
         owned.append(own)
         if own.any():
             pieces.append((key, int(own.sum())))
     if not tables:
-        return BlockEchoes(Table.empty(wanted), np.zeros(0, bool), ())
+        return BlockEchoes(Table.empty(stages), np.zeros(0, bool), ())
     return BlockEchoes(Table.concat(tables), np.concatenate(owned), tuple(pieces))
 
 
@@ -99,14 +99,14 @@ def filter_block(here: StageInputs, params: GroundParams) -> Result:
 def flags_of_block(around: BlockEchoes, flags: Flags) -> tuple[Table, dict[str, Any]]:
     """What a filter says of all echoes around a block, as the block's part: of its own ones alone."""
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
-    seen = around.own & ((around.table["fit_flags"] & IMPLAUSIBLE) == 0)
+    plausible = around.own & ((around.table["fit_flags"] & IMPLAUSIBLE) == 0)
     return table, {
         **around.facts(table),
         "ground": int(table["ground"].sum()),
         "noise": int(table["noise"].sum()),
         "rows": table.rows,
-        "seen": int(seen.sum()),
-        "last": int((seen & last_of(around.table)).sum()),
+        "seen": int(plausible.sum()),
+        "last": int((plausible & last_of(around.table)).sum()),
     }
 
 

@@ -68,17 +68,17 @@ def judge(
     places: Places,
 ) -> Result:
     """What one trial has right."""
-    looked = search_rows(sample, svm, places.edge)
+    searched = search_rows(sample, svm, places.edge)
     c, gamma, fold = trial
-    return right(looked, places.folding(looked, svm.folds), fold, c, gamma, svm, scaling, weights)
+    return right(searched, places.folding(searched, svm.folds), fold, c, gamma, svm, scaling, weights)
 
 
 def gather_trials(
     inputs: PartInputs, parts: tuple[str, ...], sample: Sample, svm: RbfSvmParams, places: Places
 ) -> dict[str, object]:
     """What all trials together say; see `search_summary`."""
-    looked = search_rows(sample, svm, places.edge)
+    searched = search_rows(sample, svm, places.edge)
     pairs = pairs_of(svm)
     metas = [{n: int(inputs.meta(MACHINE_SEARCH, p)[n]) for n in ("right", "judged")} for p in parts]
     counts = [metas[k * svm.folds : (k + 1) * svm.folds] for k in range(len(pairs))]
-    return search_summary(looked.rows, places.folding(looked, svm.folds), pairs, counts)
+    return search_summary(searched.rows, places.folding(searched, svm.folds), pairs, counts)

@@ -100,13 +100,13 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
         ]
     notes = []
     for kind in ("amplitude", "width"):
-        wanted = {n: str(one.get("quantity")) for n, one in learned.items() if one.get("of") == kind}
+        quantity_of = {n: str(one.get("quantity")) for n, one in learned.items() if one.get("of") == kind}
         for name, quantities in files.items():
             got = getattr(quantities, kind)
-            other = [n for n, q in wanted.items() if (q != got if kind == "width" else _another(n, q, got))]
+            other = [n for n, q in quantity_of.items() if (q != got if kind == "width" else _another(n, q, got))]
             if not other:
                 continue
-            theirs = wanted[other[0]]
+            theirs = quantity_of[other[0]]
             if {theirs, got} == {FITTED, READ}:
                 notes.append(f"the model learned echo widths {words_of(theirs)}; those of {name} are {words_of(got)}")
                 continue

@@ -46,8 +46,8 @@ LEAST = 5
 def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
     """The survey's recordings in order; `ConfigError` where there are none. `directory`: in place of the survey's."""
     base = directory or config.path.parent / (config.survey.directory or ".")
-    left = {path for pattern in config.survey.exclude for path in matching_paths(pattern, base)}
-    paths = [p for pattern in config.survey.sources for p in matching_paths(pattern, base) if p not in left]
+    excluded = {path for pattern in config.survey.exclude for path in matching_paths(pattern, base)}
+    paths = [p for pattern in config.survey.sources for p in matching_paths(pattern, base) if p not in excluded]
     if not paths:
         raise ConfigError(
             "no recording of this name",
@@ -152,8 +152,8 @@ def rows_of(
     """All returns of the recordings, by blocks of frames; `tell` takes what each recording shows that no sound one does
     (`implausible`), after its last frame."""
     for number, path in enumerate(paths):
-        seen = frames_with_features(path, params, trajectory, tell)
-        yield from _blocks(_rows(number, at, one.frame, one.features) for at, one in enumerate(seen))
+        frames = frames_with_features(path, params, trajectory, tell)
+        yield from _blocks(_rows(number, at, one.frame, one.features) for at, one in enumerate(frames))
 
 
 def answered_rows(

@@ -188,22 +188,22 @@ def _bounds(shapes: Shapes) -> NDArray[np.float64]:
 
 def vector_layers(plan: Plan) -> Names:
     """The layers of a run's ``vectors.gpkg``: of what is asked for, where there is a class of it."""
-    wanted, there = plan.config.vectors, class_names(plan)
-    if not wanted.write:
+    params, there = plan.config.vectors, class_names(plan)
+    if not params.write:
         return ()
-    buildings = any(str(code) in there for code in wanted.buildings.codes)
-    trees = any(str(code) in there for code in wanted.trees.codes)
+    buildings = any(str(code) in there for code in params.buildings.codes)
+    trees = any(str(code) in there for code in params.trees.codes)
     return (*(("buildings",) if buildings else ()), *(("trees", "crowns") if trees else ()))
 
 
 def lacking(plan: Plan) -> str:
     """What a user should know of vectors that a survey's classes do not give; nothing of others."""
-    wanted, layers = plan.config.vectors, vector_layers(plan)
-    codes = {"buildings": wanted.buildings.codes, "trees": wanted.trees.codes}
+    params, layers = plan.config.vectors, vector_layers(plan)
+    codes = {"buildings": params.buildings.codes, "trees": params.trees.codes}
     return "\n".join(
         f"note: vectors have no {name}: no class has code {', '.join(map(str, some))} (vectors.{name}.codes)"
         for name, some in codes.items()
-        if wanted.write and name not in layers
+        if params.write and name not in layers
     )
 
 

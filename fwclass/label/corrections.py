@@ -37,10 +37,10 @@ def match_labels(echoes: Table, labels: Table, reach: float) -> tuple[NDArray[np
     """
     key = canonical_key(labels)
     order = np.argsort(key)
-    wanted = canonical_key(echoes)
-    at = np.searchsorted(key[order], wanted)
+    keys = canonical_key(echoes)
+    at = np.searchsorted(key[order], keys)
     at[at == len(key)] = 0
-    rows = np.flatnonzero(key[order][at] == wanted) if len(key) else np.empty(0, np.int64)
+    rows = np.flatnonzero(key[order][at] == keys) if len(key) else np.empty(0, np.int64)
     own = order[at[rows]]
     far = np.zeros(len(rows))
     for axis in "xyz":

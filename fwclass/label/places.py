@@ -104,14 +104,14 @@ class PlaceCounts:
         ranked = sorted(self.useful(params), key=lambda p: (-p.score, p.box.bounds))
         free = deque(p for p in ranked if not without(p))
         touching: deque[SuggestedPlace] = deque()
-        taken: set[tuple[int, int]] = set()
+        squares: set[tuple[int, int]] = set()
         chosen: list[SuggestedPlace] = []
         while len(chosen) < params.places and (free or touching):
-            while free and self._around(free[0]) & taken:
+            while free and self._around(free[0]) & squares:
                 touching.append(free.popleft())
             waits = bool(free) and not (touching and free[0].score < params.apart * touching[0].score)
             place = (free if waits else touching).popleft()
-            taken.add(self._square(place))
+            squares.add(self._square(place))
             chosen.append(place)
         return chosen
 

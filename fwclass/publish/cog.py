@@ -157,16 +157,16 @@ def _check_place(written: Path, path: Path, profile: Mapping[str, Any]) -> None:
 
     with warnings.catch_warnings(action="ignore"), rasterio.open(written, driver="GTiff") as file:
         crs, place = file.crs, file.transform
-    wanted = profile["crs"]
+    system = profile["crs"]
     if place.almost_equals(profile["transform"]) and (
-        not (wanted and wanted.is_projected) or (crs and crs.is_projected)
+        not (system and system.is_projected) or (crs and crs.is_projected)
     ):
         return
     named = [name for name in ("PROJ_DATA", "PROJ_LIB", "GDAL_DATA") if name in os.environ]
     raise StoreError(
         "a raster comes out without its coordinate system or its place",
         where=path,
-        expected=wanted.to_string() if wanted else "its place",
+        expected=system.to_string() if system else "its place",
         got=crs.to_string() if crs else "none",
         do=f"unset {' and '.join(named)} in the environment"
         if named

@@ -46,8 +46,8 @@ def verify(
     copy_head = replace(read_head(copy), path=copy)
     _same(copy, "the header", _unchanged_header(head), _unchanged_header(copy_head))
     _storage(head, copy_head, packets, copy)
-    wanted = b"".join(extend_records(kept_records(head), extras))
-    _same(copy, "the variable length records", wanted, b"".join(r.raw for r in kept_records(copy_head).records))
+    records = b"".join(extend_records(kept_records(head), extras))
+    _same(copy, "the variable length records", records, b"".join(r.raw for r in kept_records(copy_head).records))
     _same(copy, "the bytes before the points", head.gap, copy_head.gap)
     _verify_extended(head, copy_head, packets)
     first = 0
@@ -79,9 +79,9 @@ def _unchanged_header(head: LasHead) -> bytes:
 
 def _storage(head: LasHead, copy_head: LasHead, packets: Packets, copy: Path) -> None:
     """The header of the copy tells where its packets and extended records are."""
-    wanted = head.encoding & ~INTERNAL | EXTERNAL if packets.internal else head.encoding
-    if copy_head.encoding != wanted:
-        raise differs(copy, "the global encoding", wanted, copy_head.encoding)
+    encoding = head.encoding & ~INTERNAL | EXTERNAL if packets.internal else head.encoding
+    if copy_head.encoding != encoding:
+        raise differs(copy, "the global encoding", encoding, copy_head.encoding)
     if copy_head.packets_start:
         raise differs(copy, "the start of the packet record", 0, copy_head.packets_start)
 
@@ -105,11 +105,11 @@ def _verify_points(
 
 def _verify_extended(head: LasHead, copy_head: LasHead, packets: Packets) -> None:
     with head.path.open("rb") as source, copy_head.path.open("rb") as copy:
-        wanted = [r for r in extended_records(source, head) if is_copied(r, packets)]
-        got = extended_records(copy, copy_head)
-        if len(wanted) != len(got):
-            raise differs(copy_head.path, "the number of extended records", len(wanted), len(got))
-        for a, b in zip(wanted, got, strict=True):
+        records = [r for r in extended_records(source, head) if is_copied(r, packets)]
+        copied = extended_records(copy, copy_head)
+        if len(records) != len(copied):
+            raise differs(copy_head.path, "the number of extended records", len(records), len(copied))
+        for a, b in zip(records, copied, strict=True):
             source.seek(a.start)
             copy.seek(b.start)
             for at in range(0, a.end - a.start, BLOCK):

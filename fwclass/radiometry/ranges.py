@@ -29,8 +29,8 @@ def ranges(echoes: Table, trajectory: Table | None, params: RadiometryParams) ->
     if params.platform_altitude is not None:
         down = -echoes["beam_z"].astype(np.float64)
         drop = params.platform_altitude - echoes["z"]
-        wanted = np.isnan(out) & (down > 0.0) & (drop > 0.0)
-        np.divide(drop, down, out=out, where=wanted)
+        plumb = np.isnan(out) & (down > 0.0) & (drop > 0.0)
+        np.divide(drop, down, out=out, where=plumb)
     out[~np.isfinite(out)] = np.nan
     return out
 

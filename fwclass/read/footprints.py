@@ -257,12 +257,12 @@ def _lvis(path: Path, file: Any) -> tuple[dict[str, str], int, tuple[Beam, ...]]
     there = {name.lower(): name for name in file}
     numbers = [int(m[1]) for name in there if (m := re.fullmatch(r"lon(\d{1,6})", name)) and int(m[1]) > 0]
     last = max(numbers, default=0)
-    wanted = {
+    arrays = {
         **{f"{axis} first": f"{axis}0" for axis in ("lon", "lat", "z")},
         **{f"{axis} end": f"{axis}{last or 'N'}" for axis in ("lon", "lat", "z")},
         "rx": "rxwave",
     }
-    names = _named(path, there, wanted, {"tx": "txwave", "time": "time"}, "LVIS L1B")
+    names = _named(path, there, arrays, {"tx": "txwave", "time": "time"}, "LVIS L1B")
     shape = array_in(path, file, names["rx"], 2).shape
     if shape[1] != last + 1:
         raise InputError(
@@ -279,9 +279,9 @@ def _lvis(path: Path, file: Any) -> tuple[dict[str, str], int, tuple[Beam, ...]]
 
 
 def _gedi(path: Path, file: Any, groups: list[str]) -> tuple[dict[str, str], int, tuple[Beam, ...]]:
-    wanted = {"rx": "rxwaveform", "rx start": "rx_sample_start_index", "rx count": "rx_sample_count"}
+    arrays = {"rx": "rxwaveform", "rx start": "rx_sample_start_index", "rx count": "rx_sample_count"}
     for axis, long in (("lon", "longitude"), ("lat", "latitude"), ("z", "elevation")):
-        wanted |= {f"{axis} first": f"geolocation/{long}_bin0", f"{axis} end": f"geolocation/{long}_lastbin"}
+        arrays |= {f"{axis} first": f"geolocation/{long}_bin0", f"{axis} end": f"geolocation/{long}_lastbin"}
     more = {
         "tx": "txwaveform",
         "tx start": "tx_sample_start_index",
@@ -293,8 +293,8 @@ def _gedi(path: Path, file: Any, groups: list[str]) -> tuple[dict[str, str], int
     beams, at = [], 0
     names: dict[str, str] = {}
     for name in groups:
-        there = {n: n for n in (*wanted.values(), *more.values()) if reach(path, file[name], n)}
-        here = _named(path, there, wanted, more, f"GEDI L1B, {name}")
+        there = {n: n for n in (*arrays.values(), *more.values()) if reach(path, file[name], n)}
+        here = _named(path, there, arrays, more, f"GEDI L1B, {name}")
         names = here if not names else {k: v for k, v in names.items() if k in here}
         shots = int(array_in(path, file[name], here["rx start"]).shape[0])
         _same_length(path, file[name], here, shots)

@@ -114,12 +114,12 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
 
 
 def _direction(path: Path, columns: tuple[str, ...], settings: Settings) -> str:
-    wanted = [n for n in ("dx", "dy", "dz", "spacing_ns") if n in columns]
+    names = [n for n in ("dx", "dy", "dz", "spacing_ns") if n in columns]
     with undamaged(path, EXPECTED), pq.ParquetFile(path) as file:
-        batch = next(file.iter_batches(BLOCK, columns=wanted, use_threads=False), None)
+        batch = next(file.iter_batches(BLOCK, columns=names, use_threads=False), None)
         if batch is None:
             return kind_of_direction(np.empty((0, 3)), np.empty(0), path)
-        numbers = {n: numbers_of(batch.column(n)) for n in wanted}
+        numbers = {n: numbers_of(batch.column(n)) for n in names}
     spacing = numbers.get("spacing_ns", np.full(batch.num_rows, settings.spacing or np.nan))
     return kind_of_direction(np.stack([numbers[n] for n in ("dx", "dy", "dz")], axis=1), spacing, path)
 

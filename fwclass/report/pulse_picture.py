@@ -43,8 +43,10 @@ def receiver_picture(
         for c in (places or {}).get("vendor_offset", ())
     ]
     gaussian = SystemPulse.gaussian(pulse.fwhm).at(time)
-    left = None if recorded is None else recorded.at(time)
-    return draw_receiver(ReceiverPicture(_title(pulse, source), time, pulse.at(time), gaussian, left, spectra, offsets))
+    outgoing = None if recorded is None else recorded.at(time)
+    return draw_receiver(
+        ReceiverPicture(_title(pulse, source), time, pulse.at(time), gaussian, outgoing, spectra, offsets)
+    )
 
 
 def _channel(spacing: float, saturation: float, receivers: Sequence[int]) -> str:

@@ -118,15 +118,15 @@ def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInput
     echoes = inputs.table("decompose", span, columns)
     whole = np.logical_and.reduce([np.isfinite(echoes[n]) for n in columns[1:5]])  # an echo without a fit has no curve
     fitted = np.flatnonzero(whole & (echoes["fit_flags"] & 128 == 0))
-    known, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
-    single = np.isin(known, waves.pulses["pulse"])
-    known, counts = known[single], counts[single]
-    order = np.lexsort((known, counts))
+    numbers, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
+    single = np.isin(numbers, waves.pulses["pulse"])
+    numbers, counts = numbers[single], counts[single]
+    order = np.lexsort((numbers, counts))
     if not len(order):
         return []
     places = np.unique(np.linspace(0, len(order) - 1, WAVES).round().astype(int))
     pulses = []
-    for pulse in known[order[places]].tolist():
+    for pulse in numbers[order[places]].tolist():
         row = int(np.searchsorted(waves.pulses["pulse"], pulse))
         mine = fitted[echoes["pulse"][fitted] == pulse]
         samples = waves.samples[waves.offsets[row] : waves.offsets[row + 1]][:SHOWN_SAMPLES]

@@ -187,14 +187,14 @@ class PartInputs:
 
     def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
         """The overlapping chunk of `tile`: its rows and its neighbours' within `halo` [m], in canonical order."""
-        wanted = {**dict.fromkeys((*IDENTITY, "x", "y"), "tile"), **columns}
-        core = self.rows(tile.key, wanted).select(wanted)
+        stages = {**dict.fromkeys((*IDENTITY, "x", "y"), "tile"), **columns}
+        core = self.rows(tile.key, stages).select(stages)
         parts = [core]
         box, here = tile.box.grown(halo), set(present)
         if halo > 0:
             for key in TileGrid(tile.size, tile.origin).keys_touching(box):
                 if key != tile.key and key in here:
-                    parts.append(self.rows(key, wanted, box).select(wanted))
+                    parts.append(self.rows(key, stages, box).select(stages))
         return Chunk.of(Table.concat(parts), slice(core.rows), tile)
 
     def chunks(
@@ -205,7 +205,7 @@ class PartInputs:
             whole = self.chunk(tile, halo, columns, present)
             yield np.arange(len(whole.core)), whole
             return
-        wanted = {**dict.fromkeys((*IDENTITY, "x", "y"), "tile"), **columns}
+        stages = {**dict.fromkeys((*IDENTITY, "x", "y"), "tile"), **columns}
         own = self.rows(tile.key, dict.fromkeys(("x", "y"), "tile"))
         piece, here = _piece(tile, self.split, own["x"], own["y"]), set(present) | {tile.key}
         for k in range(self.split**2):
@@ -217,7 +217,7 @@ class PartInputs:
             parts, core = [], np.zeros(0, bool)
             for key in TileGrid(tile.size, tile.origin).keys_touching(box):
                 if key in here:
-                    table = self.rows(key, wanted, box).select(wanted)
+                    table = self.rows(key, stages, box).select(stages)
                     mine = np.zeros(table.rows, bool)
                     if key == tile.key:
                         mine = _piece(tile, self.split, table["x"], table["y"]) == k
@@ -250,9 +250,9 @@ class PartInputs:
     ) -> Table:
         """Rows of every tile inside `box`, with x and y."""
         here = set(present)
-        wanted = {**dict.fromkeys(("x", "y"), base), **columns}
-        parts = [self.rows(key, wanted, box, base) for key in TileGrid(size).keys_touching(box) if key in here]
-        return Table.concat([p.select(wanted) for p in parts]) if parts else Table.empty(wanted)
+        stages = {**dict.fromkeys(("x", "y"), base), **columns}
+        parts = [self.rows(key, stages, box, base) for key in TileGrid(size).keys_touching(box) if key in here]
+        return Table.concat([p.select(stages) for p in parts]) if parts else Table.empty(stages)
 
 
 def _check_lengths(arrays: Mapping[str, NDArray], part: str) -> None:

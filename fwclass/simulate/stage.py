@@ -212,14 +212,14 @@ def simulate_strip(params: SimulateParams, strip: StripPlan, out: Path) -> dict[
         laspy.open(_beside(reference), "w", header=reference_header(params)) as labels,
     ):
         for first in range(0, strip.pulses, params.chunk):
-            pulses, got = flyer.fly(first, min(params.chunk, strip.pulses - first))
-            fates += np.bincount(got.fate, minlength=4)
-            classes += np.bincount(got.echo_class, minlength=256)
-            returns += len(got.location)
-            first_byte = wdp.append(got.samples)
-            columns = _return_columns(strip, params.sensor.short_segment, pulses, got, first_byte)
+            pulses, flown = flyer.fly(first, min(params.chunk, strip.pulses - first))
+            fates += np.bincount(flown.fate, minlength=4)
+            classes += np.bincount(flown.echo_class, minlength=256)
+            returns += len(flown.location)
+            first_byte = wdp.append(flown.samples)
+            columns = _return_columns(strip, params.sensor.short_segment, pulses, flown, first_byte)
             write_points(las, columns)
-            write_points(labels, _reference_columns(strip, pulses, got))
+            write_points(labels, _reference_columns(strip, pulses, flown))
     written = sum(_finish(path) for path in (packets, points, reference))
     return {
         "name": strip.name,

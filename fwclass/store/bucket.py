@@ -141,10 +141,10 @@ class Bucket:
         self.delete(key for key in keys if not key.endswith(f"/{first}"))
 
     def fetch(self, below: str, files: Mapping[str, Facts]) -> None:
-        wanted = {n: Download(f"{below}/{n}", int(f["bytes"]), self.root / below / n) for n, f in files.items()}
+        downloads = {n: Download(f"{below}/{n}", int(f["bytes"]), self.root / below / n) for n, f in files.items()}
         digests = {n: str(f["digest"]) for n, f in files.items()}
         try:
-            self.remote.scratch.need(self.objects, f"{self.root.name}/{below}", wanted, digests)
+            self.remote.scratch.need(self.objects, f"{self.root.name}/{below}", downloads, digests)
         except FileNotFoundError as fault:
             raise StoreError(
                 "an object of a finished part is gone",

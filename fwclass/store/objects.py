@@ -159,9 +159,9 @@ class Objects:
         """Remove objects; those that are gone already count as removed."""
         import obstore
 
-        wanted = list(keys)
-        if wanted:
-            self._again(lambda: obstore.delete(self._store, wanted), wanted[0])
+        listed = list(keys)
+        if listed:
+            self._again(lambda: obstore.delete(self._store, listed), listed[0])
 
     def copy(self, source: str, target: str) -> None:
         """Copy an object on the server, of at most `MOST_COPIED` bytes."""

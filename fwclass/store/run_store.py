@@ -335,10 +335,10 @@ class Store:
 
     def clear_staged(self, stage: str, part: str) -> bool:
         """Remove what a lost worker left of one part; whether there was something, so that the part had begun."""
-        left = list((self.directory / "staging").glob(f"*/{stage}/{part}"))
-        for path in left:
+        staged = list((self.directory / "staging").glob(f"*/{stage}/{part}"))
+        for path in staged:
             clear_staged(path.parent.parent)
-        return bool(left)
+        return bool(staged)
 
     def clear_staging(self) -> None:
         """Remove what an interrupted writer left behind (only the holder of the lock calls this)."""

@@ -206,10 +206,10 @@ def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[in
                 got=", ".join(there),
                 do="run again; if that does not help, use a fresh run directory",
             )
-        wanted = list(range(file.metadata.num_row_groups)) if groups is None else groups
-        if not wanted:
+        chosen = list(range(file.metadata.num_row_groups)) if groups is None else groups
+        if not chosen:
             return Table.empty(names)
-        arrow = file.read_row_groups(wanted, columns=names, use_threads=False)
+        arrow = file.read_row_groups(chosen, columns=names, use_threads=False)
         return Table({n: _values(arrow.column(n), arrow.schema.field(n)) for n in names})
 
 

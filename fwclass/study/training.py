@@ -123,8 +123,8 @@ def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict
     layout, names = tested_layout(plan.layout), config.features_asked
     sample = tasks_of(plan, (COUNT_TRAINING_ECHOES, DRAW_SAMPLE, MERGE_SAMPLE))
     columns = {*layout.columns(names).values(), "label", "tile"}
-    wanted = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
-    require_all(runner, ancestors([*tasks, *sample], wanted))
+    parts = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
+    require_all(runner, ancestors([*tasks, *sample], parts))
     return compare_methods(config, runner.store, layout, methods, runner.display.say)
 
 

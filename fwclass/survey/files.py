@@ -51,8 +51,8 @@ def without_excluded(
 
     `InputError`: a pattern matches no file, or nothing is left.
     """
-    left = {str(p) for p in find_files(exclude, directory, "survey.exclude", where, params)}
-    kept = [p for p in places if str(p) not in left]
+    excluded = {str(p) for p in find_files(exclude, directory, "survey.exclude", where, params)}
+    kept = [p for p in places if str(p) not in excluded]
     if not kept:
         raise InputError(
             "every source file is left out",
@@ -60,7 +60,7 @@ def without_excluded(
             got=", ".join(exclude),
             do="leave some in",
         )
-    return kept, tuple(p.name for p in places if str(p) in left)
+    return kept, tuple(p.name for p in places if str(p) in excluded)
 
 
 def _in_any_form(pattern: str, directory: Path) -> list[Path]:
@@ -76,10 +76,10 @@ def in_any_form(path: Path) -> Path:
     there = Path(path.anchor)
     for name in path.parts[len(there.parts) :]:
         if not os.path.lexists(there / name):
-            wanted = unicodedata.normalize("NFC", name)
+            composed = unicodedata.normalize("NFC", name)
             readable = there.is_dir() and os.access(there, os.R_OK)
             entries = there.iterdir() if readable else ()
-            alike = [p.name for p in entries if unicodedata.normalize("NFC", p.name) == wanted]
+            alike = [p.name for p in entries if unicodedata.normalize("NFC", p.name) == composed]
             if len(alike) != 1:
                 return path
             name = alike[0]

@@ -30,13 +30,13 @@ def follow(points: Points, sampled: Points, reach: float) -> NDArray[np.int64]:
     Exact; of equally near ones the one whose cell of the global grid comes first, then the lower row.
     """
     nearest = np.full(len(points[0]), -1, np.int64)
-    left = np.arange(len(nearest))
+    rest = np.arange(len(nearest))
     for k in range(DOUBLINGS, -1, -1):
-        if len(left) == 0:
+        if len(rest) == 0:
             break
         limit = reach if k == 0 else max(0.001, round(reach / 2**k, 3))
-        near, _ = nearest_within((points[0][left], points[1][left], points[2][left]), sampled, limit)
+        near, _ = nearest_within((points[0][rest], points[1][rest], points[2][rest]), sampled, limit)
         hit = near >= 0
-        nearest[left[hit]] = near[hit]
-        left = left[~hit]
+        nearest[rest[hit]] = near[hit]
+        rest = rest[~hit]
     return nearest

@@ -31,10 +31,10 @@ def draw_bag(state, draws, weight):  # type: ignore[no-untyped-def]
 def draw_share(state, draws, weight):  # type: ignore[no-untyped-def]
     """Draw rows without replacement: every row by the odds that the rest must still be filled (Knuth 1997, 3.4.2 S).
     `weight` (rows,) int32 becomes 1 for those that are drawn, 0 for the others."""
-    wanted = draws
+    rest = draws
     for i in range(len(weight)):
-        weight[i] = 1 if below(state, len(weight) - i) < wanted else 0
-        wanted -= weight[i]
+        weight[i] = 1 if below(state, len(weight) - i) < rest else 0
+        rest -= weight[i]
 
 
 def bag(rows: int, tree: int, drawing: Drawing) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:

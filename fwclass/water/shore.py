@@ -76,8 +76,8 @@ def shoreline(
     along -= along[np.searchsorted(body, body)]
     turned = (x[at] > x[at + 1]) | ((x[at] == x[at + 1]) & (y[at] > y[at + 1]))
     low, high = np.where(turned, at + 1, at), np.where(turned, at, at + 1)  # a shared side gets the same places
-    wanted = None if box is None else (box[0] / QUANTUM, box[1] / QUANTUM, box[2] / QUANTUM, box[3] / QUANTUM)
-    edge, share = divide((x[low], x[high]), (y[low], y[high]), length, step, wanted)
+    limits = None if box is None else (box[0] / QUANTUM, box[1] / QUANTUM, box[2] / QUANTUM, box[3] / QUANTUM)
+    edge, share = divide((x[low], x[high]), (y[low], y[high]), length, step, limits)
     places = [np.rint(v[low[edge]] + share * (v[high[edge]] - v[low[edge]])).astype(np.int64) for v in (x, y)]
     piece = np.floor((along[edge] + share * length[edge]) / stretch).astype(np.int64)
     single = _of_one(np.column_stack(places), body[edge])

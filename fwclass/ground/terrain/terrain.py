@@ -138,9 +138,9 @@ def _with_knots(echoes: Points, knots: Points, window: Window) -> Points:
     has_knot = np.zeros(math.prod(window.shape), bool)
     has_knot[cells] = True
     own, _ = cells_of(*echoes[:2], window)
-    left = ~has_knot[own]
+    rest = ~has_knot[own]
     rows = np.flatnonzero(near)
-    x, y, z = (np.concatenate([e[left], k[rows]]) for e, k in zip(echoes, knots, strict=True))
+    x, y, z = (np.concatenate([e[rest], k[rows]]) for e, k in zip(echoes, knots, strict=True))
     return x, y, z
 
 

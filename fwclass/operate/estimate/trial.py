@@ -55,9 +55,9 @@ def trial_of(forecast: Forecast, count: int, root: Path) -> TrialSurvey:
         )
     config = forecast.config
     boxes = tuple(t.box for t in forecast.tiles.heaviest(count))
-    wanted = [b.grown(reach(forecast)) for b in (*boxes, *(_training(config)))]
+    areas = [b.grown(reach(forecast)) for b in (*boxes, *(_training(config)))]
     sources = forecast.facts.sources
-    touching = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
+    touching = [s for s in sources if any(s.bounds.touches(b) for b in areas)]
     left = tuple(s.bounds for s in sources if s not in touching)
     directory = directory_of(config, root)
     if isinstance(directory, Url):
@@ -71,7 +71,7 @@ def trial_of(forecast: Forecast, count: int, root: Path) -> TrialSurvey:
     change: dict[str, Any] = {"directory": str(directory), "sources": names, "exclude": ()}
     reference = config.survey.reference
     if reference.kind == "cloud":
-        change["reference"] = reference.model_copy(update={"files": _clouds(config, directory, wanted)})
+        change["reference"] = reference.model_copy(update={"files": _clouds(config, directory, areas)})
     cut = replace(
         config,
         survey=config.survey.model_copy(update=change),

@@ -34,12 +34,12 @@ class Tiles:
     def inside(self, box: Box, columns: Mapping[str, str], bands: Sequence[Box] | None = None) -> Table:
         """Echoes of all tiles (those that touch one of `bands`, if given) inside `box` with identity, x, y and
         `columns` (by stage), in the row order that a tile of that box would have."""
-        wanted = {**_PLACE, **columns}
+        stages = {**_PLACE, **columns}
         here = [t for t in self.grid.touching(box) if t.key in self.keys]
         here = [t for t in here if bands is None or any(s.touches(t.box) for s in bands)]
-        parts = [self._tile(t.key, wanted) for t in here]
+        parts = [self._tile(t.key, stages) for t in here]
         parts = [t.take(box.contains(t["x"], t["y"])) for t in parts]
-        return assemble(parts, "a tile of the shifted grid") if parts else Table.empty(wanted)
+        return assemble(parts, "a tile of the shifted grid") if parts else Table.empty(stages)
 
     def _tile(self, key: str, wanted: Mapping[str, str]) -> Table:
         self.used.add(key)
@@ -77,11 +77,11 @@ class BandInputs(PartInputs):
         return table.take(square.holds(table["x"], table["y"]))
 
     def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
-        wanted = {**_PLACE, **columns}
-        own = self.rows(tile.key, wanted).select(wanted)
+        stages = {**_PLACE, **columns}
+        own = self.rows(tile.key, stages).select(stages)
         table = own
         if halo > 0:
-            around = self.tiles.inside(tile.box.grown(halo), columns).select(wanted)
+            around = self.tiles.inside(tile.box.grown(halo), columns).select(stages)
             others = ~np.isin(canonical_key(around), canonical_key(own))
             table = Table.concat([own, around.take(others)])
         return Chunk.of(table, slice(own.rows), tile)

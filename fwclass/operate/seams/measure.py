@@ -174,8 +174,8 @@ def compare_moved_blocks(
             break
         block, layout = square.tile, plan.layout
         present = layout.around(stage.box(plan, block), layout.keys)
-        wanted = {**_PLACE, **dict.fromkeys(columns, stage_of_tiles)}
-        stored = surroundings(inputs, block, 0.0, plan.config.tile.size, wanted, present).table
+        stages = {**_PLACE, **dict.fromkeys(columns, stage_of_tiles)}
+        stored = surroundings(inputs, block, 0.0, plan.config.tile.size, stages, present).table
         near = square.holds(stored["x"], stored["y"])
         if not near.any():
             continue

@@ -80,11 +80,11 @@ def choose_squares(
     candidates: Sequence[ShiftedSquare], share: float, length: float | None, seed: int
 ) -> list[ShiftedSquare]:
     """Places drawn until they have `share` of all borders, or `length` [m] of them; at least one if there is one."""
-    wanted = share * sum(p.length for p in candidates) if length is None else length
+    most = share * sum(p.length for p in candidates) if length is None else length
     squares: list[ShiftedSquare] = []
     have = 0.0
     for k in draw_order([p.tile for p in candidates], seed):
-        if squares and have >= wanted:
+        if squares and have >= most:
             break
         squares.append(candidates[k])
         have += candidates[k].length

@@ -109,12 +109,12 @@ def as_text(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
     rows += _failed(status, request)
     if status.ends is not None and status.fault is None:
         rows.append(f"which other parts there are is known once those are made ({status.ends})")
-    left = others(status, request)
-    others_by_stage = ", ".join(f"{stage} {n}" for stage, n in left.items())
+    surplus = others(status, request)
+    others_by_stage = ", ".join(f"{stage} {n}" for stage, n in surplus.items())
     if status.fault is not None:
         rows += [f"a run would end here: {status.fault}", "so it cannot be told which parts are stale"]
-        return "\n".join([*rows, f"the store holds {others_by_stage}"] if left else rows)
-    if left:
+        return "\n".join([*rows, f"the store holds {others_by_stage}"] if surplus else rows)
+    if surplus:
         rows.append(f"besides, the store holds parts that the plan does not name (so far): {others_by_stage}")
     rows += [text_of(row) for row in by_libraries(status.libraries, status.store)]
     return "\n".join([*rows, _verdict(status, request, writer)])

@@ -182,9 +182,9 @@ def _put(change: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 def _place(params: GroundParams, name: str, text: str) -> tuple[str, ...]:
     """Where in the section `ground` a parameter stands."""
-    known = names_of(params)
+    places_of = names_of(params)
     plain = name.replace("-", "_").lower()
-    places = known.get(plain, ())
+    places = places_of.get(plain, ())
     if len(places) == 1:
         return places[0]
     if places:
@@ -199,9 +199,9 @@ def _place(params: GroundParams, name: str, text: str) -> tuple[str, ...]:
     raise ConfigError(
         f"{params.method} has no parameter {name!r}",
         where=f"--param {text}",
-        expected=", ".join([*_listed(known), "noise.<name>"]),
+        expected=", ".join([*_listed(places_of), "noise.<name>"]),
         got=name,
-        do=closest(plain, known),
+        do=closest(plain, places_of),
     )
 
 

@@ -68,9 +68,9 @@ def optimize(
     cloud = read_point_cloud(source, given_crs(crs, "--crs"))
     tell("reading")
     truth, shown = labels_of(cloud, reference), shown_points(cloud)
-    seen = shown & ~filter_cloud(cloud, shown, params).noise
+    judged = shown & ~filter_cloud(cloud, shown, params).noise
     half = halves(cloud.x, cloud.y, cloud.usable)
-    trial = FilterTrial((cloud.x, cloud.y, cloud.z), cloud.last, seen, half, truth, params, ranges)
+    trial = FilterTrial((cloud.x, cloud.y, cloud.z), cloud.last, judged, half, truth, params, ranges)
     start = start_of(params, ranges)
     runs = 3 * most_runs(ranges, limits)
     tell(f"{params.method}: how long a run takes")

@@ -83,9 +83,9 @@ def look(
         check_source(source, read)
         with strip_of(source, settings) as strip:
             pulse, noise, places = strip.pulse(), strip.noise(), strip.places()
-            wanted = strip.spans if not pulses else _with(strip.spans, pulses, path)
+            spans = strip.spans if not pulses else _with(strip.spans, pulses, path)
             inflation = float(noise["inflation"] or 1.0)
-            views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in wanted)
+            views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in spans)
             recorded = _recorded(strip, settings)
             chosen, counts = _named_pulses(views, pulses, pulse, path) if pulses else _telling(views, pulse)
             remarks = [] if pulses else _remarks(strip, noise, params)

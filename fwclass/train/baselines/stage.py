@@ -155,9 +155,9 @@ def _rbf(
     prepare, weights = _prepare(sample, compare, card), machine_weights(sample, params, classes)
     c, gamma = svm.c[0], svm.gamma[0]
     if len(svm.c) * len(svm.gamma) > 1:
-        looked = search_rows(all_rows, svm, places.edge)
+        searched = search_rows(all_rows, svm, places.edge)
         search_result = search_result or search(
-            looked, places.folding(looked, svm.folds), svm, compare.scaling, weights
+            searched, places.folding(searched, svm.folds), svm, compare.scaling, weights
         )
         c, gamma = search_result["c"], search_result["gamma"]
         card["search"] = {n: search_result[n] for n in ("rows", "folds", "blocks", "tried")}
