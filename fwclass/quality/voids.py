@@ -13,6 +13,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.grid import Box, Window
+from fwclass.quality.pieces import groups_of
 
 LISTED = 1000
 """Largest voids that are told one by one."""
@@ -84,10 +85,8 @@ class CellGroups:
         facts = np.concatenate([np.empty((0, 6), np.int64), *self._facts])
         joins = np.concatenate([np.empty((0, 2), np.int64), *self._joins])
         n, cell = len(facts), self._window.cell
-        graph = scipy.sparse.coo_matrix((np.ones(len(joins), np.int8), (joins[:, 0], joins[:, 1])), shape=(n, n))
-        number, of = (
-            scipy.sparse.csgraph.connected_components(graph, directed=False) if n else (0, np.empty(0, np.int64))
-        )
+        of = groups_of(n, joins[:, 0], joins[:, 1])
+        number = int(of.max(initial=-1)) + 1
         cells = np.bincount(of, facts[:, 0], minlength=number)
         low = np.full((number, 2), np.iinfo(np.int64).max)
         high = np.full((number, 2), np.iinfo(np.int64).min)

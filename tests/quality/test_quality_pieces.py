@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
+from fwclass.quality import pieces as of_quality
 from fwclass.quality.pieces import NO_TIME, PlacedStrip, groups_of, lines, pieces_of, strips_of
 
 GAP = 10.0
@@ -101,8 +102,12 @@ def test_strips_hang_together_by_their_pairs() -> None:
     assert groups_of(3, np.empty(0, int), np.empty(0, int)).tolist() == [0, 1, 2]
 
 
+@pytest.mark.parametrize("few", [0, 1000])
 @pytest.mark.parametrize("strips", [1, 7, 200])
-def test_groups_are_those_of_scipy_by_their_lowest_strip(strips: int) -> None:
+def test_groups_are_those_of_scipy_by_their_lowest_strip(
+    strips: int, few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_quality, "FEW", few)
     rng = np.random.default_rng(strips)
     for pairs in (strips // 3, strips // 2, strips, 5 * strips):
         first, second = rng.integers(0, strips, (2, pairs))
