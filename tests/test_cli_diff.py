@@ -97,7 +97,7 @@ def test_two_generations(runs):
         found
     )
     found["accuracy"]["paired"]["kappa"]["interval"] = [-0.02, 0.01]
-    assert "LOST        overall accuracy, mean iou\n" in describe(found), "what chance explains was lost, too"
+    assert "LOST        overall accuracy, mean IoU\n" in describe(found), "what chance explains was lost, too"
     assert "by chance   kappa: lower, and their intervals hold 0" in describe(found)
     found["accuracy"]["tested"][1] -= 40
     assert "tested echoes, not the same ones" in describe(found)
@@ -136,7 +136,7 @@ def test_a_run_that_is_worse_than_the_one_before_says_so(runs):
 def test_the_words_say_what_was_lost(runs):
     ended = fwclass("diff", "r", "1", "2", cwd=runs)
     assert "survey.features: ['zc', 'height_range_c100'] -> ['amplitude']" in ended.stdout
-    assert "LOST        overall accuracy, kappa, mean iou" in ended.stdout and "from bush to ground" in ended.stdout
+    assert "LOST        overall accuracy, kappa, mean IoU" in ended.stdout and "from bush to ground" in ended.stdout
 
 
 @pytest.mark.slow

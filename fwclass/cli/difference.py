@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, PATH, cli
+from fwclass.errors import visible
 
 
 @cli.command()
@@ -30,4 +31,5 @@ def diff(run: Path, others: tuple[str, ...], gpkg: Path | None, overwrite: bool,
     result, changes = difference(first, second)
     if gpkg is not None:
         write_places(gpkg, changes, crs_of(second))
+        click.echo(f"written: {visible(gpkg)}", err=True)
     click.echo(json.dumps(result, indent=1) if as_json else describe(result))

@@ -11,7 +11,7 @@ import click
 
 from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, RUN, SET, Finite, cli
 from fwclass.cli.run_words import own_file, run_at
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, visible
 
 
 @cli.command()
@@ -74,4 +74,5 @@ def seams(
         click.echo(json.dumps(as_data(result, took), indent=1))
     if gpkg is not None:
         write_gpkg(result, gpkg, result.crs)
+        click.echo(f"written: {visible(gpkg)}", err=True)
     result.judge()

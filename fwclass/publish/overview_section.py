@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.classes import STANDARD
 from fwclass.errors import first_few, several
-from fwclass.publish.figures import SURE, WRONG
+from fwclass.publish.figures import SURE, TINTS, WRONG
 from fwclass.publish.palette import colours, css
 from fwclass.publish.quality_section import threshold_words
 from fwclass.publish.sections import number, percent
@@ -52,13 +52,17 @@ def class_key(classes: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
     return out
 
 
-def layers(pictures: Mapping[str, str], classes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The layers of the map that there are, each with its legend as text."""
+def layers(
+    pictures: Mapping[str, str], classes: Sequence[Mapping[str, Any]], heights: tuple[float, float] | None = None
+) -> list[dict[str, Any]]:
+    """The layers of the map that there are, each with its legend as text; `heights` of the lowest and highest tint."""
+    low, high = heights or (0.0, 0.0)
+    tints = [f"{low + share * (high - low):.1f} m" for share, _ in TINTS]
     keys = {
         "map": [{"dot": k["dot"], "text": k["name"]} for k in class_key(classes)],
         "confidence": _steps(SURE, ("0 %", "50 %", "100 %")),
         "errors": _steps(WRONG, ("none wrong", "20 %", "60 %", "all")),
-        "relief": [],
+        "relief": _steps(TINTS, tints) if heights else [],
     }
     return [
         {"key": key, "title": title, "caption": caption, "uri": pictures[key], "legend": keys[key]}

@@ -76,7 +76,9 @@ _ASIDE = re.compile(r" \(([^()]*)\)")
 _CLAUSE = re.compile(r"[:;.] ")
 
 
-def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path: Path) -> dict[str, Any]:
+def render_report(
+    report: Mapping[str, Any], figures: Mapping[str, bytes], path: Path, heights: tuple[float, float] | None = None
+) -> dict[str, Any]:
     """Write the report as one HTML file: styles inside, images as data, nothing from the network.
 
     Every text of `report` is escaped. A section whose data are missing, None or empty is left out.
@@ -88,10 +90,11 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
         missing.
     figures : PNG by name; ``map, confidence, errors, relief`` are layers of one map, others follow under their names;
         ``pulse`` stands with the waveforms, ``sampling`` with the labels.
+    heights : of the lowest and the highest tint of ``relief`` [m].
 
     Returns a dict with ``path, bytes, sections``.
     """
-    view = _view(report, figures)
+    view = _view(report, figures, heights)
     page = environment().get_template(TEMPLATE).render(view)
     shown = [name for name in SECTIONS if view[name]]
     return {"path": str(path), "bytes": write_page(path, page), "sections": shown}
@@ -110,6 +113,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     env.filters.update(number=number, parted=parted, percent=percent, quantity=quantity, seconds=seconds, width=width)
+    env.filters.update(sentence=sentence)
     return env
 
 
@@ -127,13 +131,15 @@ def _as_yaml(config: Any) -> str:
     return str(yaml.safe_dump(config, **how)) if "\\U" in text else text
 
 
-def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, Any]:
+def _view(
+    report: Mapping[str, Any], figures: Mapping[str, bytes], heights: tuple[float, float] | None
+) -> dict[str, Any]:
     """What the template shows, complete: every key is there, empty where there is nothing to show."""
     classes = list(report.get("classes") or ())
     counts = dict(report.get("counts") or {})
     source = report.get("input") or {}
     config, about = report.get("config"), subject(report)
-    pictures = layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes)
+    pictures = layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes, heights)
     remarks = list(dict.fromkeys([*_lacking(report), *(str(text) for text in report.get("remarks") or ())]))
     return {
         "survey": report.get("survey") or "survey",
@@ -343,6 +349,18 @@ def parted(text: str) -> tuple[str, str]:
         advice.insert(0, said[ends[-1] :])
         said = said[: ends[-1] - 2]
     return said if said.endswith(".") or not advice else f"{said}.", "; ".join(advice)
+
+
+_WORD = re.compile(
+    "(?:the|a|an|no|of|in|at|all|some|few|many|most|there|tried|class|labels|pulses|points|echoes|strips|quality) "
+)
+"""What begins a sentence in small letters; any other word may be the name of a file, a strip or a column."""
+
+
+def sentence(text: str) -> str:
+    """A remark as it stands on a page: with a capital letter and a stop."""
+    begun = text[:1].upper() + text[1:] if _WORD.match(text) else text
+    return begun if begun.endswith((".", "?", "!", ":")) else f"{begun}."
 
 
 LONG = 750

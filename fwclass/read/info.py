@@ -258,15 +258,15 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
         faults.append(f"{share} intensities are zero")
     low, high = tally.intensity
     if low == high > 0 and n >= MANY:
-        faults.append(f"all {n} intensities are {low}: they were not measured; leave features of intensity out")
+        faults.append(f"all {n:,} intensities are {low}: they were not measured; leave features of intensity out")
     if tally.pairs[0].sum():
-        faults.append(f"{tally.pairs[0].sum()} points have return number 0")
+        faults.append(f"{tally.pairs[0].sum():,} points have return number 0")
     above = int(np.tril(tally.pairs, -1).sum())
     if above:
-        faults.append(f"{above} points have a return number above their number of returns")
+        faults.append(f"{above:,} points have a return number above their number of returns")
     missing = missing_returns(tally.pairs)
     if missing:
-        faults.append(f"at least {missing} returns of pulses with several are missing (a cropped or filtered file)")
+        faults.append(f"at least {missing:,} returns of pulses with several are missing (a cropped or filtered file)")
     if tally.repeated:
         faults.append(f"{tally.repeated} of {n} returns: {REPEATED}")
     if tally.longer:

@@ -24,10 +24,12 @@ MAP_CELLS = 4_000_000
 """A map is drawn from all cells up to this many; of a larger survey's only those that it shows are taken."""
 
 
-def report_figures(config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
-    """Maps of classes and terrain; none of what failed."""
+def report_figures(
+    config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any]
+) -> tuple[dict[str, bytes], tuple[float, float] | None]:
+    """Maps of classes and terrain, none of what failed; heights of the terrain's lowest and highest tint [m]."""
     # matplotlib is slow to load, and only a report needs it
-    from fwclass.publish.figures import SURE, WRONG, class_map, relief, share_map
+    from fwclass.publish.figures import SURE, WRONG, class_map, relief, share_map, tint_range
     from fwclass.publish.sampling_map import sampling_map
 
     others = _pulse_figure(runner, report)
@@ -45,7 +47,7 @@ def report_figures(config: Config, runner: Runner, layout: Layout, report: Mappi
         return drawable(Mosaic(inputs, "class-block", blocks, window.cell, {name: empty}), window, config)
 
     if not blocks:  # nothing was classified
-        return others
+        return others, None
     surface = drawable(Mosaic(inputs, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}), terrain, config)
     percent, place = cells("confidence", np.uint8(NO_CONFIDENCE))
     sure = np.where(percent == NO_CONFIDENCE, np.nan, percent / 100).astype(np.float32)
@@ -55,7 +57,8 @@ def report_figures(config: Config, runner: Runner, layout: Layout, report: Mappi
     wrong = _errors(runner, config, window)
     if wrong is not None:
         figures["errors"] = share_map(wrong, window, params, WRONG, areas)
-    return {**figures, "relief": relief(*surface, params, aside=False), **others}
+    heights = tint_range(surface[0])
+    return {**figures, "relief": relief(*surface, params, heights, aside=False), **others}, heights
 
 
 def _errors(runner: Runner, config: Config, window: Window) -> NDArray[np.float32] | None:

@@ -112,7 +112,8 @@ def write_report(
         )
     report["remarks"] = _remarks(report, config, runner, source, card)
     write_json(runner.pending / REPORT, report)
-    render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
+    figures, heights = report_figures(config, runner, layout, report)
+    render_report(report, figures, runner.pending / PAGE, heights)
     _keep_counts(report, runner)
     return report
 

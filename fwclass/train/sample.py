@@ -304,7 +304,7 @@ def _check_values(sample: Sample, lacking: Sequence[str], classes: Sequence[Clas
 def _balance(sample: Sample, counts: Mapping[str, int]) -> list[str]:
     """Remarks on classes of which only some rows train, on uneven ones, and on those of one place."""
     notes = [
-        f"class {name!r}: {n} of {int(eligible)} labelled rows train (train.samples_per_class)"
+        f"class {name!r}: {n:,} of {int(eligible):,} labelled rows train (train.samples_per_class)"
         for (name, n), eligible in zip(counts.items(), sample.eligible, strict=True)
         if n < eligible
     ]

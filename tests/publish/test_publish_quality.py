@@ -57,7 +57,7 @@ BARE: dict[str, Any] = {
 def test_nothing_but_noise_has_a_page(tmp_path: Path) -> None:
     render_quality(BARE, [], "1", tmp_path / "q.html")
     page = (tmp_path / "q.html").read_text()
-    assert "all echoes are &lt;noise&gt;" in page and "v&lt;i&gt;" in page and "<i>" not in page and "None" not in page
+    assert "All echoes are &lt;noise&gt;." in page and "v&lt;i&gt;" in page and "<i>" not in page and "None" not in page
 
 
 def test_many_strips_are_cut_short_and_names_escaped(tmp_path: Path) -> None:

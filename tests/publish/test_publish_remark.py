@@ -3,7 +3,7 @@
 import pytest
 
 from fwclass.assess.remarks import Extent, remarks
-from fwclass.publish.report import parted, render_report
+from fwclass.publish.report import parted, render_report, sentence
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,14 @@ from fwclass.publish.report import parted, render_report
 )
 def test_a_remark_is_parted_from_what_to_set(text, said, advice):
     assert parted(text) == (said, advice)
+
+
+def test_remarks_stand_on_a_page_as_sentences():
+    assert sentence("the model learned from few") == "The model learned from few."
+    assert sentence("strips lie apart.") == "Strips lie apart."
+    for name in ("urban_7.laz: 3 returns", "p1 has no time", "survey.crs names another", "north lies above south"):
+        assert sentence(name) == f"{name}."
+    assert sentence("Does it?") == "Does it?"
 
 
 def test_no_remark_on_an_accuracy_speaks_of_settings_first(base, tmp_path):

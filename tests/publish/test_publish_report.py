@@ -18,7 +18,7 @@ from fwclass import conf
 from fwclass.errors import several
 from fwclass.grid import Window
 from fwclass.publish.drawing import COORDINATE, DPI
-from fwclass.publish.figures import SURE, class_map, share_map
+from fwclass.publish.figures import SURE, class_map, relief, share_map
 from fwclass.publish.params import PublishParams
 from fwclass.publish.report import _as_yaml, render_report
 from fwclass.publish.sections import measure, number, percent, quantity, seconds
@@ -207,7 +207,7 @@ def test_a_remark_is_told_once(tmp_path: Path) -> None:
     report["accuracy"]["remarks"] = ["few echoes were tested", "of the matrix alone"]
     report["remarks"] = ["few echoes were tested", "an empty file", "an empty file"]
     said = rendered(report, tmp_path)[1].text
-    assert [said.count(t) for t in ("few echoes were tested", "an empty file", "of the matrix alone")] == [1, 1, 1]
+    assert [said.count(t) for t in ("Few echoes were tested.", "An empty file.", "Of the matrix alone.")] == [1, 1, 1]
 
 
 def test_letters_of_maps_can_be_read_on_a_telephone(tmp_path: Path) -> None:
@@ -369,7 +369,7 @@ def test_notes_on_training_are_told(tmp_path: Path) -> None:
     report = full()
     report["training"] |= {"out_of_bag": 0.931, "notes": ["few samples of building"]}
     said = rendered(report, tmp_path)[1].text
-    assert "Out-of-bag accuracy 93.1 %" in said and "few samples of building" in said
+    assert "Out-of-bag accuracy 93.1 %" in said and "Few samples of building." in said
 
 
 def test_the_curve_of_a_selection_is_drawn(tmp_path: Path) -> None:
@@ -440,6 +440,16 @@ def test_a_narrow_window_says_that_columns_follow(tmp_path: Path) -> None:
             assert page.run(f"{table}.scrollWidth > {table}.clientWidth") == said == (width == 390)
             page.run(f"{table}.scrollLeft = 100")
             assert page.run("document.querySelector('.matrix tbody th').getBoundingClientRect().left") >= 0
+
+
+def test_the_tints_of_the_terrain_have_their_heights_beside_them(tmp_path: Path) -> None:
+    window = Window(1.0, 0, 0, 30, 28)
+    params = PublishParams(**conf.section("publish").model_dump())
+    heights = (-1.0, 9.0)
+    picture = relief(np.full(window.shape, 3.0, np.float32), window, params, heights, aside=False)
+    render_report({"survey": "s"}, {"relief": picture}, tmp_path / "report.html", heights)
+    told = re.findall(r"</span>(-?[\d.]+ m)</span>", (tmp_path / "report.html").read_text())
+    assert told == ["-1.0 m", "2.5 m", "5.5 m", "9.0 m"]
 
 
 @pytest.mark.slow

@@ -303,14 +303,18 @@ def _pairs_lines(word: str, pairs: Mapping[str, Sequence[Any]]) -> Iterator[str]
         yield f"{word:<12}{visible(key)}: {visible(str(before))} -> {visible(str(after))}"
 
 
+def _called(figure: str) -> str:
+    return figure.replace("_", " ").replace("iou", "IoU")
+
+
 def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
     for key in FIGURES:
         before, after = accuracy[key]
         if before is not None and after is not None:
-            yield f"{key.replace('_', ' '):<18}{before:.4f} -> {after:.4f} ({after - before:+.4f})"
+            yield f"{_called(key):<18}{before:.4f} -> {after:.4f} ({after - before:+.4f})"
         elif before is not None or after is not None:
             words = ("unknown" if value is None else f"{value:.4f}" for value in (before, after))
-            yield f"{key.replace('_', ' '):<18}{' -> '.join(words)}"
+            yield f"{_called(key):<18}{' -> '.join(words)}"
     before, after = accuracy["tested"]
     if before != after:
         yield (
@@ -323,13 +327,13 @@ def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
     for head, some in (("LOST", [k for k in worse if k not in chance]), ("by chance", chance)):
         if some:
             more = ": lower, and their intervals hold 0" if some is chance else ""
-            yield f"{head:<12}{', '.join(w.replace('_', ' ') for w in some)}{more}"
+            yield f"{head:<12}{', '.join(_called(w) for w in some)}{more}"
     if accuracy["paired"] is not None:
         level = 100 * accuracy["paired"]["level"]
         for key in FIGURES:
             ends = accuracy["paired"][key]["interval"]
             if ends is not None:
-                yield f"{'':<12}{key.replace('_', ' ')}: {ends[0]:+.4f} to {ends[1]:+.4f}, {level:.0f} % interval"
+                yield f"{'':<12}{_called(key)}: {ends[0]:+.4f} to {ends[1]:+.4f}, {level:.0f} % interval"
     elif accuracy["why"] and any(None not in accuracy[key] for key in FIGURES):
         yield f"{'':<12}no intervals: {accuracy['why']}"
 
