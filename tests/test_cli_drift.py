@@ -10,6 +10,8 @@ import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
 
+from fwclass.report.drift import without_returns
+
 FEATURES = "survey.features=[amplitude,zc,height_range_c100]"
 
 
@@ -108,3 +110,33 @@ def test_a_model_of_before_says_nothing(place):
     (place / "old" / "card.json").write_text(json.dumps(card))
     ended = fwclass("classify", "loud.las", "o3.las", "--model", "old", cwd=place)
     assert ended.returncode == 0 and "does not say what it has seen" in ended.stderr, ended.stderr
+
+
+def test_a_survey_without_the_returns_that_a_model_learned_by_ends_with_4(place):
+    las = laspy.read(place / "a.las")
+    several = np.asarray(las.classification) == 5
+    las.number_of_returns, las.return_number = np.where(several, 2, 1), np.where(several, 2, 1)
+    las.write(place / "several.las")
+    features = "survey.features=[number_of_echoes,height_above_ground,height_range_c100]"
+    words = ("--set", "survey.sources=[several.las]", "--set", features)
+    ended = fwclass("train", "s.yaml", "--model", "by", "--no-assess", "--out", "b", "--workers", 0, *words, cwd=place)
+    assert ended.returncode == 0, ended.stderr
+    las.number_of_returns[:], las.return_number[:] = 1, 1
+    las.write(place / "single.las")
+    words = ("classify", "single.las", "o5.las", "--model", "by", "--overwrite")
+    ended = fwclass(*words, cwd=place)
+    assert ended.returncode == 4 and "pulses of up to 2 echoes, every pulse here has one" in ended.stderr, ended.stderr
+    assert fwclass(*words, "--accept-drift", cwd=place).returncode == 0
+    given = ("--set", "survey.sources=[single.las]", "--set", "survey.model=by", "--set", "areas.train=[]")
+    ended = fwclass("run", "s.yaml", "--out", "s", "--workers", 0, *given, cwd=place)
+    assert ended.returncode == 4 and "by returns that this survey does not have" in ended.stderr, ended.stderr
+
+
+def test_bare_ground_needs_no_returns():
+    card = {"ranges": {"number_of_echoes": [1.0, 4.0]}}
+    assert without_returns(card, {"single": True}, 950, 1000)["returns"] == ""
+    assert "50 % of the echoes" in without_returns(card, {"single": True}, 500, 1000)["returns"]
+    assert without_returns(card, {"single": False}, 500, 1000)["returns"] == ""
+    for other in ({}, {"ranges": {"number_of_echoes": [1.0, 1.0]}}, {"ranges": {"zc": [0.0, 9.0]}}):
+        assert without_returns(other, {"single": True}, 500, 1000)["returns"] == ""
+    assert without_returns(card, None, 500, 1000)["returns"] == without_returns(card, {"single": True}, 0, 0)["returns"]

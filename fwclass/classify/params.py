@@ -185,9 +185,10 @@ class ClassifyParams(Params):
     `keep`: class codes of the sources that stay. `probabilities`: the share of every class too, in columns
     ``probability_<code>``. `max_outside`: share of the echoes whose value of a feature lies outside of what the model
     has seen, above which a command ends with exit code 4, unless `accept_drift`; `unsure`: confidence below which an
-    echo is unsure; `max_unsure`: share of unsure echoes above which it does so too, by a given model. None of these
-    changes a class; `leave` does: the code that echoes with a confidence below `leave_below` get instead of one, None:
-    they have their class; and `noise`: echoes that the noise filter takes out are written as 7 and 18.
+    echo is unsure; `max_unsure`: share of unsure echoes above which it does so too, by a given model, and `max_rough`:
+    residual of the smoothest tenth of level places [m], likewise. None of these changes a class; `leave` does: the code
+    that echoes with a confidence below `leave_below` get instead of one, None: they have their class; and `noise`:
+    echoes that the noise filter takes out are written as 7 and 18.
     """
 
     only: tuple[Code, ...] = Field(max_length=256)
@@ -196,6 +197,7 @@ class ClassifyParams(Params):
     max_outside: float = Field(ge=0.0, le=1.0)
     unsure: float = Field(ge=0.0, le=1.0)
     max_unsure: float = Field(ge=0.0, le=1.0)
+    max_rough: float = Field(gt=0.0, le=100.0)
     leave: Code | None
     leave_below: float = Field(gt=0.0, le=1.0)
     accept_drift: bool

@@ -219,6 +219,7 @@ def classify(
     work_here()
     from fwclass import conf
     from fwclass.classify.unsure import judge_unsure
+    from fwclass.quality.roughness import judge_roughness
     from fwclass.report.drift import judge_drift
     from fwclass.report.judge_echoes import judge_echoes
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
@@ -238,6 +239,8 @@ def classify(
         params = conf.section("classify", job.settings)
         judge_drift(summary["drift"], params, job.model)
         judge_unsure(summary["unsure"], params, job.model)
+        if lines := summary["judged"].get("strips"):
+            judge_roughness(lines["roughness"], params.max_rough, params.accept_drift, job.model)
 
 
 @cli.command()

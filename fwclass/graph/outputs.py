@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.classify.kept import Kept
-from fwclass.classify.unsure import by_percent
+from fwclass.classify.unsure import by_file, by_percent
 from fwclass.conf import Config
 from fwclass.errors import StoreError, first_few
 from fwclass.formats.crs import crs_of_wkt
@@ -86,12 +86,13 @@ def deliver_tile(
     about = about_delivery(called, params.parquet_bits)
     plain = round_floats(table, params.parquet_bits, EXACT)
     write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of_wkt(crs), params, about)
-    percent = by_percent(table["confidence"]).tolist() if "confidence" in table else []
+    classified = "confidence" in table
     return {
         "rows": table.rows,
         "beyond": copc["beyond"],
         "facts": tile_facts(table),
-        "percent": percent,
+        "percent": by_percent(table["confidence"]).tolist() if classified else [],
+        "of_files": by_file(table) if classified else {},
         "clipped": copc["clipped"],
         "without_time": copc["without_time"],
     }

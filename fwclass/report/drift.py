@@ -16,6 +16,10 @@ SAID_FROM = 0.1
 WORST = 3
 """Features that are named."""
 
+SEVERAL, OFF_GROUND = "number_of_echoes", 0.1
+"""Feature that tells single returns from others, and share of the echoes above the ground from which plants must be
+among them, or edges; a desert has neither, and its classes are right by single returns."""
+
 DENSER, OF_ONE = 1.5, 4 / 3
 """Times what nine tenths of what was learned have at most, or one tenth, from which another density is said; and what
 these are to the median of a card without them. At half the density, one strip in place of two, nearly all values of the
@@ -48,6 +52,23 @@ def drift(
     return {"outside": outside, **({DENSITY: density} if density else {}), "remarks": remarks}
 
 
+def without_returns(
+    card: Mapping[str, Any], returns: Mapping[str, Any] | None, ground: int, echoes: int
+) -> dict[str, str]:
+    """``returns``: that the model learned by pulses with several returns, and no pulse has them here, though
+    more than `OFF_GROUND` of the `echoes` are no `ground`; "" for nothing of the kind. `returns`: as `returns_facts`
+    has them."""
+    ranges = card.get(RANGES) or {}
+    learned = (ranges.get(SEVERAL) or (1.0, 1.0))[1]
+    said = ""
+    if returns and returns["single"] and learned > 1.0 and echoes - ground > OFF_GROUND * echoes:
+        said = (
+            f"the model learned from pulses of up to {learned:.0f} echoes, every pulse here has one, and "
+            f"{_percent(1 - ground / echoes)} of the echoes are no ground"
+        )
+    return {"returns": said}
+
+
 def _density(card: Mapping[str, Any], dense: Densities | None) -> dict[str, Any] | None:
     """What a model learned from, the median and between what, and what is here; None where one of them is unknown."""
     learned: Any = card.get(DENSITY)
@@ -73,9 +94,19 @@ def _percent(share: float) -> str:
 
 
 def judge_drift(drift: Mapping[str, Any] | None, params: ClassifyParams, where: object) -> None:
-    """`QualityError` where a feature leaves the model's range further than `classify.max_outside`."""
+    """`QualityError` where a feature leaves the model's range further than `classify.max_outside`, or pulses lack the
+    returns that it learned by (`without_returns`)."""
     if not drift or params.accept_drift:
         return
+    if said := drift.get("returns"):
+        raise QualityError(
+            "the model decides by returns that this survey does not have",
+            where=where,
+            expected="some pulses with several returns",
+            got=said,
+            do="export all returns with their numbers, or train on labels of this survey; --accept-drift "
+            "(classify.accept_drift=true) takes the classes as they are",
+        )
     name, share = next(iter(drift["outside"].items()), ("", 0.0))
     if share > params.max_outside:
         raise QualityError(

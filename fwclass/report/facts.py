@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fwclass.classify.unsure import unsure_facts
+from fwclass.classify.unsure import PERCENT, unlike_files, unsure_facts
 from fwclass.conf import Config
 from fwclass.formats.area_of_use import dates, kind_faults, place_facts, time_faults
 from fwclass.formats.crs import crs_of_wkt
@@ -90,10 +91,23 @@ def _date(seconds: float) -> str:
     return utc_of(seconds).strftime("%Y-%m-%d")
 
 
-def unsure_of_run(tiles: Sequence[Receipt], config: Config, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """How much the model is unsure of (`unsure_facts`); None where nothing was classified."""
+def unsure_of_run(
+    tiles: Sequence[Receipt], config: Config, survey: Survey, given: Mapping[str, Any] | None
+) -> dict[str, Any] | None:
+    """How much the model is unsure of (`unsure_facts`), and of a given one in which files (`unlike_files`); None where
+    nothing was classified."""
     counts = [np.array(r.meta["percent"], np.int64) for r in tiles if r.meta["percent"]]
-    return unsure_facts(np.sum(counts, axis=0), config.classify, given) if counts else None
+    facts = unsure_facts(np.sum(counts, axis=0), config.classify, given) if counts else None
+    if facts is None or not facts["judged"]:
+        return facts
+    names = {str(s.number): s.path.name for s in survey.strips}
+    of_files: dict[str, NDArray[np.int64]] = {}
+    for one in tiles:
+        for number, percent in one.meta.get("of_files", {}).items():
+            name = names[number]
+            of_files[name] = of_files.get(name, np.zeros(PERCENT, np.int64)) + np.array(percent, np.int64)
+    unlike = unlike_files(of_files, config.classify)
+    return facts | {"files": unlike["files"], "remarks": [*facts["remarks"], *unlike["remarks"]]}
 
 
 def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:

@@ -10,6 +10,7 @@ from fwclass.assess.stage import judge
 from fwclass.classify.unsure import judge_unsure
 from fwclass.conf import Config
 from fwclass.quality.judge import judge_check_points, judge_quality
+from fwclass.quality.roughness import judge_roughness
 from fwclass.quality.steps import judge_steps
 from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
@@ -46,6 +47,9 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     if report.get("quality"):
         judge_strips(report["quality"]["strips"], accepted, where)
         judge_steps(report["quality"]["strips"], config.plausibility.max_height_step, accepted, where)
+        if config.survey.model:
+            rough = report["quality"]["strips"]["roughness"]
+            judge_roughness(rough, config.classify.max_rough, config.classify.accept_drift, model)
         judge_check_points(report["quality"]["check_points"], accepted, where)
         judge_quality(report["quality"], config.quality)
     if report["accuracy"]:

@@ -53,7 +53,8 @@ def returns_facts(
     weekly: Iterable[str] = (),
 ) -> dict[str, Any] | None:
     """``remarks`` on the returns of the files, and what of them is not sound: ``coarse``, ``scales``, ``backward`` and
-    ``units``, of which each is what `judge_returns` refuses, or ""; None where nothing was counted.
+    ``units``, of which each is what `judge_returns` refuses, or ""; ``single``, whether no pulse has several; None
+    where nothing was counted.
 
     `receipts`: of the parts that counted returns; `names`: the features that decide; `weekly`: names of the files that
     call their GPS times seconds of the week.
@@ -86,6 +87,7 @@ def returns_facts(
         "scales": scales if ratio >= params.max_intensity_ratio else "",
         "backward": backward,
         "units": units,
+        "single": not waves and not any(f["several"] for f in counted.values()),
     }
 
 
@@ -111,6 +113,7 @@ def places_facts(
         "scales": "",
         "backward": backward,
         "units": units,
+        "single": False,
     }
 
 

@@ -36,6 +36,7 @@ from fwclass.report.counts import (
     vector_counts,
     withheld_returns,
 )
+from fwclass.report.drift import without_returns
 from fwclass.report.earlier import since_earlier
 from fwclass.report.facts import (
     legacy_codes,
@@ -105,6 +106,9 @@ def write_report(
         **described,
         **_of_the_classes(config, runner, survey, names, tiles, source, card),
     }
+    if report["drift"] and card:
+        ground = report["ground"]
+        report["drift"] |= without_returns(card, report["returns"], ground["ground"], ground["echoes"])
     if (accuracy := report["accuracy"]) is not None:
         echoes, cells = report["counts"]["echoes_in_tiles"], (report["training"] or {}).get("in_context") or ()
         accuracy["remarks"] = remarks_on_accuracy(
@@ -242,7 +246,7 @@ def _of_the_classes(
         "distribution": feature_distribution(runner),
         "sureness": sureness(tiles, classes),
         "drift": drift_of_run(runner, card),
-        "unsure": unsure_of_run(tiles, config, card) if classified else None,
+        "unsure": unsure_of_run(tiles, config, survey, card) if classified else None,
     }
 
 

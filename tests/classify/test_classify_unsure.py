@@ -12,7 +12,7 @@ from smallsurvey import small_survey
 
 import fwclass as package
 from fwclass import conf
-from fwclass.classify.unsure import SAID_FROM, by_percent, judge_unsure, share_below, unsure_facts
+from fwclass.classify.unsure import SAID_FROM, by_percent, judge_unsure, share_below, unlike_files, unsure_facts
 from fwclass.errors import QualityError
 from fwclass.graph.assess import automation
 
@@ -94,6 +94,50 @@ def test_the_commands_say_it_and_end_with_4(tmp_path):
     assert ended.returncode == 4 and "unsure of too much" in ended.stderr, ended.stderr
     assert json.loads(ended.stdout)["unsure"]["share"] == told["share"], "the same features and answers as in the run"
     assert fwclass(*words, "--overwrite", "--accept-drift", *strict).returncode == 0
+
+
+def of_files(**unsure):
+    """What `unlike_files` says of files of 2,000 echoes with so many unsure ones each."""
+    percent = np.zeros((len(unsure), 101), np.int64)
+    percent[:, 30] = list(unsure.values())
+    percent[:, 90] = 2000 - percent[:, 30]
+    return unlike_files(dict(zip(unsure, percent, strict=True)), PARAMS)
+
+
+def test_a_file_that_the_average_hides_is_named():
+    told = of_files(a=60, b=20, c=250, d=500, e=10)
+    assert told["files"] == [["d", 0.25], ["c", 0.125]] and "d 25.0 %, c 12.5 %" in told["remarks"][0]
+    assert of_files(a=170, b=10)["files"] == [], "below the bound"
+    assert of_files(a=300, b=200, c=250)["files"] == [], "all alike: the average hides nothing"
+    assert of_files(a=500)["files"] == [], "there is no other"
+
+
+def test_a_run_names_the_unlike_file_whatever_the_tiles(tmp_path):
+    survey = small_survey(tmp_path)
+    assert fwclass("run", survey, "--out", tmp_path / "t", "--workers", 0).returncode == 0
+    las = laspy.read(tmp_path / "a.las")
+    slope = 200 + 0.05 * (np.asarray(las.x) - 500_000)
+    height = np.asarray(las.z) - slope
+    las.z = slope + np.where(height > 0.4, height, np.random.default_rng(2).uniform(0, 0.5, len(height)))  # grass
+    las.x = np.asarray(las.x) + 80
+    las.write(tmp_path / "b.las")
+    given = (
+        f"survey.model={tmp_path / 't/model'}",
+        "survey.classes=[]",
+        "areas.train=[]",
+        "survey.sources=[a.las,b.las]",
+    )
+    bounds = ("classify.unsure=1", "classify.max_unsure=0.01", "classify.accept_drift=true", "plausibility.accept=true")
+    told = []
+    for edge in (50, 40):
+        words = [w for s in (*given, *bounds, f"tile.size={edge}") for w in ("--set", s)]
+        ended = fwclass("run", survey, "--out", tmp_path / f"r{edge}", "--workers", 0, *words)
+        assert ended.returncode == 0 and "as of others, or more (b.las " in ended.stderr, ended.stderr
+        told.append(json.loads((tmp_path / f"r{edge}" / "report.json").read_text())["unsure"])
+    assert [name for name, _ in told[0]["files"]] == ["b.las"] and told[0] == told[1]
+    words += ["--set", "classify.accept_drift=false", "--set", "classify.max_unsure=1"]
+    ended = fwclass("run", survey, "--out", tmp_path / "r40", "--workers", 0, *words)
+    assert ended.returncode == 4 and "heights are too noisy for a model" in ended.stderr, "grass hides all ground"
 
 
 # ------------------------------------------------------------------ left without a class

@@ -7,13 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fwclass.errors import QualityError
 from fwclass.grid import Box, Window
 from fwclass.quality.params import PlaneParams
 from fwclass.quality.planes import planes_of
-from fwclass.quality.roughness import EDGES, LEAST, ROUGHEST, count_roughness, roughness_facts, roughness_remarks
+from fwclass.quality.roughness import (
+    EDGES,
+    LEAST,
+    ROUGHEST,
+    count_roughness,
+    judge_roughness,
+    roughness_facts,
+    roughness_remarks,
+)
 
 
-@pytest.mark.parametrize("noise", [0.01, 0.03, 0.3])
+@pytest.mark.parametrize("noise", [0.01, 0.03, 0.06, 0.3])
 def test_it_is_the_noise(base: dict[str, Any], noise: float) -> None:
     r = np.random.default_rng(0)
     x, y = r.uniform(0, 160, (2, 60_000))
@@ -25,7 +34,11 @@ def test_it_is_the_noise(base: dict[str, Any], noise: float) -> None:
     facts = roughness_facts(count_roughness(planes.residual))
     assert facts["places"] > 200
     assert facts["smoothest"] == pytest.approx(noise, rel=0.25)
-    assert bool(roughness_remarks(facts)) == (noise > 0.1)
+    assert bool(roughness_remarks(facts)) == (noise > 0.05)
+    judge_roughness(facts, 0.12, noise == 0.3, "m")
+    if noise == 0.3:
+        with pytest.raises(QualityError, match="too noisy for a model"):
+            judge_roughness(facts, 0.12, False, "m")
     smooth = planes.smooth(0.06)
     assert len(smooth.residual) == (planes.residual <= 60).sum() == len(smooth.a) and smooth.edge == planes.edge
 
