@@ -118,6 +118,17 @@ def test_sources_that_changed_after_it_was_cleaned_are_told(tmp_path):
     assert fwclass("status", "r", cwd=tmp_path).returncode == 0
 
 
+def test_the_files_of_a_simulated_survey_stay(tmp_path):
+    """`status` called the rest missing, and ended with 3."""
+    small = (f"simulate.{words}" for words in ("size=60", "strips=1", "pulse_density=1"))
+    more = [word for setting in small for word in ("--set", setting)]
+    ended = fwclass("run", "demo", "--workflow", "ground", "--out", "r", "--workers", 0, *more, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert fwclass("clean", "r", "--keep", "delivery", cwd=tmp_path).returncode == 0
+    told = fwclass("status", "r", cwd=tmp_path)
+    assert told.returncode == 0 and " stands; nothing is left" in told.stdout and "sources" not in told.stdout
+
+
 def test_a_full_disk_is_cleaned(place, tmp_path, monkeypatch):
     """It could not be: the name of who holds the run could not be written."""
     shutil.copytree(place / "r", tmp_path / "r", symlinks=True)

@@ -12,6 +12,7 @@ from fwclass.operate.status.walk import STANDINGS, PartState, RunStatus
 from fwclass.run.libraries import by_libraries, text_of
 from fwclass.run.part import Name
 from fwclass.store.libraries import fingerprint
+from fwclass.store.run_store import Store
 from fwclass.survey.file_digests import remembered
 
 NAMED = 4
@@ -31,8 +32,13 @@ def is_cleaned(status: RunStatus) -> bool:
     """Whether a whole delivery stands alone: what it was made of was removed, and its sources are those that were read
     last."""
     shown = status.store.generations.current()
-    left = shown is not None and shown.whole and status.fault is None and not status.store.parts()
+    left = shown is not None and shown.whole and status.fault is None and _bare(status.store)
     return left and not _other_sources(status)
+
+
+def _bare(store: Store) -> bool:
+    """No part is left but such as made the files of a simulated survey."""
+    return all(stage == "simulate" for stage, _ in store.parts())
 
 
 def _other_sources(status: RunStatus) -> list[str]:
@@ -98,7 +104,7 @@ def as_text(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
     for stage, row in counts.items():
         rows.append(f"{stage:<{width}}" + "".join(f"{row[n] or '-':>9}" for n in ("parts", *STANDINGS)))
     shown = status.store.generations.current()
-    if shown is not None and not writer and not status.store.parts():
+    if shown is not None and not writer and _bare(status.store):
         gone = "nothing is left of what it was made of (`fwclass clean`, or run.keep_intermediate: false)"
         after = f"the next run makes all of it anew: {request.command()}"
         stands = f"delivery {shown.name} stands; {gone}, and {after}"
