@@ -43,6 +43,21 @@ def without_false_codes(crs: CRS) -> tuple[CRS, tuple[tuple[str, str], ...]]:
     return (CRS.from_json_dict(plain) if faults else crs), tuple(dict.fromkeys(fault for _, fault in faults))
 
 
+def without_old_codes(crs: CRS) -> CRS:
+    """`crs` without the codes that EPSG has withdrawn: of a GeoTIFF GDAL reads the system that took their place."""
+    plain = crs.to_json_dict()
+    old = [node for node in _systems(plain) if (known := _known_of(node)) is not None and known.is_deprecated]
+    for node in old:
+        del node["id"]
+    return CRS.from_json_dict(plain) if old else crs
+
+
+def _known_of(node: Mapping[str, Any]) -> CRS | None:
+    """The system of EPSG whose code `node` has."""
+    name = node.get("id", {})
+    return _known(f"EPSG:{name.get('code')}") if str(name.get("authority")).upper() == "EPSG" else None
+
+
 def _systems(node: Any, kind: str = "") -> Iterator[dict[str, Any]]:
     """`node` and what lies below it, where that is a coordinate system; `kind` for one that does not say its own."""
     if isinstance(node, dict) and (kind or str(node.get("type", "")).endswith("CRS")):

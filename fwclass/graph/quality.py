@@ -254,7 +254,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    16,
+    17,
     "survey",
     "cell",
     deliver_quality,

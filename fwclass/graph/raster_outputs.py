@@ -244,7 +244,7 @@ MAP_CLASSES = Stage(
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
-    10,
+    11,
     "survey",
     "cell",
     deliver_rasters,

@@ -16,6 +16,7 @@ import pyproj
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError, StoreError, full_or
+from fwclass.formats.epsg import without_old_codes
 from fwclass.grid import Window
 from fwclass.isolation import away_from
 from fwclass.publish.files import whole
@@ -143,7 +144,7 @@ def _raw_profile(dtype: np.dtype, window: Window, crs: pyproj.CRS | None, nodata
         "dtype": dtype,
         "nodata": nodata,
         "transform": north_up(window, unit),
-        "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
+        "crs": rasterio.crs.CRS.from_wkt(without_old_codes(crs).to_wkt()) if crs is not None else None,
         "blockysize": STRIPE,
         "sparse_ok": True,
         "bigtiff": "IF_SAFER",

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from fwclass import conf
 from fwclass.errors import InputError
+from fwclass.formats.epsg import another
 from fwclass.grid import Window
 from fwclass.publish.class_raster import NO_CONFIDENCE, class_rasters
 from fwclass.publish.cog import STRIPE, cog, write_cog
@@ -50,6 +51,15 @@ def test_heights_lie_where_the_window_says(params: PublishParams, tmp_path: Path
         assert next(file.sample([(east, north)]))[0] == heights[201, 20]
         south_west = (WINDOW.box.xmin + 0.01, WINDOW.box.ymin + 0.01)
         assert next(file.sample([south_west]))[0] == heights[0, 0]
+
+
+@pytest.mark.parametrize("code", [32018, 2245, 28403, 4860])
+def test_a_code_that_epsg_has_withdrawn_lies_where_it_did(params: PublishParams, tmp_path: Path, code: int) -> None:
+    """GDAL reads the system that took its place, with other numbers."""
+    own = pyproj.CRS(code)
+    write_cog(codes(), WINDOW, tmp_path / "c.tif", own, params, 0)
+    with rasterio.open(tmp_path / "c.tif") as file:
+        assert not another(pyproj.CRS.from_wkt(file.crs.to_wkt()), own)
 
 
 def test_classes_have_colours_and_names(params: PublishParams, tmp_path: Path) -> None:
