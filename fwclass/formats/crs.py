@@ -122,23 +122,28 @@ def told_codes(false: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _in_degrees(crs: CRS, faults: list[str]) -> CRS:
-    """`crs` with its angles in degrees where its writer gave them the unit of length, as some do."""
-    meridian = crs.prime_meridian
-    if meridian is None or meridian.unit_name.lower() not in ("metre", "meter"):
+    """`crs` with its angles in degrees where its writer gave them the unit of length, as some do: that of the prime
+    meridian, or that of the projection's parameters alone (a RIEGL's), which PROJ takes for radians."""
+    plain = crs.to_json_dict()
+    if not _replace_angles(plain):
         return crs
     faults.append("the CRS record counts angles in metres; they are taken for degrees")
-    plain = crs.to_json_dict()
-    _replace_angles(plain)
     return CRS.from_json_dict(plain)
 
 
-def _replace_angles(node: Any) -> None:
-    """Every angular unit below `node` becomes the degree."""
+def _replace_angles(node: Any) -> int:
+    """Every angle below `node` that is counted in metres is counted in degrees; how many there are."""
+    count = 0
     for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        if not isinstance(value, dict | list):
+            continue
         if isinstance(value, dict) and value.get("type") == "AngularUnit":
-            node[key] = "degree"
-        elif isinstance(value, dict | list):
-            _replace_angles(value)
+            if str(value.get("name")).lower() in ("metre", "meter"):
+                node[key] = "degree"
+                count += 1
+        else:
+            count += _replace_angles(value)
+    return count
 
 
 def _from_keys(header: Records, faults: list[str]) -> CRS | None:

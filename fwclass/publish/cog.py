@@ -127,7 +127,8 @@ def cog(
                 raise
             raise error from fault
         finally:
-            raw.unlink(missing_ok=True)
+            for left in (raw, Path(f"{raw}.aux.xml"), Path(f"{beside}.aux.xml")):  # what no TIFF can hold
+                left.unlink(missing_ok=True)
     if known:
         _write_names(path, known)
 
@@ -144,19 +145,26 @@ def _raw_profile(dtype: np.dtype, window: Window, crs: pyproj.CRS | None, nodata
         "dtype": dtype,
         "nodata": nodata,
         "transform": north_up(window, unit),
-        "crs": rasterio.crs.CRS.from_wkt(without_old_codes(crs).to_wkt()) if crs is not None else None,
+        "crs": rasterio.crs.CRS.from_wkt(without_old_codes(_flat(crs)).to_wkt()) if crs is not None else None,
         "blockysize": STRIPE,
         "sparse_ok": True,
         "bigtiff": "IF_SAFER",
     }
 
 
+def _flat(crs: pyproj.CRS) -> pyproj.CRS:
+    """`crs` without its heights where it is a projected one in space, as RIEGL's is, which no TIFF can hold."""
+    return crs.to_2d() if crs.is_projected and not crs.is_compound and len(crs.axis_info) == 3 else crs
+
+
 def _check_place(written: Path, path: Path, profile: Mapping[str, Any]) -> None:
     """`StoreError` unless what was `written` lies where its `profile` has it, in a projected system where that has one:
-    GDAL says nothing where settings of its own, or data of another PROJ, keep it from writing that."""
+    GDAL says nothing where settings of its own, or data of another PROJ, keep it from writing that, or lays it into a
+    file beside, which is not looked at."""
     import rasterio
 
-    with warnings.catch_warnings(action="ignore"), rasterio.open(written, driver="GTiff") as file:
+    alone = rasterio.Env(GDAL_PAM_ENABLED="NO")
+    with warnings.catch_warnings(action="ignore"), alone, rasterio.open(written, driver="GTiff") as file:
         crs, place = file.crs, file.transform
     system = profile["crs"]
     if place.almost_equals(profile["transform"]) and (

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass import conf
-from fwclass.errors import InputError
+from fwclass.errors import InputError, StoreError
 from fwclass.formats.epsg import another
 from fwclass.grid import Window
 from fwclass.publish.class_raster import NO_CONFIDENCE, class_rasters
@@ -60,6 +60,24 @@ def test_a_code_that_epsg_has_withdrawn_lies_where_it_did(params: PublishParams,
     write_cog(codes(), WINDOW, tmp_path / "c.tif", own, params, 0)
     with rasterio.open(tmp_path / "c.tif") as file:
         assert not another(pyproj.CRS.from_wkt(file.crs.to_wkt()), own)
+
+
+def test_a_projected_system_in_space_is_that_of_the_plane(params: PublishParams, tmp_path: Path) -> None:
+    """No TIFF can hold one: GDAL laid it into files beside those that are renamed, which were delivered too."""
+    space = pyproj.CRS.from_epsg(32633).to_3d()
+    write_cog(codes(), WINDOW, tmp_path / "c.tif", space, params, 0)
+    with rasterio.open(tmp_path / "c.tif") as file:
+        assert file.crs.to_epsg() == 32633
+    assert [path.name for path in tmp_path.iterdir()] == ["c.tif"]
+
+
+def test_a_system_that_a_tiff_cannot_hold_is_refused(
+    params: PublishParams, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fwclass.publish.cog._flat", lambda crs: crs)
+    with pytest.raises(StoreError, match="without its coordinate system"):
+        write_cog(codes(), WINDOW, tmp_path / "c.tif", pyproj.CRS.from_epsg(32633).to_3d(), params, 0)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_classes_have_colours_and_names(params: PublishParams, tmp_path: Path) -> None:

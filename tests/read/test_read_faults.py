@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 
 import lazrs
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 from lasmaker import METRES_PER_NS, Descriptor, survey, to_laz, write_las
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from tolerances import FLOAT32_RTOL
 
 from fwclass.errors import InputError
@@ -244,6 +245,19 @@ def test_crs_faults(tmp_path):
     assert junk.crs is None and any("no valid WKT" in f for f in junk.faults)
     by_wkt = open_source(six(tmp_path / "e.las", keys=None, wkt=degrees.crs.to_wkt("WKT1_GDAL")))
     assert by_wkt.crs.is_geographic
+
+
+def test_angles_of_a_projection_in_metres_are_degrees(tmp_path):
+    """A RIEGL's central meridian of 15 "Meter" was taken for 15 radians."""
+    stated = CRS.from_epsg(32633).to_wkt("WKT2_2019")
+    begin = stated.index("CONVERSION")
+    end = stated.index("CS[")
+    angles = re.sub(r'ANGLEUNIT\["degree",[0-9.]+[^\]]*\]', 'ANGLEUNIT["Meter",1]', stated[begin:end])
+    assert angles.count('ANGLEUNIT["Meter",1]') == 2
+    source = open_source(six(tmp_path / "a.las", keys=None, wkt=stated[:begin] + angles + stated[end:]))
+    assert any("angles in metres" in f for f in source.faults)
+    lon, lat = Transformer.from_crs(source.crs, "EPSG:4326", always_xy=True).transform(500_000.0, 5_400_000.0)
+    assert abs(lon - 15.0) < 1e-9 and 48.7 < lat < 48.8
 
 
 @pytest.mark.parametrize("code", [0, 999_999])
