@@ -1,6 +1,6 @@
 """Whether an echo costs the same in a small and in a large survey: a simulated town of growing size, whole runs.
 
-    python tests/bench/bench_growth.py --out DIR [--sizes 500,1200,3500] [--workers 2,4]
+    python tests/bench/bench_growth.py --out DIR [--sizes 500,1200,3500] [--workers 1,2]
 
 Every town has the density, sensor and flight of `city-1200m`, strips 150 m apart, and learns from one block of 100 m
 that all sizes have. For each size and number of workers: processor time of the parts and of the whole command a million
