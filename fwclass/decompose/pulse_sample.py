@@ -49,6 +49,17 @@ def join_samples(parts: Iterable[Waveforms]) -> Waveforms:
     return rows_of(whole, np.lexsort((whole.pulses["segment_start"], whole.pulses["pulse"])))
 
 
+def with_signal(waves: Waveforms) -> Waveforms:
+    """`waves` without those of nothing but zeros, or of the digitiser's limit: holes in a file, which would count as
+    quiet samples. All of them where there is nothing else."""
+    rows = np.flatnonzero(np.diff(waves.offsets) > 0)
+    if len(rows) == 0:
+        return waves
+    highest, lowest = (f.reduceat(waves.samples, waves.offsets[rows]) for f in (np.maximum, np.minimum))
+    some = (highest > 0) & ~(lowest >= waves.pulses["saturation"][rows])  # none is known: not at it
+    return rows_of(waves, rows[some]) if some.any() and not some.all() else waves
+
+
 def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
     """Waveforms `rows`, int64 (some,), of `waves`, in that order, without returns and outgoing pulses."""
     length = np.diff(waves.offsets)[rows]

@@ -15,7 +15,7 @@ from fwclass.decompose.place_estimate import join_runs, measure_placement, sampl
 from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
 from fwclass.decompose.pulse_estimate import describe
-from fwclass.decompose.pulse_sample import join_samples, outgoing_of, sample_pulses
+from fwclass.decompose.pulse_sample import join_samples, outgoing_of, sample_pulses, with_signal
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.recovery import recovered, with_recovery
@@ -185,7 +185,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
     sampled, noise = sum(s.pulses.rows for s in samples), UNKNOWN.noise
     pulse, recorded, unsettled = SystemPulse.gaussian(params.fallback_width), None, 0.0
     if samples:
-        sample = join_samples(samples)
+        sample = with_signal(join_samples(samples))
         recorded = recorded_pulse(join_samples(outgoing), params)
         pulse = with_recovery(estimate_single_pulse(sample, params, fit, recorded), sample, fit)
         level, _ = recovered(of_sure_copies(sample, pulse), fit, pulse)

@@ -15,7 +15,7 @@ from fwclass.decompose.params import PulseParams
 from fwclass.decompose.pulse_align import half_sample_mode, narrowest
 from fwclass.decompose.pulse_channels import prior_variance
 from fwclass.decompose.pulse_estimate import describe, estimate_pulse
-from fwclass.decompose.pulse_sample import join_samples, sample_pulses
+from fwclass.decompose.pulse_sample import join_samples, sample_pulses, with_signal
 from fwclass.decompose.pulse_template import gaussian_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.errors import InputError
@@ -124,6 +124,23 @@ def test_neither_order_nor_cutting_matters():
     assert joined.returns.rows == 0
     for other in (estimate_pulse(backwards, PARAMS), estimate_pulse(joined, PARAMS)):
         assert json.dumps(other.to_json()) == json.dumps(whole.to_json())
+
+
+@pytest.mark.parametrize("hole", [0, 255])
+def test_holes_are_no_quiet_samples(hole):
+    """One waveform in 20 of nothing but zeros: noise of 2 DN was measured as 1.5 DN."""
+    waves, _ = survey_mix(2000, seed=3)
+    samples = waves.samples.reshape(2000, -1).copy()
+    samples[::20] = hole
+    holed = replace(waves, samples=samples.reshape(-1))
+    kept = with_signal(holed)
+    np.testing.assert_array_equal(kept.pulses["pulse"], np.delete(waves.pulses["pulse"], np.s_[::20]))
+    np.testing.assert_array_equal(kept.samples, np.delete(waves.samples.reshape(2000, -1), np.s_[::20], 0).reshape(-1))
+    assert with_signal(waves) is waves
+    blank = replace(waves, samples=np.full_like(waves.samples, hole))
+    assert with_signal(blank) is blank
+    nothing = rows_of(waves, np.arange(0))
+    assert with_signal(nothing) is nothing
 
 
 def test_the_sample_is_a_share_of_the_strip_and_knows_no_chunks():
