@@ -330,8 +330,8 @@ def _count(table: _Lookup, refs: References, fault: NDArray[np.uint8], has_packe
     """Returns without a usable packet by reason, those whose samples have no usable unit, and those with more."""
     counts = np.bincount(fault[~has_packet], minlength=len(FAULTS))
     faults = {name: int(n) for name, n in zip(FAULTS, counts, strict=True) if n and name}
-    told = {UNITLESS: table.unitless[refs.descriptor], LONGER: _longer(table, refs)}
-    return faults | {name: int(n) for name, where in told.items() if (n := (has_packet & where).sum())}
+    usable = {UNITLESS: table.unitless[refs.descriptor], LONGER: _longer(table, refs)}
+    return faults | {name: int(n) for name, where in usable.items() if (n := (has_packet & where).sum())}
 
 
 def _repeated(skip: NDArray[np.int64]) -> dict[str, int]:
