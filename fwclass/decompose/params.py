@@ -234,6 +234,7 @@ class PlausibilityParams(Params):
     max_intensity_ratio : between the files' medians of single returns, where features of amplitude decide.
     max_uncounted : share of the classified echoes whose reference is a code that no class counts.
     max_on_halls : share of the ground that lies on things that look like halls.
+    max_pits : share of the ground that lies in pits of one echo.
     sunken, max_sunken : so far below a given ground [m], more than this share of the points says that it is none.
     max_label_offset : that polygons or a cloud of labels are moved by to fit the echoes best [m].
     least : echoes, or returns, of that kind below which nothing is refused.
@@ -263,6 +264,7 @@ class PlausibilityParams(Params):
     max_intensity_ratio: float = Field(gt=1.0, le=100_000.0)
     max_uncounted: float = Field(ge=0.0, le=1.0)
     max_on_halls: float = Field(ge=0.0, le=1.0)
+    max_pits: float = Field(ge=0.0, le=1.0)
     sunken: float = Field(gt=0.0, le=10_000.0)
     max_sunken: float = Field(ge=0.0, le=1.0)
     max_label_offset: float = Field(gt=0.0, le=1000.0)

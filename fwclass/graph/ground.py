@@ -20,7 +20,7 @@ from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.filters import Flags
-from fwclass.ground.measure import ground_on_halls
+from fwclass.ground.measure import ground_in_pits, ground_on_halls
 from fwclass.ground.params import GroundParams
 from fwclass.ground.raster.lattice import cells_of
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground, last_of
@@ -92,7 +92,8 @@ def filter_block(here: StageInputs, params: GroundParams) -> Result:
     table, facts = flags_of_block(around, flags)
     places = around.table.select("xyz").take(flags.ground)
     width, on = ground_on_halls(places["x"], places["y"], places["z"], params.max_building_size)
-    halls = {"width": width, "ground": int((on & around.own[flags.ground]).sum())}
+    own, pits = around.own[flags.ground], ground_in_pits(places["x"], places["y"], places["z"])
+    halls = {"width": width, "ground": int((on & own).sum()), "pits": int((pits & own).sum())}
     return table, {**facts, "halls": halls}
 
 

@@ -52,6 +52,9 @@ STEEP_SHARE = 0.85
 SMOOTH = 0.3
 """Greatest median distance [m] of a roof's cells from the mean of their neighbours; closed crowns have more."""
 
+AROUND, PIT = 8, 0.5
+"""Ground points that are held against one, and m that it lies below them at least to be a pit."""
+
 MOST_CELLS = 1 << 23
 """Cells of the raster that is measured on; a larger survey gets larger cells."""
 
@@ -353,6 +356,26 @@ def ground_on_halls(
             on |= marked.reshape(-1)[cells_of(x, y, window)[0]]
         edge, reach = 2.0 * edge, 2.0 * reach
     return widest, on
+
+
+def ground_in_pits(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """bool (n,): a point of a ground lies deeper below all of its `AROUND` nearest ones in plan than the last of these
+    is away, and than `PIT`: no surface goes down so to a point, and a filter takes out what stands on the real ground
+    around it.
+
+    Parameters
+    ----------
+    x, y, z : (n,) places of what a filter calls ground [m], in any order.
+    """
+    pits = np.zeros(len(x), bool)
+    if len(x) <= AROUND:
+        return pits
+    order = np.lexsort((z, y, x))  # of equally near ones the same count, whatever the order
+    place, height = np.stack([x[order], y[order]], axis=1), z[order]
+    away, near = map(np.asarray, scipy.spatial.cKDTree(place).query(place, AROUND + 1))
+    others = np.where(near == np.arange(len(x))[:, None], np.inf, height[near])
+    pits[order] = others.min(axis=1) - height > np.maximum(PIT, away[:, -1])
+    return pits
 
 
 def _border_steps(

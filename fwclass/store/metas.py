@@ -211,7 +211,7 @@ META: dict[str, Shape] = {
     "ground-filter": {
         **dict.fromkeys(("rows", "ground", "noise", "seen", "last"), COUNT),
         "pieces": [(TILE, COUNT)],
-        "halls?": {"width": NUMBER, "ground": COUNT},
+        "halls?": {"width": NUMBER, "ground": COUNT, "pits?": COUNT},
     },
     "noise-filter": {"rows": COUNT, "noise": COUNT, "pieces": [(TILE, COUNT)]},
     "terrain": {

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fwclass import conf
 from fwclass.ground.auto import PRINCIPLES, _kappa, adapt_filter, building_size
 from fwclass.ground.filters import ground_points
-from fwclass.ground.measure import ground_on_halls, measure, table
+from fwclass.ground.measure import ground_in_pits, ground_on_halls, measure, table
 from fwclass.ground.tuning_params import GroundAutoParams
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
@@ -240,3 +240,16 @@ def test_adapted_parameters_on_hand_labelled_samples(sample, limit):
     params = adapt_filter((x, y, z), last, base, rules).params
     wrong = [100 * (ground_points(x, y, z, last, p).ground != (label == 0)).mean() for p in (base, params)]
     assert wrong[1] < min(wrong[0] + 0.5, limit)
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.0])
+def test_ground_in_pits_is_what_lies_far_below_all_around(slope):
+    x, y, z = plane(size=60.0, slope=slope)
+    low = np.arange(0, len(x), 200)
+    z[low] -= 6.0
+    pits = ground_in_pits(x, y, z)
+    assert set(np.flatnonzero(pits)) == set(low)
+    order = np.random.default_rng(4).permutation(len(x))
+    assert (ground_in_pits(x[order], y[order], z[order]) == pits[order]).all()
+    z[low] += 5.7
+    assert not ground_in_pits(x, y, z).any() and not ground_in_pits(x[:8], y[:8], z[:8]).any()
