@@ -69,7 +69,10 @@ def record(directory: Path, to: Path, root: Path, only: list[str]) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     kept: dict[str, dict[str, str]] = {}
     for name, words in RUNS.items():
-        if (only and name not in only) or (name in REAL and not DATA.is_dir()):
+        if only and name not in only:
+            continue
+        if name in REAL and not DATA.is_dir():
+            print(f"{name:<14} left out: {DATA} is no directory")
             continue
         survey = root / "conf" / "surveys" / f"{words[0]}.yaml"
         real = (
