@@ -171,9 +171,7 @@ def roughness_of(x: Floats, y: Floats, z: Floats) -> float:
     near = np.asarray(near)[:, 1:]
     local = np.concatenate([np.ones((*near.shape, 1)), places[near] - places[some][:, None]], axis=2)
     products = local.transpose(0, 2, 1) @ local + 1e-6 * np.eye(3)
-    weights = np.linalg.solve(products, local.transpose(0, 2, 1))[
-        :, 0
-    ]  # of the neighbours, for the height in the middle
+    weights = np.linalg.solve(products, local.transpose(0, 2, 1))[:, 0]  # of the neighbours, for the middle's height
     off = height[some] - (weights * height[near]).sum(axis=1)
     return float(SIGMA_PER_MAD * np.median(np.abs(off) / np.sqrt(1.0 + (weights**2).sum(axis=1))))
 
