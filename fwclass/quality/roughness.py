@@ -58,8 +58,9 @@ def roughness_remarks(facts: Mapping[str, Any]) -> list[str]:
 
 def judge_roughness(facts: Mapping[str, Any], most: float, accepted: bool, where: object) -> None:
     """`QualityError` where the smoothest places are rougher than `most` [m]; nothing where the user accepts it."""
+    smoothest = facts["smoothest"] or 0.0
     refuse_unsound(
-        roughness_remarks(facts) if (facts["smoothest"] or 0.0) > most else [],
+        [f"{smoothest:.3g} m in the smoothest tenth of {facts['places']:,} places"] if smoothest > most else [],
         accepted,
         "heights are too noisy for a model that learned elsewhere",
         where,

@@ -39,6 +39,9 @@ def test_it_is_the_noise(base: dict[str, Any], noise: float) -> None:
     if noise == 0.3:
         with pytest.raises(QualityError, match="too noisy for a model"):
             judge_roughness(facts, 0.12, False, "m")
+    with pytest.raises(QualityError, match=r"0\.\d+ m in the smoothest tenth of \d+ places"):  # below what is told, too
+        judge_roughness(facts, 0.5 * noise, False, "m")
+    judge_roughness(facts, 2.0 * noise, False, "m")
     smooth = planes.smooth(0.06)
     assert len(smooth.residual) == (planes.residual <= 60).sum() == len(smooth.a) and smooth.edge == planes.edge
 
