@@ -93,8 +93,8 @@ def filter_block(here: StageInputs, params: GroundParams) -> Result:
     places = around.table.select("xyz").take(flags.ground)
     width, on = ground_on_halls(places["x"], places["y"], places["z"], params.max_building_size)
     own, pits = around.own[flags.ground], ground_in_pits(places["x"], places["y"], places["z"])
-    halls = {"width": width, "ground": int((on & own).sum()), "pits": int((pits & own).sum())}
-    return table, {**facts, "halls": halls}
+    halls = {"width": width, "ground": int((on & own).sum())}
+    return table, {**facts, "halls": halls, "pits": int((pits & own).sum())}
 
 
 def flags_of_block(around: BlockEchoes, flags: Flags) -> tuple[Table, dict[str, Any]]:

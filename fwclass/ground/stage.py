@@ -39,7 +39,7 @@ def last_of(table: Table) -> NDArray[np.bool_]:
 
 GROUND_FILTER = Computation(
     name="ground-filter",
-    version=4,
+    version=5,
     reads=("x", "y", "z", "echo_number", "number_of_echoes", "fit_flags"),
     writes=("ground", "noise"),
     halo=lambda params: float(params.halo),

@@ -13,7 +13,7 @@ from fwclass.graph.ground_auto import AUTO, auto_facts
 from fwclass.model.ranges import RANGES
 from fwclass.report.drift import drift
 from fwclass.report.facts import metas_of_run, receipts_of_run
-from fwclass.report.ground import ground_remarks, hall_facts
+from fwclass.report.ground import ground_remarks, hall_facts, pits_of
 from fwclass.run.runner import Runner
 
 
@@ -117,6 +117,7 @@ def ground_facts(runner: Runner, config: Config, withheld: int) -> dict[str, Any
         "block": config.ground.block,
         "accuracy": judged,
         "halls": hall_facts(blocks),
+        "pits": pits_of(blocks),
         "seams": dict(seams) if seams else None,
         "remarks": ground_remarks(blocks, withheld, config.ground, by_source, judged),
     }

@@ -69,31 +69,46 @@ def judge_sunken(remarks: Sequence[str], bounds: PlausibilityParams, where: obje
 
 
 def hall_facts(blocks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Of the ``halls`` of all `blocks`: the greatest ``width`` [m], 0 for none, and the ``ground`` echoes on them; and
-    ``pits``, ground echoes far below all ground around."""
-    every = [b["halls"] for b in blocks if "halls" in b]
-    halls = [h for h in every if h["ground"]]
+    """Of the ``halls`` of all `blocks`: the greatest ``width`` [m], 0 for none, and the ``ground`` echoes on them."""
+    halls = [b["halls"] for b in blocks if "halls" in b and b["halls"]["ground"]]
+    return {"width": max((h["width"] for h in halls), default=0.0), "ground": sum(h["ground"] for h in halls)}
+
+
+def pits_of(blocks: Iterable[Mapping[str, Any]]) -> int:
+    """Ground echoes of all `blocks` that lie far below all ground around."""
+    return sum(b.get("pits", 0) for b in blocks)
+
+
+def filter_facts(blocks: Sequence[Mapping[str, Any]], ground: int) -> dict[str, dict[str, Any]]:
+    """What `judge_halls` and `judge_pits` judge of one file's `blocks`, of whose echoes so many are `ground`."""
     return {
-        "width": max((h["width"] for h in halls), default=0.0),
-        "ground": sum(h["ground"] for h in halls),
-        "pits": sum(h.get("pits", 0) for h in every),
+        "halls": {"halls": hall_facts(blocks), "ground": ground},
+        "pits": {"pits": pits_of(blocks), "ground": ground},
     }
 
 
+def filter_remarks(facts: Mapping[str, Mapping[str, Any]], params: GroundParams) -> list[str]:
+    """What `filter_facts` are told of."""
+    halls, pits = facts["halls"], facts["pits"]
+    return [*hall_remarks(halls["halls"], halls["ground"], params), *pit_remarks(pits["pits"], pits["ground"])]
+
+
 def hall_remarks(halls: Mapping[str, Any], ground: int, params: GroundParams) -> list[str]:
-    """That ground lies on what looks like wide roofs, or below the ground. `halls`: of all blocks, `ground`: echoes
-    that are."""
-    deep = [_pit_words(halls["pits"], ground)] if halls["pits"] >= PITS and halls["pits"] > PITTED * ground else []
+    """That ground lies on what looks like wide roofs. `halls`: of all blocks, `ground`: echoes that are."""
     if not halls["ground"]:
-        return deep
+        return []
     size = math.ceil(1.3 * halls["width"])
     auto = "" if params.method == "auto" else ", or ground.method=auto (--auto), which measures it"
     return [
         f"{halls['ground']:,} ground echoes ({100 * halls['ground'] / ground:.1f} %) lie on something flat, up to "
         f"{halls['width']:.0f} m wide, from which it goes down on all sides: a filter takes roofs that are wider than "
-        f"ground.max_building_size ({params.max_building_size:g} m) for ground; take {size}{auto}",
-        *deep,
+        f"ground.max_building_size ({params.max_building_size:g} m) for ground; take {size}{auto}"
     ]
+
+
+def pit_remarks(pits: int, ground: int) -> list[str]:
+    """That ground lies below the ground. `pits`: echoes of all blocks, `ground`: echoes that are."""
+    return [_pit_words(pits, ground)] if pits >= PITS and pits > PITTED * ground else []
 
 
 def _pit_words(pits: int, ground: int) -> str:
@@ -107,20 +122,9 @@ def _pit_words(pits: int, ground: int) -> str:
 def judge_halls(facts: Mapping[str, Any] | None, bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` where more of the ground than `max_on_halls` lies on what looks like wide roofs (`hall_remarks`);
     nothing where the user accepts it. `facts`: ``halls`` (`hall_facts`), and ``ground`` echoes in all."""
-    halls = facts["halls"] if facts else {"ground": 0}
-    pits = halls.get("pits", 0)
-    refuse_unsound(
-        [_pit_words(pits, facts["ground"])]
-        if facts and pits >= PITS and pits > bounds.max_pits * facts["ground"]
-        else [],
-        bounds.accept,
-        "ground lies below the ground",
-        where,
-        expected=f"at most {100 * bounds.max_pits:g} % of the ground in pits of one echo (plausibility.max_pits)",
-        do="take low noise out of the files, or flag it as withheld, of which no ground is made",
-    )
-    if not facts or halls["ground"] <= bounds.max_on_halls * facts["ground"]:
+    if not facts or facts["halls"]["ground"] <= bounds.max_on_halls * facts["ground"]:
         return
+    halls = facts["halls"]
     refuse_unsound(
         [f"{halls['ground']:,} of {facts['ground']:,} ground echoes, on things up to {halls['width']:.0f} m wide"],
         bounds.accept,
@@ -130,6 +134,20 @@ def judge_halls(facts: Mapping[str, Any] | None, bounds: PlausibilityParams, whe
         "sides",
         do=f"look for wider buildings: ground.max_building_size={math.ceil(1.3 * halls['width'])}, or "
         "ground.method=auto (--auto), which measures them",
+    )
+
+
+def judge_pits(facts: Mapping[str, Any] | None, bounds: PlausibilityParams, where: object) -> None:
+    """`QualityError` where more of the ground than `max_pits` lies below all ground around (`pit_remarks`); nothing
+    where the user accepts it. `facts`: ``pits`` (`pits_of`), and ``ground`` echoes in all."""
+    pits, ground = (facts["pits"], facts["ground"]) if facts else (0, 0)
+    refuse_unsound(
+        [_pit_words(pits, ground)] if pits >= PITS and pits > bounds.max_pits * ground else [],
+        bounds.accept,
+        "ground lies below the ground",
+        where,
+        expected=f"at most {100 * bounds.max_pits:g} % of the ground in pits of one echo (plausibility.max_pits)",
+        do="take low noise out of the files, or flag it as withheld, of which no ground is made",
     )
 
 
@@ -171,7 +189,7 @@ def ground_remarks(
             "stretched over it: return numbers are wrong, or files without last returns were given; --set "
             "ground.last_returns=false lets all returns be ground"
         )
-    remarks += hall_remarks(hall_facts(blocks), sum(b["ground"] for b in blocks), params)
+    remarks += filter_remarks(filter_facts(blocks, sum(b["ground"] for b in blocks)), params)
     kappa = _kappa(accuracy)
     if kappa is not None and kappa <= SLIGHT:
         remarks.append(
@@ -216,8 +234,6 @@ def _against_sources(by_source: Iterable[Mapping[str, Sequence[int]]], params: G
 def judge_ground(facts: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` where a filter looked at echoes and found no ground, or finds it where the reference has none;
     nothing where the user accepts it."""
-    if facts.get("halls"):
-        judge_halls(facts, bounds, where)
     kappa = _kappa(facts.get("accuracy"))
     refuse_unsound(
         [f"kappa {kappa:.2f}"] if kappa is not None and kappa <= 0.0 else [],

@@ -15,7 +15,7 @@ from fwclass.quality.steps import judge_steps
 from fwclass.quality.strips import judge_strips
 from fwclass.report.drift import judge_drift
 from fwclass.report.earlier import judge_sources
-from fwclass.report.ground import judge_ground
+from fwclass.report.ground import judge_ground, judge_halls, judge_pits
 from fwclass.report.labels import judge_labels
 from fwclass.report.places import judge_file_places, judge_place
 from fwclass.report.plausibility import judge_plausibility
@@ -37,6 +37,8 @@ def judge_report(report: Mapping[str, Any], config: Config, replaces: bool) -> N
     judge_place(report.get("place") or report.get("input", {}).get("place"), accepted, where)
     judge_file_places(report.get("input", {}).get("places"), config.plausibility, where)
     if report.get("ground"):
+        judge_pits(report["ground"], config.plausibility, where)
+        judge_halls(report["ground"], config.plausibility, where)
         judge_ground(report["ground"], config.plausibility, where)
     judge_radiometry((report.get("radiometry") or {}).get("implausible", ()), accepted, where)
     judge_repeated(report.get("repeated"), config.plausibility)

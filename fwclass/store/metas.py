@@ -211,7 +211,8 @@ META: dict[str, Shape] = {
     "ground-filter": {
         **dict.fromkeys(("rows", "ground", "noise", "seen", "last"), COUNT),
         "pieces": [(TILE, COUNT)],
-        "halls?": {"width": NUMBER, "ground": COUNT, "pits?": COUNT},
+        "halls?": {"width": NUMBER, "ground": COUNT},  # this and pits: not of a filter of one's own
+        "pits?": COUNT,
     },
     "noise-filter": {"rows": COUNT, "noise": COUNT, "pieces": [(TILE, COUNT)]},
     "terrain": {

@@ -29,7 +29,7 @@ from fwclass.read.projection import is_brought
 from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
-from fwclass.report.ground import hall_facts, hall_remarks, sunken_remarks
+from fwclass.report.ground import filter_facts, filter_remarks, sunken_remarks
 from fwclass.report.plausibility import strip_plausibility
 from fwclass.report.plausibility_remarks import plausibility_remarks
 from fwclass.report.repeated import repeated_in_file
@@ -265,14 +265,13 @@ def with_heights(echoes: FileEchoes, job: EchoJob, tell: Tell) -> FileEchoes:
         if job.own_ground
         else []
     )
-    ground, wide, halls = int(flags["ground"].sum()), list[str](), hall_facts(tiles.facts_of_blocks(FILTER_GROUND))
-    if not job.own_ground:
-        wide = hall_remarks(halls, ground, params)
+    found = filter_facts(tiles.facts_of_blocks(FILTER_GROUND), int(flags["ground"].sum()))
+    odd = [] if job.own_ground else filter_remarks(found, params)
     return replace(
         echoes,
         table=table.with_columns({**heights, "noise": flags["noise"]}),
-        notes=(*echoes.notes, note, *sunken, *wide),
-        judged={**echoes.judged, "ground": sunken, "halls": {"halls": halls, "ground": ground}},
+        notes=(*echoes.notes, note, *sunken, *odd),
+        judged={**echoes.judged, "ground": sunken, **found},
     )
 
 

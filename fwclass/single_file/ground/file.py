@@ -23,7 +23,7 @@ from fwclass.ground.params import GroundParams
 from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud, returns_of
 from fwclass.read.las import LasSource
-from fwclass.report.ground import hall_facts, hall_remarks
+from fwclass.report.ground import filter_facts, filter_remarks
 from fwclass.report.repeated import repeated_in_file
 from fwclass.report.returns import places_facts
 from fwclass.schema import Table
@@ -92,7 +92,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         params, measured = job.adapt(cloud, require_shown(cloud, shown), params)
         params = with_assignments(params, job.assignments)
     at, before = time.perf_counter(), compiling.spent()
-    flags, halls = flags_and_halls(cloud, shown, params, tell)
+    flags, found = flags_and_facts(cloud, shown, params, tell)
     filtering = time.perf_counter() - at - (compiling.spent() - before)
     classes = classes_of(cloud, flags, job.keep_classes)
     if job.rasters:
@@ -103,9 +103,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
     stray = stray_points(cloud, shown)
-    ground = int(flags.ground.sum())
     judged, odd = judged_of_cloud(cloud, flags.noise | ~shown, job.settings)
-    odd += [*(last_returns_lack(cloud) if params.last_returns else ()), *hall_remarks(halls, ground, params)]
+    odd += [*(last_returns_lack(cloud) if params.last_returns else ()), *filter_remarks(found, params)]
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -119,14 +118,14 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "left_out": int((cloud.usable & ~shown).sum()),
         "stray": len(stray),
         "last_returns": int((shown & cloud.last).sum()),
-        "ground": ground,
+        "ground": int(flags.ground.sum()),
         "noise": int(flags.noise.sum()),
         "classes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
         "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
-        "judged": {**judged, "halls": {"halls": halls, "ground": ground}},
+        "judged": {**judged, **found},
         "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *odd]),
         "seconds": {
             "filter": round(filtering, 3),
@@ -154,15 +153,15 @@ def came_as_noise(cloud: PointCloud) -> NDArray[np.bool_]:
 
 
 def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams, tell: Tell = quiet) -> Flags:
-    """The flags alone of `flags_and_halls`."""
-    return flags_and_halls(cloud, shown, params, tell)[0]
+    """The flags alone of `flags_and_facts`."""
+    return flags_and_facts(cloud, shown, params, tell)[0]
 
 
-def flags_and_halls(
+def flags_and_facts(
     cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams, tell: Tell = quiet
 ) -> tuple[Flags, dict[str, Any]]:
-    """Flags of all points of `cloud`, and what of its ground lies on wide roofs (`report.ground.hall_facts`); only
-    `shown` points take part.
+    """Flags of all points of `cloud`, and what of its ground lies on wide roofs or in pits
+    (`report.ground.filter_facts`); only `shown` points take part.
 
     `InputError`: no point is left to look at.
     """
@@ -192,7 +191,7 @@ def flags_and_halls(
     flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
     for name, values in tiles.columns(GATHER_GROUND, ("ground", "noise")).items():
         getattr(flags, name)[rows] = values
-    return flags, hall_facts(tiles.facts_of_blocks(FILTER_GROUND))
+    return flags, filter_facts(tiles.facts_of_blocks(FILTER_GROUND), int(flags.ground.sum()))
 
 
 def require_shown(

@@ -19,11 +19,11 @@ from fwclass.ground.stage import TERRAIN
 from fwclass.publish.heights import NO_HEIGHT
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
-from fwclass.report.ground import hall_remarks, sunken_remarks
+from fwclass.report.ground import filter_remarks, sunken_remarks
 from fwclass.single_file.ground.file import (
     came_as_noise,
     classes_of,
-    flags_and_halls,
+    flags_and_facts,
     judged_of_cloud,
     last_returns_lack,
     require_shown,
@@ -78,7 +78,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     check_copy(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, True, job.use_flagged)
     check_extent(cloud, cloud.usable, params.cell)
-    flags, halls, by = _ground(cloud, shown, job, tell)
+    flags, found, by = _ground(cloud, shown, job, tell)
     tell("terrain and heights")
     rows = np.flatnonzero(cloud.usable)
     tiles = FileTiles(
@@ -93,8 +93,8 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     judged, odd = judged_of_cloud(cloud, flags.noise | ~shown, job.settings)
     ground = int(flags.ground.sum())
     if by is not None:
-        judged["halls"] = {"halls": halls, "ground": ground}
-        odd += [*last_returns_lack(cloud), *hall_remarks(halls, ground, by)]
+        judged |= found
+        odd += [*last_returns_lack(cloud), *filter_remarks(found, by)]
     elif cloud.classes is not None:
         judged["ground"] = sunken_remarks(height, cloud.classes, conf.section("plausibility"))
         odd += judged["ground"]
@@ -129,11 +129,12 @@ def _spread(height: NDArray[np.float64]) -> dict[str, float] | None:
 def _ground(
     cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob, tell: Tell
 ) -> tuple[Flags, dict[str, Any], GroundParams | None]:
-    """Ground and noise by a filter, what of it lies on wide roofs, and the filter; or by the classes of the file."""
+    """Ground and noise by a filter, what of it lies on wide roofs or in pits, and the filter; or by the file's
+    classes."""
     if job.filters:
         params = ground_params(job.method, job.preset, job.assignments, job.settings)
         require_shown(cloud, shown, "give points another class than 7 and 18, which are noise")
-        return *flags_and_halls(cloud, shown, params, tell), params
+        return *flags_and_facts(cloud, shown, params, tell), params
     if cloud.classes is not None and (cloud.classes == GROUND).any():
         return Flags((cloud.classes == GROUND) & shown, came_as_noise(cloud)), {}, None
     raise InputError(
