@@ -234,7 +234,7 @@ def class_names(plan: Plan) -> dict[str, str]:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    10,
+    11,
     "tile",
     "echo",
     deliver_tile,

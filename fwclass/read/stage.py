@@ -116,7 +116,7 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None, projec
     )
 
 
-READ = Computation("read", 14)
+READ = Computation("read", 15)
 
 
 def without_padding(waves: Waveforms) -> Waveforms:

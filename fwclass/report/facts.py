@@ -103,7 +103,7 @@ def unsure_of_run(
     names = {str(s.number): s.path.name for s in survey.strips}
     of_files: dict[str, NDArray[np.int64]] = {}
     for one in tiles:
-        for number, percent in one.meta.get("of_files", {}).items():
+        for number, percent in one.meta["of_files"].items():
             name = names[number]
             of_files[name] = of_files.get(name, np.zeros(PERCENT, np.int64)) + np.array(percent, np.int64)
     unlike = unlike_files(of_files, config.classify)

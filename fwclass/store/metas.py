@@ -300,7 +300,7 @@ META: dict[str, Shape] = {
     "publish-quality": {"quality": QUALITY, "layers?": [TEXT]},
     "publish-tile": {
         **dict.fromkeys(("rows", "clipped?", "without_time?"), COUNT),
-        **{"beyond": {TEXT: COUNT}, "facts": _TILE_FACTS, "percent": Maybe([COUNT]), "of_files?": {NUMERAL: [COUNT]}},
+        **{"beyond": {TEXT: COUNT}, "facts": _TILE_FACTS, "percent": Maybe([COUNT]), "of_files": {NUMERAL: [COUNT]}},
     },
     "publish-rasters": {
         "dtm_cells": COUNT,

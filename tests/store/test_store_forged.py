@@ -22,6 +22,7 @@ from fwclass.store.row_digests import digest_within
 from fwclass.store.run_store import Store
 
 INDEX = {"spans": [[0, 9, 0, 4, []]], "points": 9, "pulses": 4, "point_format": 4, "from_outgoing": False}
+FACTS = {"points": 0, "bounds": [0.0] * 6, "confidence": None, "times": None, "classes": {}, "sure": {}, "figures": {}}
 
 
 def receipt_of(stage: str, meta: dict[str, Any]) -> Receipt:
@@ -69,12 +70,14 @@ def test_a_receipt_that_tells_something_else_is_told_by_place_and_value(change, 
         ("classify", {"codes": {"256": 1}}, "a class code as text"),
         ("ground-filter", {"pieces": [["../x", 1]]}, "the key of a tile, as 12_34"),
         ("tile", {"rows": 1, "blocks": {"0.0": []}}, "a number above 0 as text"),
+        ("publish-tile", {"beyond": {}, "facts": FACTS, "percent": None}, "to be there"),
     ],
 )
 def test_lengths_keys_and_bounds_are_told_too(stage: str, meta: dict[str, Any], expected: str) -> None:
-    whole = {name: 0 for name in ("rows", "ground", "noise", "seen", "last") if stage == "ground-filter"}
+    whole = {"ground-filter": ("rows", "ground", "noise", "seen", "last"), "publish-tile": ("rows",)}
+    counts = dict.fromkeys(whole.get(stage, ()), 0)
     with pytest.raises(DamagedError) as fault:
-        dict(receipt_of(stage, whole | meta).meta)
+        dict(receipt_of(stage, counts | meta).meta)
     assert fault.value.expected.endswith(f": {expected}")
 
 
