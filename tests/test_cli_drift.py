@@ -10,7 +10,7 @@ import pytest
 from commandline import fwclass
 from smallsurvey import small_survey
 
-from fwclass.report.drift import without_returns
+from fwclass.report.drift import with_returns
 
 FEATURES = "survey.features=[amplitude,zc,height_range_c100]"
 
@@ -126,17 +126,27 @@ def test_a_survey_without_the_returns_that_a_model_learned_by_ends_with_4(place)
     words = ("classify", "single.las", "o5.las", "--model", "by", "--overwrite")
     ended = fwclass(*words, cwd=place)
     assert ended.returncode == 4 and "pulses of up to 2 echoes, every pulse here has one" in ended.stderr, ended.stderr
-    assert fwclass(*words, "--accept-drift", cwd=place).returncode == 0
+    ended = fwclass(*words, "--accept-drift", cwd=place)
+    assert ended.returncode == 0 and "every pulse here has one" in ended.stderr, ended.stderr
     given = ("--set", "survey.sources=[single.las]", "--set", "survey.model=by", "--set", "areas.train=[]")
     ended = fwclass("run", "s.yaml", "--out", "s", "--workers", 0, *given, cwd=place)
     assert ended.returncode == 4 and "by returns that this survey does not have" in ended.stderr, ended.stderr
+    accepted = (*given, "--accept-drift", "--accept-implausible")
+    ended = fwclass("run", "s.yaml", "--out", "s", "--workers", 0, *accepted, cwd=place)
+    assert ended.returncode == 0 and "every pulse here has one" in ended.stderr, ended.stderr
+    assert "every pulse here has one" in (place / "s" / "report.html").read_text()
 
 
 def test_bare_ground_needs_no_returns():
+    def said(card, single, ground, echoes=1000):
+        made = with_returns({"remarks": ["before"]}, card, single and {"single": True}, ground, echoes)
+        assert made["remarks"] == ["before", *filter(None, [made["returns"]])]
+        return made["returns"]
+
     card = {"ranges": {"number_of_echoes": [1.0, 4.0]}}
-    assert without_returns(card, {"single": True}, 950, 1000)["returns"] == ""
-    assert "50 % of the echoes" in without_returns(card, {"single": True}, 500, 1000)["returns"]
-    assert without_returns(card, {"single": False}, 500, 1000)["returns"] == ""
+    assert said(card, True, 950) == ""
+    assert "50 % of the echoes" in said(card, True, 500)
+    assert with_returns({"remarks": []}, card, {"single": False}, 500, 1000) == {"returns": "", "remarks": []}
     for other in ({}, {"ranges": {"number_of_echoes": [1.0, 1.0]}}, {"ranges": {"zc": [0.0, 9.0]}}):
-        assert without_returns(other, {"single": True}, 500, 1000)["returns"] == ""
-    assert without_returns(card, None, 500, 1000)["returns"] == without_returns(card, {"single": True}, 0, 0)["returns"]
+        assert said(other, True, 500) == ""
+    assert said(card, None, 500) == said(card, True, 0, 0) == ""

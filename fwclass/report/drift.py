@@ -52,12 +52,12 @@ def drift(
     return {"outside": outside, **({DENSITY: density} if density else {}), "remarks": remarks}
 
 
-def without_returns(
-    card: Mapping[str, Any], returns: Mapping[str, Any] | None, ground: int, echoes: int
-) -> dict[str, str]:
-    """``returns``: that the model learned by pulses with several returns, and no pulse has them here, though
-    more than `OFF_GROUND` of the `echoes` are no `ground`; "" for nothing of the kind. `returns`: as `returns_facts`
-    has them."""
+def with_returns(
+    drift: Mapping[str, Any], card: Mapping[str, Any], returns: Mapping[str, Any] | None, ground: int, echoes: int
+) -> dict[str, Any]:
+    """`drift` with ``returns``, and that among its remarks: that the model learned by pulses with several returns, and
+    no pulse has them here, though more than `OFF_GROUND` of the `echoes` are no `ground`; "" for nothing of the kind.
+    `returns`: as `returns_facts` has them."""
     ranges = card.get(RANGES) or {}
     learned = (ranges.get(SEVERAL) or (1.0, 1.0))[1]
     said = ""
@@ -66,7 +66,7 @@ def without_returns(
             f"the model learned from pulses of up to {learned:.0f} echoes, every pulse here has one, and "
             f"{_percent(1 - ground / echoes)} of the echoes are no ground"
         )
-    return {"returns": said}
+    return {**drift, "returns": said, "remarks": [*drift["remarks"], *([said] if said else [])]}
 
 
 def _density(card: Mapping[str, Any], dense: Densities | None) -> dict[str, Any] | None:
@@ -95,7 +95,7 @@ def _percent(share: float) -> str:
 
 def judge_drift(drift: Mapping[str, Any] | None, params: ClassifyParams, where: object) -> None:
     """`QualityError` where a feature leaves the model's range further than `classify.max_outside`, or pulses lack the
-    returns that it learned by (`without_returns`)."""
+    returns that it learned by (`with_returns`)."""
     if not drift or params.accept_drift:
         return
     if said := drift.get("returns"):

@@ -36,7 +36,7 @@ from fwclass.report.counts import (
     vector_counts,
     withheld_returns,
 )
-from fwclass.report.drift import without_returns
+from fwclass.report.drift import with_returns
 from fwclass.report.earlier import since_earlier
 from fwclass.report.facts import (
     legacy_codes,
@@ -108,7 +108,7 @@ def write_report(
     }
     if report["drift"] and card:
         ground = report["ground"]
-        report["drift"] |= without_returns(card, report["returns"], ground["ground"], ground["echoes"])
+        report["drift"] = with_returns(report["drift"], card, report["returns"], ground["ground"], ground["echoes"])
     if (accuracy := report["accuracy"]) is not None:
         echoes, cells = report["counts"]["echoes_in_tiles"], (report["training"] or {}).get("in_context") or ()
         accuracy["remarks"] = remarks_on_accuracy(

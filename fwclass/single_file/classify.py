@@ -40,7 +40,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.points import classes_of
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import open_source
-from fwclass.report.drift import drift, without_returns
+from fwclass.report.drift import drift, with_returns
 from fwclass.schema import Table
 from fwclass.single_file.features.echoes import (
     OF_ECHOES,
@@ -109,7 +109,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     drifted = drift(first.card, [one[OUTSIDE] for one in facts[walk[0]] if OUTSIDE in one], dense)
     if drifted and "halls" in echoes.judged:
         ground = echoes.judged["halls"]["ground"]
-        drifted |= without_returns(first.card, echoes.judged["returns"], ground, echoes.table.rows)
+        drifted = with_returns(drifted, first.card, echoes.judged["returns"], ground, echoes.table.rows)
     crowd = None
     if any(is_feature(n) for n in first.features):
         crowd = Crowd.of_parts(one.get("dense") for one in tiles.facts(COMPUTE_FEATURES))
