@@ -38,7 +38,7 @@ class Lines:
         piece both are the same.
     count : int64 (n,) its vertices.
     vertices : float64 (m, 2), those of one after the other [m]; a closed one's first vertex is its last again.
-    every : lines of every so-manieth level alone are there: the block has too many.
+    every : lines of every `every`-th level alone are there: the block has too many.
     """
 
     level: NDArray[np.int64]
@@ -59,7 +59,7 @@ def lines(heights: NDArray[np.int64], window: Window, steps: int, index: int) ->
     ----------
     heights : ``window.shape``, whole units; `NO_HEIGHT` where there is none: squares with such a corner have no lines.
     steps : interval in those units.
-    index : of more than `MOST` pieces those of every so-manieth level are made, and so on.
+    index : of more than `MOST` pieces those of every `index`-th level are made, and so on.
     """
     every = 1
     while True:

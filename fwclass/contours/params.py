@@ -20,7 +20,7 @@ class ContourParams(Params):
     ----------
     enabled : whether they are made.
     interval : between two lines [m], a whole number of tenths of a millimetre.
-    index : every so-manieth line, counted from height 0, is an index contour.
+    index : every `index`-th line, counted from height 0, is an index contour.
     smooth : standard deviation of the weights by which the terrain is smoothed before [m]; 0 leaves it as it is.
     most : share of `interval`; the smoothed terrain is nowhere further from the terrain.
     shortest : shorter lines are left out [m].

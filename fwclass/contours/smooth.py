@@ -1,4 +1,4 @@
-"""The terrain as contours see it: smoothed, and nowhere far from what it was."""
+"""Smoothing of the terrain's heights before contour lines are drawn, with a bound on how far any height may move."""
 
 from __future__ import annotations
 

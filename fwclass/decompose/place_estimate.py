@@ -1,4 +1,4 @@
-"""What a strip itself tells of its places.
+"""Estimates, from a strip itself, of how its vendor places returns in time: a constant, a walk with the height.
 
 A vendor finds the place of a return by a rule of its own: a share of the rising edge, a centre, a table. Against the
 peak of the fitted pulse that is a constant time, which walks with the height of the echo. Echoes are placed along the

@@ -28,6 +28,7 @@ from fwclass.survey.layout import FileDigests, Layout
 CORRECTIONS, ECHO_LABELS = "corrections", "echo-labels"
 ALL = "all"
 _ROUNDING = 0.001
+"""Added to reaches [m], so that a place at a tile's very border is cut for both tiles whatever its rounding."""
 
 
 def cut_echo_labels(here: StageInputs, size: float, reach: float, margin: float, field: str) -> Result:

@@ -1,4 +1,4 @@
-"""Labels that hang on places alone, held against the answers for the echoes that are tested: they may lie elsewhere."""
+"""A check whether polygons of labels lie beside their echoes: labels against answers, of a draw of tested echoes."""
 
 from __future__ import annotations
 

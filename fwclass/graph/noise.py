@@ -1,4 +1,4 @@
-"""Noise alone, where nobody asks for the ground: what the ground filter takes out first, in a fifth of its time."""
+"""The stage that flags noise alone, for workflows without ground: the ground filter's first and quickest step."""
 
 from __future__ import annotations
 

@@ -62,6 +62,7 @@ NO_BYTE = frozenset({"raster_cache", "figure_pixels", "overview_echoes", "overvi
 """Settings that change no byte of what these parts write."""
 
 _ECHO_BITS = 8
+"""Of an echo's key: `echo_number` is a u1."""
 
 
 def deliver_tile(

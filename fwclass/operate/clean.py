@@ -1,4 +1,4 @@
-"""`fwclass clean`: what a run keeps beside its delivery goes, or earlier deliveries."""
+"""The work of `fwclass clean`: removes earlier deliveries, and the store's parts that the current one can spare."""
 
 from __future__ import annotations
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from fwclass.grid import Window
 
 DPI = 150
+"""Of the pictures [dots per inch]."""
 INK, PAPER, GRID, FRAME = "#22303c", "#ffffff", "#dde3e8", "#8795a1"
 SIZE = 8.5
 """Of the labels of axes [points]."""

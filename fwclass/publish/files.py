@@ -1,4 +1,4 @@
-"""Outputs are written whole or not at all."""
+"""Writing an output file or directory whole or not at all: beside its place first, then renamed."""
 
 from __future__ import annotations
 

@@ -25,7 +25,9 @@ FRAMED = ("map", "confidence", "errors")
 WORTH_A_LOOK = 0.95
 """Mean confidence from which on a tile is no work."""
 WIDTH, HEIGHT = 420.0, 190.0
+"""Of the drawing of a waveform [user units of its SVG]."""
 FOUR_LN2 = 2.772588722239781
+"""4 ln 2: exp(-4 ln 2 (t / w)^2) is a Gaussian of full width w at half its height."""
 STEPS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Confidences whose share and accuracy stand in the table."""
 

@@ -21,6 +21,8 @@ SUM, ECHO, NEW, VENDOR, BAND = "#0072b2", "#d55e00", "#cc79a7", "#009e73", "#d5d
 """Colours of Okabe and Ito: told apart by colour-blind readers, and each with a line style or marker of its own."""
 
 QUIET = "#8795a1"
+"""Of frames, axes and what is not known."""
+
 ACROSS = 3
 PANEL = (4.3, 3.5)
 """Panels side by side at most, and the size of one [inches]."""
@@ -29,10 +31,13 @@ LONGEST = 100.0
 """A longer waveform is drawn around its echoes and returns alone [ns]."""
 
 MARGIN = 30.0
+"""Drawn before and after the echoes and returns of such a waveform [ns]."""
+
 FOOT = 0.01
 """An echo's curve is drawn where it is above this share of its height."""
 
 TAIL_ENLARGED = 20.0
+"""Times that the second panel enlarges a pulse: it ends at 5 % of the peak, so that the tail is seen."""
 
 
 def draw_waveforms(pictures: Sequence[WavePicture], heading: str) -> bytes:

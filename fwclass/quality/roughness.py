@@ -1,4 +1,4 @@
-"""How rough a strip sees the smoothest places: the noise of its ranges, which nothing flat is smoother than."""
+"""Ranging noise of a strip: the spread of its heights about a plane, at the smoothest places that it sees."""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ from fwclass.schema import Table
 
 def lines_of(table: Table, path: Path, settings: tuple[str, ...]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """How the lines of the echoes in `table` (columns `READS`) lie, and how smooth the smoothest places are, as a run's
-    quality tells it (``strips`` of `report.judge_echoes`), and what is to be said of them, from the same bounds
-    on. Without times all is one line; nothing where a column is lacking."""
+    quality tells it (``strips`` of `report.judge_echoes`), and what is to be said of them, by the bounds of a
+    run. Without times all is one line; nothing where a column is lacking."""
     if not all(name in table for name in READS):
         return {}, ()
     params = conf.section("quality", settings).model_copy(update={"strips": "times"})

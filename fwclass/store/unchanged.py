@@ -1,4 +1,4 @@
-"""What a command makes of files is of those files: one that changes meanwhile is told."""
+"""A guard around commands on files: an error where a file that a command has read changes before it ends."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ class ThinParams(Params):
     ----------
     seed : of the first echo that a cell keeps.
     rate : share of the echoes that features are computed for and the classifier is asked about; 1 is all.
-    cell : edge of the cells of the global grid in which every so-manieth echo is kept [m].
+    cell : edge of the cells of the global grid in which every n-th echo is kept, n = 1 / `rate` [m].
     reach : no echo is further than this from a kept one; as many more are kept as that takes [m].
     """
 

@@ -50,7 +50,7 @@ ROWS = 20_000
 """Of a class, from all the surveys that a model learns from together."""
 
 EVERY = 4
-"""Each so-manieth echo is judged."""
+"""Every n-th echo is judged."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Whom the end of a run is told: an address of the web, a command. Neither ever fails a run, and no secret is told."""
+"""Notices of a scheduled run's end, by webhook and by a command. Neither ever fails a run, and no secret is in them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inputs that give the run's own columns as tiles of another grid: nothing but the cut is another."""
+"""Inputs of a stage for `fwclass seams`: the run's own columns, cut into tiles of a grid that lies elsewhere."""
 
 from __future__ import annotations
 
