@@ -1,4 +1,4 @@
-"""Ground filters, one a file, with what several of them share."""
+"""Ground filters, and what several of them share; two are made of others (csf+smrf, consensus)."""
 
 from __future__ import annotations
 
