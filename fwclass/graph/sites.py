@@ -10,6 +10,7 @@ import numpy as np
 from fwclass.errors import first_few
 from fwclass.graph.ground import terrain_blocks
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
+from fwclass.pieces import linked_groups
 from fwclass.survey.layout import Layout, Strip
 
 WHOLE = "all"
@@ -82,12 +83,9 @@ def _joined(count: int, touched: Sequence[Sequence[int]]) -> tuple[int, list[int
     ends = [(near[0], k) for near in touched for k in near]
     if all(a == b for a, b in ends):
         return count, list(range(count))
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     a, b = np.array(ends).T
-    sites_of_parts, site_of = connected_components(coo_array((np.ones(len(a)), (a, b)), (count, count)), directed=False)
-    return int(sites_of_parts), site_of.tolist()
+    site_of = linked_groups(count, a, b)
+    return int(site_of.max()) + 1, site_of.tolist()
 
 
 def describe_sites(several: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:

@@ -24,9 +24,6 @@ MAX_TIME = 1e12
 LEAST_LENGTH = 1.0
 """m that a strip must have moved along its line for its times to tell the direction."""
 
-FEW = 100_000
-"""Things that are grouped in 0.02 s; `scipy.sparse.csgraph` groups more sooner, and takes 0.2 s to load."""
-
 
 @dataclass(frozen=True)
 class Pieces:
@@ -201,21 +198,3 @@ def _strip(
     return PlacedStrip(
         files, int(n), times, centre, (float(along[0]), float(along[1])), timed, (float(half[0]), float(half[1]))
     )
-
-
-def groups_of(count: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> NDArray[np.int64]:
-    """int64 (count,): number of the group of every strip, or of whatever: those that the pairs `first`, `second`
-    (pairs,) hang together."""
-    if count > FEW:
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        links = coo_array((np.ones(len(first), np.int8), (first, second)), (count, count))
-        return np.asarray(connected_components(links, directed=False)[1], np.int64)
-    lowest, before = np.arange(count), np.empty(0, np.int64)
-    while not np.array_equal(lowest, before):
-        before = lowest.copy()
-        np.minimum.at(lowest, first, before[second])
-        np.minimum.at(lowest, second, before[first])
-        lowest = lowest[lowest]  # of the lowest one that hangs together with it, that one's
-    return np.unique(lowest, return_inverse=True)[1].astype(np.int64)

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from fwclass.errors import first_few, refuse_unsound
 from fwclass.hashing import hash_keys
+from fwclass.pieces import linked_groups
 from fwclass.quality.adjust import Adjusted, Pairs, adjust
 from fwclass.quality.offsets import Offsets, SlopePairs
 from fwclass.quality.params import PlaneParams
-from fwclass.quality.pieces import Pieces, PlacedStrip, groups_of, lines
+from fwclass.quality.pieces import Pieces, PlacedStrip, lines
 from fwclass.quality.planes import PlanePairs
 from fwclass.units import finite_or_none
 
@@ -121,7 +122,7 @@ class Comparison:
         sample = Pairs(*(np.concatenate([getattr(s, n) for s in self._sample]) for n in Pairs.__dataclass_fields__))
         adjustment = adjust(strips, sample, self.params.max_tilt_error)
         n, _, square = np.sum(list(self._sums.values()), axis=0) if self._sums else np.zeros(3)
-        group = groups_of(len(strips), *(np.array([k[i] for k in self._sums], np.int64) for i in (0, 1)))
+        group = linked_groups(len(strips), *(np.array([k[i] for k in self._sums], np.int64) for i in (0, 1)))
         return {
             "by": by,
             "pairs": int(n),

@@ -13,7 +13,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.grid import Box, Window
-from fwclass.quality.pieces import groups_of
+from fwclass.pieces import linked_groups
 
 LISTED = 1000
 """Largest voids that are told one by one."""
@@ -85,7 +85,7 @@ class CellGroups:
         facts = np.concatenate([np.empty((0, 6), np.int64), *self._facts])
         joins = np.concatenate([np.empty((0, 2), np.int64), *self._joins])
         n, cell = len(facts), self._window.cell
-        of = groups_of(n, joins[:, 0], joins[:, 1])
+        of = linked_groups(n, joins[:, 0], joins[:, 1])
         number = int(of.max(initial=-1)) + 1
         cells = np.bincount(of, facts[:, 0], minlength=number)
         low = np.full((number, 2), np.iinfo(np.int64).max)

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.pieces import linked_groups
 from fwclass.radiometry.overlap import PARTS, STEP, Overlap, merge
 from fwclass.radiometry.params import RadiometryParams
 from fwclass.units import SIGMA_PER_MAD
@@ -199,9 +199,8 @@ def _adjust(
     if len(pairs) == 0:
         return np.zeros(n), np.full(n, np.nan), np.arange(n), np.empty(0), None
     a, b = (np.searchsorted(strips, pairs[:, k].astype(np.int64)) for k in (0, 1))
-    groups, group = scipy.sparse.csgraph.connected_components(
-        scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False
-    )
+    group = linked_groups(n, a, b)
+    groups = int(group.max()) + 1
     design = np.zeros((len(pairs), n))
     design[np.arange(len(a)), a], design[np.arange(len(a)), b] = 1.0, -1.0
     weight = 1.0 / pairs[:, 4] ** 2
@@ -216,7 +215,7 @@ def _adjust(
     unit = float(np.sqrt((weight * residual**2).sum() / freedom)) if freedom > 0 else None
     alone = np.bincount(group, minlength=groups)[group] == 1
     error = np.where(alone, np.nan, np.sqrt(np.diag(inverse).clip(0.0)) * max(1.0, unit or 0.0))
-    return np.where(alone, 0.0, log_gain), error, group.astype(np.int64), residual, unit
+    return np.where(alone, 0.0, log_gain), error, group, residual, unit
 
 
 def _levels_on_target(

@@ -12,6 +12,7 @@ from pyproj import CRS
 
 from fwclass.formats.gdal import write_shapes
 from fwclass.formats.wkb import point_wkb, polygon_wkb
+from fwclass.pieces import linked_groups
 from fwclass.simulate.city import build_scene
 from fwclass.simulate.params import SimulateParams
 from fwclass.simulate.scene import BUILDING, CONE, HIGH, Scene, terrain
@@ -38,9 +39,7 @@ def parts_of_buildings(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.in
         one, other = one[near], other[near]
     meet = [_overlap(corners[a], corners[b]) for a, b in zip(one.tolist(), other.tolist(), strict=True)]
     one, other = one[np.array(meet, bool)], other[np.array(meet, bool)]
-    links = scipy.sparse.coo_array((np.ones(len(one), bool), (one, other)), (len(solids), len(solids)))
-    _, building = scipy.sparse.csgraph.connected_components(links, directed=False)
-    return corners, building.astype(np.int64), box[:, 5]
+    return corners, linked_groups(len(solids), one, other), box[:, 5]
 
 
 def _overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:

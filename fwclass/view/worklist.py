@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fwclass.grid import millimetres
+from fwclass.pieces import linked_groups
 
 SHOWN = 0.8
 """Share of a place's echoes that its size is told of, so that one far echo does not make it large."""
@@ -181,5 +180,4 @@ def _join_squares(squares: NDArray[np.int64], across: int) -> NDArray[np.int32]:
         there = there[(block[there] == block[at[there]]).all(axis=1)]
         pairs.append(np.c_[there, at[there]])
     edges = np.concatenate(pairs)
-    graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (len(key), len(key)))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int32)
+    return linked_groups(len(key), edges[:, 0], edges[:, 1]).astype(np.int32)

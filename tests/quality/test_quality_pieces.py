@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy
 
-from fwclass.quality import pieces as of_quality
-from fwclass.quality.pieces import NO_TIME, PlacedStrip, groups_of, lines, pieces_of, strips_of
+from fwclass import pieces
+from fwclass.pieces import linked_groups
+from fwclass.quality.pieces import NO_TIME, PlacedStrip, lines, pieces_of, strips_of
 
 GAP = 10.0
 EAST, NORTH = 500_000.0, 5_400_000.0
@@ -98,8 +99,8 @@ def test_no_echo_makes_no_piece() -> None:
 
 
 def test_strips_hang_together_by_their_pairs() -> None:
-    assert groups_of(5, np.array([0, 3]), np.array([2, 4])).tolist() == [0, 1, 0, 2, 2]
-    assert groups_of(3, np.empty(0, int), np.empty(0, int)).tolist() == [0, 1, 2]
+    assert linked_groups(5, np.array([0, 3]), np.array([2, 4])).tolist() == [0, 1, 0, 2, 2]
+    assert linked_groups(3, np.empty(0, int), np.empty(0, int)).tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("few", [0, 1000])
@@ -107,12 +108,12 @@ def test_strips_hang_together_by_their_pairs() -> None:
 def test_groups_are_those_of_scipy_by_their_lowest_strip(
     strips: int, few: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(of_quality, "FEW", few)
+    monkeypatch.setattr(pieces, "MOST_BY_HAND", few)
     rng = np.random.default_rng(strips)
     for pairs in (strips // 3, strips // 2, strips, 5 * strips):
         first, second = rng.integers(0, strips, (2, pairs))
         graph = scipy.sparse.coo_matrix((np.ones(pairs), (first, second)), shape=(strips, strips))
         _, wanted = scipy.sparse.csgraph.connected_components(graph, directed=False)
-        assert np.array_equal(groups_of(strips, first, second), wanted)
+        assert np.array_equal(linked_groups(strips, first, second), wanted)
     chain = rng.permutation(strips)
-    assert not groups_of(strips, chain[:-1], chain[1:]).any()
+    assert not linked_groups(strips, chain[:-1], chain[1:]).any()

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import TileGrid
+from fwclass.pieces import linked_groups
 from fwclass.read.cloud import PointCloud
 
 APART = 256.0
@@ -22,15 +23,11 @@ def stray_points(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.int6
     keys, square = np.unique(ix * (1 << 32) + iy, return_inverse=True)
     if len(keys) < 2:
         return rows[:0]
-    from scipy.sparse import coo_matrix  # they take a fifth of a second to load
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    from scipy.spatial import cKDTree  # it takes a while to load
 
     row = keys + (1 << 31) >> 32
     pairs = cKDTree(np.column_stack([row, keys - (row << 32)])).query_pairs(1.5, p=np.inf, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(keys), len(keys)))
-    _, group = connected_components(links, directed=False)
-    own = group[square.reshape(-1)]
+    own = linked_groups(len(keys), pairs[:, 0], pairs[:, 1])[square.reshape(-1)]
     counts = np.bincount(own)
     few = (counts <= max(FEW, SHARE * len(rows))) & (counts <= OF_LARGEST * counts.max())
     return rows[few[own]]
