@@ -22,7 +22,7 @@ from fwclass.grid import Box, TileGrid
 from fwclass.publish.files import whole
 from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.qgis import write_project
-from fwclass.publish.qgis_layers import OVERVIEW, cloud_styles, groups_of
+from fwclass.publish.qgis_layers import OVERVIEW, cloud_styles, layer_groups
 from fwclass.publish.qgis_style import style_file
 from fwclass.publish.tile_facts import least_sure_first, point_schema, sum_tiles
 from fwclass.publish.vpc import write_vpc
@@ -60,7 +60,7 @@ def deliver_catalogue(
     _write_style(here, present)
     bounds = facts["bounds"]
     quality = here.inputs.meta(DELIVER_QUALITY.name, "all")["layers"]
-    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours, bool(drawn[WHOLE]), quality)
+    groups = layer_groups(present, columns, ranges, polygons, WHOLE, vectors, contours, bool(drawn[WHOLE]), quality)
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 

@@ -24,7 +24,7 @@ from fwclass.label.cloud_offset import HALO, compare_heights
 from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, from_polygons
 from fwclass.label.stage import LABEL, from_cloud, from_source
-from fwclass.label.values import codes_of, groups_of
+from fwclass.label.values import codes_of, groups_of_codes
 from fwclass.model import ClassDef
 from fwclass.read.polygons import open_polygons, read_polygons, reproject
 from fwclass.run.inputs import PartInputs
@@ -62,7 +62,7 @@ def read_reference_polygons(
     moved = ""
     if own_crs is not None and crs is not None:
         shapes, moved = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
-    polygons = Polygons.of(shapes, codes, groups_of(codes, classes), path)
+    polygons = Polygons.of(shapes, codes, groups_of_codes(codes, classes), path)
     write_arrays(here.directory / POLYGONS, polygons.arrays())
     least_x, least_y, most_x, most_y = polygons.bounds
     return {

@@ -17,9 +17,9 @@ from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Column, Table
 from fwclass.stage import Chunk
-from fwclass.store.kept import write_and_hold
 from fwclass.store.remote_file import Location
 from fwclass.store.row_digests import ROW_DIGESTS, digests_by_square
+from fwclass.store.table_cache import write_and_hold
 
 
 @dataclass(frozen=True)

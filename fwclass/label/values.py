@@ -63,7 +63,7 @@ def codes_of(
     return codes, dict(sorted(counts.items()))
 
 
-def groups_of(codes: NDArray[np.int16], classes: Sequence[ClassDef]) -> NDArray[np.int16]:
+def groups_of_codes(codes: NDArray[np.int16], classes: Sequence[ClassDef]) -> NDArray[np.int16]:
     """int16 (parts,): what tells two codes apart, the class's index, or 256 + code where no class counts the code."""
     index = class_index(np.clip(codes, 0, 255).astype(np.uint8), classes)
     return np.where(index >= 0, index, 256 + codes).astype(np.int16)

@@ -81,7 +81,7 @@ def _by_column(name: str, ramp: Ramp, high: float, unit: str = "") -> list[Xml.E
     return ramp_cloud_style(of_column.las, ramp, 0, high, unit, of_column.las_scale)
 
 
-def groups_of(
+def layer_groups(
     names: Mapping[int, str],
     columns: Sequence[str],
     ranges: Mapping[str, Mapping[str, Sequence[float]]],

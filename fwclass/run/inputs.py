@@ -16,10 +16,10 @@ from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import IDENTITY, Table
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
-from fwclass.store.kept import groups_touching, read_kept, rows_of_groups
 from fwclass.store.remote_file import Location, local
 from fwclass.store.row_digests import Within, row_digests_of
 from fwclass.store.run_store import Store
+from fwclass.store.table_cache import groups_touching, read_kept, rows_of_groups
 from fwclass.store.tables import read_table, row_groups
 
 TABLE = "table.parquet"

@@ -31,10 +31,10 @@ from fwclass.store.atomic import (
     write_text,
 )
 from fwclass.store.digests import Looks, check_file, looks, remember
-from fwclass.store.kept import moved
 from fwclass.store.links import leads_to, link, link_to, same_file
 from fwclass.store.objects import Mark, StoredObject
 from fwclass.store.receipts import Receipt
+from fwclass.store.table_cache import moved
 
 ANY = Mark(None)
 """The mark of every file of a directory: its lock is the kernel's and cannot be lost, so no write has a condition."""

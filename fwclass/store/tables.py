@@ -119,7 +119,7 @@ class Group:
 
 
 @counted("reading")
-def groups_of(path: Path) -> tuple[Group, ...]:
+def row_groups_of(path: Path) -> tuple[Group, ...]:
     """The row groups of the table at `path`."""
     with legible(path, _TABLE), open_parquet(path) as file:
         return tuple(_group(file, g) for g in range(file.metadata.num_row_groups))
@@ -140,7 +140,7 @@ def _group(file: pq.ParquetFile, number: int) -> Group:
 
 
 def group_of(table: Table) -> Group | None:
-    """What `groups_of` tells of a table of one row group, None where only its file can tell."""
+    """What `row_groups_of` tells of a table of one row group, None where only its file can tell."""
     if "x" not in table or "y" not in table:
         return Group(table.rows, None)
     if any(_whole_millimetres(table[name]) is None for name in "xy"):
@@ -189,7 +189,7 @@ def _keep_footer(path: str, now: tuple[int, ...], footer: pq.FileMetaData) -> No
 
 def row_groups(path: Path, box: Box | None) -> list[int]:
     """Row groups of the table at `path` that may hold rows inside `box`."""
-    return [k for k, group in enumerate(groups_of(path)) if group.touches(box)]
+    return [k for k, group in enumerate(row_groups_of(path)) if group.touches(box)]
 
 
 @counted("reading")

@@ -192,11 +192,11 @@ def _store(path: Path) -> Actions:
 def _kept(path: Path) -> Actions:
     """As if its digest had been made to fit."""
     from fwclass.store.arrays import read_arrays
-    from fwclass.store.tables import groups_of, read_table
+    from fwclass.store.tables import read_table, row_groups_of
 
     if path.name.startswith("table"):
         return [
-            lambda: groups_of(path),
+            lambda: row_groups_of(path),
             lambda: read_table(path),
             lambda: read_table(path, ("x", "classification"), [0]),
         ]

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from fwclass.errors import ConfigError
-from fwclass.label.values import NO_CODE, codes_of, groups_of
+from fwclass.label.values import NO_CODE, codes_of, groups_of_codes
 from fwclass.model import ClassDef
 
 CLASSES = (ClassDef("ground", 2, (2,)), ClassDef("vegetation", 5, (3, 4, 5)), ClassDef("building", 6, (6, 17)))
@@ -59,4 +59,4 @@ def test_values_that_match_no_class():
 
 def test_codes_of_one_class_are_one_group_and_codes_of_none_each_their_own():
     made = codes_of([2, 3, 5, 9, 11], {}, CLASSES, "")[0]
-    assert groups_of(made, CLASSES).tolist() == [0, 1, 1, 256 + 9, 256 + 11]
+    assert groups_of_codes(made, CLASSES).tolist() == [0, 1, 1, 256 + 9, 256 + 11]

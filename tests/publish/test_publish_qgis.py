@@ -27,7 +27,7 @@ from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis import MapLayer, write_project
-from fwclass.publish.qgis_layers import groups_of
+from fwclass.publish.qgis_layers import layer_groups
 from fwclass.publish.qgis_style import HEIGHTS, SURE, class_cloud_style, class_raster_style, style_file
 from fwclass.publish.raster_styles import MASK, STYLED, Spread, raster_style
 from fwclass.publish.tile_facts import point_schema, tile_facts
@@ -47,7 +47,7 @@ FACTS = {
 
 
 def test_hostile_names_are_only_text(tmp_path: Path) -> None:
-    groups = groups_of(
+    groups = layer_groups(
         NAMES, ("confidence",), {"all": dict.fromkeys(STYLED, (0.0, 1.0))}, ("tiles",), "all", contours=True
     )
     write_project(EVIL, groups, (0, 0, 1, 1), tmp_path / "p.qgz", None)
@@ -71,10 +71,10 @@ def test_hostile_names_are_only_text(tmp_path: Path) -> None:
 def test_voids_gaps_and_check_points_lie_above_the_rasters_of_the_quality() -> None:
     ranges = {"all": dict.fromkeys(STYLED, (0.0, 1.0))}
     for asked, expected in (((), []), (("voids",), ["voids"]), (("gaps", "check_points"), ["check_points", "gaps"])):
-        layers = groups_of(NAMES, (), ranges, ("tiles",), "all", quality=asked)["Quality"]
+        layers = layer_groups(NAMES, (), ranges, ("tiles",), "all", quality=asked)["Quality"]
         assert [one.source for one in layers[:-2]] == [f"quality.gpkg|layername={name}" for name in expected]
         assert all(one.shown for one in layers[:-2]) and [one.kind for one in layers[-2:]] == ["raster", "raster"]
-    assert "Quality" not in groups_of(NAMES, (), ranges, ("tiles",), "all")
+    assert "Quality" not in layer_groups(NAMES, (), ranges, ("tiles",), "all")
 
 
 def test_the_same_layers_give_the_same_bytes(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_qgis_opens_the_project_and_draws_the_classes(params: PublishParams, tmp
     box = Box(512_000, 5_403_000, 512_008, 5_403_006)
     fields = {"tile": ["5120_54030"], "confidence": np.array([0.8]), "rank": np.array([1], np.int32)}
     write_gpkg([Layer("tiles", box_wkb([box]), fields)], tmp_path / "tiles.gpkg", crs)
-    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all")
+    groups = layer_groups(names, ("confidence",), {"all": ranges}, ("tiles",), "all")
     write_project("t", groups, box.bounds, tmp_path / "survey.qgz", crs)
     made = ask_qgis(python, QGIS, tmp_path / "survey.qgz")
     assert made["read"] and made["crs"] == "EPSG:25832"
@@ -261,7 +261,7 @@ def test_qgis_draws_echoes_by_class_confidence_and_height(params: PublishParams,
         write_tile_copc(made, tmp_path / path, crs, params, names)
     tiles, schema = {"tiles/5120_54030.copc.laz": tile_facts(made)}, point_schema(tuple(table))
     write_vpc(tiles, tmp_path / "laz" / "survey.vpc", crs, schema, overview="overview.copc.laz")
-    groups = groups_of(names, tuple(table), {}, (), "all")
+    groups = layer_groups(names, tuple(table), {}, (), "all")
     write_project("t", groups, (512_000, 5_403_000, 512_060, 5_403_060), tmp_path / "survey.qgz", crs)
     drawn = ask_qgis(python, CLOUDS, tmp_path / "survey.qgz")
     palette = {c: css(rgb) for c, rgb in colours([{"name": n, "code": c} for c, n in names.items()]).items()}

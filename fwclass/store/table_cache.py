@@ -18,7 +18,7 @@ from fwclass.cost import counted
 from fwclass.grid import Box
 from fwclass.schema import Table
 from fwclass.store.digests import Looks, looks
-from fwclass.store.tables import ROW_GROUP, Group, bytes_of, group_of, groups_of, read_table, write_table
+from fwclass.store.tables import ROW_GROUP, Group, bytes_of, group_of, read_table, row_groups_of, write_table
 
 MOST = 64 << 20
 """Bytes of columns that a process keeps: six columns of three rows of tiles in a survey 2 km wide, at 4 echoes/m²."""
@@ -94,7 +94,7 @@ def _groups_in(file: File) -> tuple[Group, ...]:
     with _guard:
         groups = _groups.get(file)
     if groups is None:
-        groups = groups_of(Path(file[0]))
+        groups = row_groups_of(Path(file[0]))
         _note_groups(file, groups)
     return groups
 
