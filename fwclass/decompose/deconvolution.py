@@ -54,8 +54,7 @@ def backscatter_samples(
     waves, doubt = recovered(waves, fit, pulse)
     fits = fit_waveforms(waves, fit, pulse, doubt)
     spacing, length = waves.pulses["sample_spacing"].astype(np.float64), np.diff(waves.offsets)
-    kinds, kind = pulses_of(waves, pulse)
-    channels = [*(c for c in pulse.channels if c.freedom > 0.0), None]
+    kinds, channels, kind = pulses_of(waves, pulse)
     height, energy = np.zeros(len(waves.samples)), np.zeros(len(waves.samples))
     usable = np.isfinite(fits.noise) & np.isfinite(fits.baseline) & (length > 0)
     gain = waves.pulses["gain"].astype(np.float64)

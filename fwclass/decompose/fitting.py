@@ -276,7 +276,7 @@ def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: Decompos
     """The sum of the fitted echoes at every sample, without the level [DN]; shape of ``waves.samples``."""
     signal = np.zeros(len(waves.samples))
     spacing = waves.pulses["sample_spacing"].astype(np.float64)[fits.row]
-    kinds, kind = pulses_of(waves, pulse)
+    kinds, _, kind = pulses_of(waves, pulse)
     for rows in _alike_rows(spacing, kind[fits.row]):
         step, own = spacing[rows[0]], kinds[kind[fits.row[rows[0]]]]
         widths = widths_of(own, params.narrowest, params.widest)
@@ -293,10 +293,14 @@ def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: Decompos
     return signal
 
 
-def pulses_of(waves: Waveforms, pulse: SystemPulse) -> tuple[list[SystemPulse], NDArray[np.int64]]:
-    """The pulses of the channels, the strip's last, and int64 (waveforms,): which of them each is fitted with."""
-    channels, _, channel_of = channels_of(pulse, waves.pulses)
-    return [pulse.of(channel) for channel in (*channels, None)], channel_of
+def pulses_of(
+    waves: Waveforms, pulse: SystemPulse
+) -> tuple[list[SystemPulse], list[Channel | None], NDArray[np.int64]]:
+    """The pulses of the channels, the strip's last; their channels, of that one None; and int64 (waveforms,): which of
+    them each is fitted with."""
+    known, _, channel_of = channels_of(pulse, waves.pulses)
+    channels = [*known, None]
+    return [pulse.of(channel) for channel in channels], channels, channel_of
 
 
 def model_of(

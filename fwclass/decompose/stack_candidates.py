@@ -200,8 +200,7 @@ def _match(
     residual = -np.repeat(np.nan_to_num(fits.baseline), np.diff(waves.offsets)) - signal_of(fits, waves, pulse, fit)
     residual += waves.samples
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
-    kinds, kind = pulses_of(waves, pulse)
-    channels = [*(c for c in pulse.channels if c.freedom > 0.0), None]
+    kinds, channels, kind = pulses_of(waves, pulse)
     parts = []
     for step, which in np.unique(np.stack([spacing, kind], axis=1)[wanted], axis=0):
         mine = np.flatnonzero(wanted & (spacing == step) & (kind == which))

@@ -123,7 +123,7 @@ def with_water(
     rows = np.flatnonzero(count > 0)
     kept = np.flatnonzero(count[fits.row] == 0)
     deep = rows[count[rows] == BOTTOM]
-    pulses, pulse_of = pulses_of(waves, pulse)
+    pulses, _, pulse_of = pulses_of(waves, pulse)
     widths = np.array([p.fwhm for p in pulses])[pulse_of]
     of_water = [
         _echoes(answers, some, at, widths) for some, at in ((rows, _AT_SURFACE), (deep, _AT_BOTTOM)) if len(some)

@@ -92,7 +92,8 @@ def test_channels_are_fitted_as_if_each_were_alone(params, fit):
     pulse = estimate_pulse(waves, params)
     together = fit_waveforms(waves, fit, pulse)
     left = signal_of(together, waves, pulse, fit)
-    kinds, kind = pulses_of(waves, pulse)
+    kinds, channels, kind = pulses_of(waves, pulse)
+    assert channels == [*(c for c in pulse.channels if c.freedom > 0.0), None]
     for saturation in (255.0, 4095.0):
         rows = np.flatnonzero(waves.pulses["saturation"] == saturation)
         (own,) = (pulse.of(c) for c in pulse.channels if c.saturation == saturation)

@@ -73,7 +73,7 @@ def _segment(seen: WaveformView, row: int, system: SystemPulse) -> dict[str, NDA
     samples = seen.waves.samples[seen.waves.offsets[row] : seen.waves.offsets[row + 1]].astype(np.float64)
     spacing, start = float(pulses["sample_spacing"][row]), float(pulses["segment_start"][row])
     n, finer = len(samples), FINER if len(samples) <= FINE_SAMPLES else 1
-    kinds, kind = pulses_of(seen.waves, system)
+    kinds, _, kind = pulses_of(seen.waves, system)
     total, curves = model_of(fits, row, (n - 1) * finer + 1 if n else 0, spacing / finer, kinds[kind[row]])
     end = np.full(1, np.nan)
     return {

@@ -97,8 +97,7 @@ def noise_chances(fits: Fits, waves: Waveforms, pulse: SystemPulse, inflation: f
     them a fit's gain tells, and no height.
     """
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
-    kinds, kind = pulses_of(waves, pulse)
-    channels = [*(c for c in pulse.channels if c.freedom > 0.0), None]
+    kinds, channels, kind = pulses_of(waves, pulse)
     error, sigma = np.full(len(spacing), np.nan), np.full(len(spacing), np.nan)
     for k, (own, channel) in enumerate(zip(kinds, channels, strict=True)):
         of_shape = (kind == k) & (spacing > 0.0)
