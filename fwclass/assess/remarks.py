@@ -22,7 +22,7 @@ ONE_CLASS = 0.99
 """A block is of one class from this share of its echoes on: a few strays make no border."""
 
 
-UNSORTED = frozenset({"0", "1"})
+NEVER_SORTED = frozenset({"0", "1"})
 """Codes that say nothing of an echo (LAS: never classified, unclassified): no class to learn."""
 
 
@@ -101,7 +101,7 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     lost = sum(tested.others.values())
     if tested.echoes and lost > params.unscored * tested.echoes:
         codes = ", ".join(f"{code} ({n:,} echoes)" for code, n in tested.others.items())
-        sorted_codes = set(tested.others) - UNSORTED
+        sorted_codes = set(tested.others) - NEVER_SORTED
         advice = (
             "add them to survey.classes, or know that they are missing here"
             if sorted_codes

@@ -26,8 +26,6 @@ from fwclass.publish.params import PublishParams
 if TYPE_CHECKING:
     import rasterio
 
-NO_CLASS = 0
-
 STRIPE = 64
 """Rows of a raster that are written together, counted from the north."""
 
@@ -127,8 +125,8 @@ def cog(
                 raise
             raise error from fault
         finally:
-            for left in (raw, Path(f"{raw}.aux.xml"), Path(f"{beside}.aux.xml")):  # what no TIFF can hold
-                left.unlink(missing_ok=True)
+            for part in (raw, Path(f"{raw}.aux.xml"), Path(f"{beside}.aux.xml")):  # what no TIFF can hold
+                part.unlink(missing_ok=True)
     if known:
         _write_names(path, known)
 

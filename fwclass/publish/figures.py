@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window
 from fwclass.publish.drawing import PAPER, Areas, View, draw, frame, legend, outline, png
-from fwclass.publish.palette import NO_CLASS, colours, css
+from fwclass.publish.palette import BLANK, colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import flat_light, hillshade
 
@@ -41,7 +41,7 @@ def class_map(
     """
     part, view = downsample(classes, window, params.figure_pixels)
     table = np.full((256, 3), 165, np.float32)
-    table[0] = NO_CLASS
+    table[0] = BLANK
     palette = colours(names)
     for code, colour in palette.items():
         table[code] = colour

@@ -7,7 +7,8 @@ from typing import Any
 
 RGB = tuple[int, int, int]
 
-NO_CLASS: RGB = (255, 255, 255)
+BLANK: RGB = (255, 255, 255)
+"""Where there is no data."""
 
 BY_NAME: dict[str, RGB] = {
     "ground": (216, 180, 128),

@@ -100,11 +100,11 @@ class Offsets:
             return None
         design = np.stack([-east, -north, np.ones(len(dz))], axis=1)
         level = np.array([0.0, 0.0, 1.0])
-        left = np.zeros(len(dz))
+        residual = np.zeros(len(dz))
         for k in range(2 * ROUNDS):
-            size = np.abs(left)
+            size = np.abs(residual)
             spread = max(SIGMA_PER_MAD * float(np.median(size)), LEAST_SIGMA)
-            if k < ROUNDS:  # least sums of |left|: of slopes that face half of all ways the others are no outliers
+            if k < ROUNDS:  # least sums of |residual|: of slopes that face half of all ways the others are no outliers
                 weight = spread / np.maximum(size, spread)
             else:
                 weight = (1 - np.minimum(1.0, (size / (TUKEY * spread)) ** 2)) ** 2
@@ -112,9 +112,9 @@ class Offsets:
             if np.linalg.eigvalsh(normal[:2, :2] / max(float(weight.sum()), 1.0))[0] < NO_TURN:
                 return None
             x = np.linalg.solve(normal, design.T @ (weight * dz) + flat * lift * level)
-            left = dz - design @ x
+            residual = dz - design @ x
         inside = weight > 0
-        variance = float((weight * left**2).sum() / max(inside.sum() - 3, 1))
+        variance = float((weight * residual**2).sum() / max(inside.sum() - 3, 1))
         error = float(np.sqrt(variance * np.diag(np.linalg.inv(normal))[:2].max()))
         if error > KNOWN:
             return None

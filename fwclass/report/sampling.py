@@ -12,7 +12,7 @@ from fwclass.grid import TileGrid
 from fwclass.label.counts import label_remarks, total, total_training
 from fwclass.store.receipts import Receipt
 
-UNSORTED = frozenset({0, 1, 7, 12, 18})
+BLANK_CODES = frozenset({0, 1, 7, 12, 18})
 """Codes of files that nobody has sorted: never classified, unclassified, noise and overlap."""
 
 SHOWN = 3
@@ -85,9 +85,9 @@ def sampling(
 
 
 def files_without_classes(files: Mapping[str, Mapping[int, int]]) -> dict[str, Mapping[int, int]]:
-    """Those of `files` that hold no code but those of `UNSORTED`, by name; none where no other file is there."""
-    blank = {name: codes for name, codes in sorted(files.items()) if codes and set(codes) <= UNSORTED}
-    return blank if any(set(codes) - UNSORTED for codes in files.values()) else {}
+    """Those of `files` that hold no code but those of `BLANK_CODES`, by name; none where no other file is there."""
+    blank = {name: codes for name, codes in sorted(files.items()) if codes and set(codes) <= BLANK_CODES}
+    return blank if any(set(codes) - BLANK_CODES for codes in files.values()) else {}
 
 
 def _less(others: Mapping[str, int], blank: Iterable[Mapping[int, int]]) -> dict[str, int]:
@@ -148,11 +148,11 @@ def _remarks_on_echo_labels(read: Sequence[Receipt], labelled: Sequence[Receipt]
     lost = rows - sum(int(r.meta.get("by_echo", 0)) for r in labelled)
     if lost <= 0:
         return []
-    several = ", a later file has a label of the same echo" if len(read) > 1 else ""
+    later = ", a later file has a label of the same echo" if len(read) > 1 else ""
     return [
         f"{lost:,} of {rows:,} labels by echo label nothing: their echo is not in this survey, or another one that "
         f"lies further than {reach:g} m (label.max_move) from its place has its number (files were renamed, cut or "
-        f"sorted anew){several}."
+        f"sorted anew){later}."
     ]
 
 

@@ -41,12 +41,12 @@ SHOWN = 4
 def describe_reliability(reliability: Mapping[str, Any]) -> str:
     """What `assess.reliability` says, in a sentence."""
     mean, right, error = (100 * reliability[n] for n in ("confidence", "right", "error"))
-    left = (
+    aside = (
         f"; without the {reliability['without_class']:,} test echoes that got no class"
         if reliability["without_class"]
         else ""
     )
-    return f"{mean:.1f} % on average where {right:.1f} % are right; expected calibration error {error:.1f} %{left}"
+    return f"{mean:.1f} % on average where {right:.1f} % are right; expected calibration error {error:.1f} %{aside}"
 
 
 def object_lines(objects: Mapping[str, Any] | None) -> list[str]:

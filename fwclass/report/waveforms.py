@@ -19,6 +19,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
 from fwclass.survey.layout import Survey
+from fwclass.waveforms import IMPLAUSIBLE
 
 WAVES = 6
 """So many pulses are drawn."""
@@ -117,7 +118,7 @@ def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInput
     columns = ("pulse", "time", "amplitude", "width", "baseline", "fit_flags")
     echoes = inputs.table("decompose", span, columns)
     whole = np.logical_and.reduce([np.isfinite(echoes[n]) for n in columns[1:5]])  # an echo without a fit has no curve
-    fitted = np.flatnonzero(whole & (echoes["fit_flags"] & 128 == 0))
+    fitted = np.flatnonzero(whole & (echoes["fit_flags"] & IMPLAUSIBLE == 0))
     numbers, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
     single = np.isin(numbers, waves.pulses["pulse"])
     numbers, counts = numbers[single], counts[single]

@@ -12,7 +12,7 @@ from fwclass.classify.context import halo_of
 from fwclass.conf.sets import feature_set
 from fwclass.features.names import FeatureRequest, is_feature
 from fwclass.operate.draft.areas import AreaSplit, best_split, outer_box
-from fwclass.operate.draft.holdings import NO_CLASS, Holdings
+from fwclass.operate.draft.holdings import WORDS_OF_NO_CLASS, Holdings
 
 LEAST = 500
 """Points of a class below which it is not proposed: too few to learn from and to judge by."""
@@ -43,7 +43,7 @@ MEANINGS = (
 def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], AreaSplit | None]:
     """Classes to learn; why others were left out; where to train."""
     classes = [m for m in MEANINGS if sum(holdings.codes[c] for c in m.codes) >= LEAST]
-    left = _left_out(holdings.codes, classes)
+    omitted = _left_out(holdings.codes, classes)
     bounds = [f["bounds"] for f in holdings.facts if f.get("bounds")]
     split = None
     while len(classes) > 1:
@@ -52,25 +52,25 @@ def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], d
             break
         both = (split.train >= LEAST / 10) & (split.test >= LEAST / 10)
         if both.all():
-            return classes, left, split
+            return classes, omitted, split
         for one in (c for c, there in zip(classes, both, strict=True) if not there):
-            left[codes_of(one)] = f"{one.name}: it does not lie on both sides of any line through the survey"
+            omitted[codes_of(one)] = f"{one.name}: it does not lie on both sides of any line through the survey"
         classes = [c for c, there in zip(classes, both, strict=True) if there]
-    return classes, left, None
+    return classes, omitted, None
 
 
 def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]:
     """Why codes that the files hold are in no class."""
     meaning_of = {code: m for m in MEANINGS for code in m.codes}
     covered = {code for m in classes for code in m.codes}
-    left = {}
+    omitted = {}
     for code, n in sorted(codes.items()):
         if n and code not in covered:
-            words = NO_CLASS.get(code) or (
+            words = WORDS_OF_NO_CLASS.get(code) or (
                 meaning_of[code].name if code in meaning_of else "no code of the LAS specification"
             )
-            left[str(code)] = f"{words}, {n:,} points"
-    return left
+            omitted[str(code)] = f"{words}, {n:,} points"
+    return omitted
 
 
 def gap_of(features: str, classes: Iterable[Meaning]) -> float:

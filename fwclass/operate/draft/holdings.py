@@ -25,7 +25,7 @@ from fwclass.read.source import Source, is_beam_file, open_source
 from fwclass.survey.gather import refuse_unusable
 from fwclass.survey.systems import with_heights
 
-NO_CLASS = {0: "never classified", 1: "unclassified", 7: "noise", 12: "overlap", 18: "high noise"}
+WORDS_OF_NO_CLASS = {0: "never classified", 1: "unclassified", 7: "noise", 12: "overlap", 18: "high noise"}
 """Codes of LAS 1.4 that stand for no class of things, and what they mean."""
 
 
@@ -58,7 +58,7 @@ class Holdings:
         codes = {
             Path(f["path"]).name: Counter({int(c): n for c, n in (f.get("classes") or {}).items()}) for f in self.facts
         }
-        return {name: own for name, own in codes.items() if own and set(own) <= set(NO_CLASS)}
+        return {name: own for name, own in codes.items() if own and set(own) <= set(WORDS_OF_NO_CLASS)}
 
     def systems(self) -> dict[str, int]:
         """How many files name each coordinate system."""
