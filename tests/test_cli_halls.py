@@ -83,6 +83,8 @@ def test_low_noise_that_becomes_ground_is_told(tmp_path):
     lasmaker.write_las(tmp_path / "a.las", np.c_[500_000 + x, 5_400_000 + y, z], point_format=6)
     ended = fwclass("ground", "a.las", "o.las", "--json", cwd=tmp_path)
     assert ended.returncode == 4 and "ground lies below the ground" in ended.stderr, ended.stderr
+    assert "ground.noise.surface=true" in ended.stderr
+    assert fwclass("ground", "a.las", "without.las", "--set", "ground.noise.surface=true", cwd=tmp_path).returncode == 0
     judged = json.loads(ended.stdout)["judged"]
     assert judged["pits"]["pits"] >= 20 and judged["halls"]["halls"] == {"width": 0.0, "ground": 0}
     (tmp_path / "g.yaml").write_text('survey: {name: g, sources: [a.las], crs: "EPSG:25832"}\n')

@@ -9,10 +9,11 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.ground.methods.noise import noise
 from fwclass.ground.methods.params import NoiseParams
+from fwclass.ground.stage import last_of
 from fwclass.schema import Table
 from fwclass.waveforms import IMPLAUSIBLE
 
-NOISE_READS = ("x", "y", "z", "fit_flags")
+NOISE_READS = ("x", "y", "z", "echo_number", "number_of_echoes", "fit_flags")
 
 
 def filter_noise(here: StageInputs, params: NoiseParams) -> Result:
@@ -21,7 +22,7 @@ def filter_noise(here: StageInputs, params: NoiseParams) -> Result:
     t = around.table
     rows = np.flatnonzero((t["fit_flags"] & IMPLAUSIBLE == 0) & np.isfinite([t[n] for n in "xyz"]).all(axis=0))
     flags = np.ones(t.rows, bool)
-    flags[rows] = noise(t["x"][rows], t["y"][rows], t["z"][rows], params)
+    flags[rows] = noise(t["x"][rows], t["y"][rows], t["z"][rows], last_of(t)[rows], params)
     table = Table({"noise": flags[around.own]})
     return table, {**around.facts(table), "noise": int(table["noise"].sum()), "rows": table.rows}
 

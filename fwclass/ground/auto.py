@@ -163,10 +163,10 @@ def _by_squares(points: Points, edge: float) -> Iterator[Points]:
 
 def _agreement(points: Points, tried: list[GroundParams], rules: GroundAutoParams) -> NDArray[np.int64]:
     """(tried, 4) counts of the points where the referees agree: both ground, only they, only the filter, none."""
-    clean = ~noise(*points, tried[0].noise)
+    clean = ~noise(*points, np.ones(len(points[0]), bool), tried[0].noise)
     x, y, z = (np.ascontiguousarray(a[clean]) for a in points)
     last = np.ones(len(x), bool)
-    off = tried[0].noise.model_copy(update={"low": False, "high": False, "sigma_rule": False})
+    off = tried[0].noise.model_copy(update={"low": False, "high": False, "sigma_rule": False, "surface": False})
 
     def flags(params: GroundParams) -> NDArray[np.bool_]:
         return ground_points(x, y, z, last, params.model_copy(update={"noise": off})).ground

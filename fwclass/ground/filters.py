@@ -90,9 +90,9 @@ def ground_points(
     dropped = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
     if dropped.any():
         rows = np.flatnonzero(~dropped)
-        dropped[rows] = noise(x[rows], y[rows], z[rows], params.noise)
+        dropped[rows] = noise(x[rows], y[rows], z[rows], last[rows], params.noise)
     else:
-        dropped = noise(x, y, z, params.noise)
+        dropped = noise(x, y, z, last, params.noise)
     rows = np.flatnonzero(~dropped & last) if params.last_returns else np.flatnonzero(~dropped)
     ground = np.zeros(len(x), bool)
     if len(rows):

@@ -147,7 +147,7 @@ def judge_pits(facts: Mapping[str, Any] | None, bounds: PlausibilityParams, wher
         "ground lies below the ground",
         where,
         expected=f"at most {100 * bounds.max_pits:g} % of the ground in pits of one echo (plausibility.max_pits)",
-        do="take low noise out of the files, or flag it as withheld, of which no ground is made",
+        do="ground.noise.surface=true takes single echoes below a surface out; what it misses, flag as withheld",
     )
 
 

@@ -48,7 +48,7 @@ def main() -> None:
     base = yaml.safe_load((Path(__file__).resolve().parents[2] / "conf" / "base.yaml").read_text())["ground"]
     x, y, z, terrain = town(asked.points, asked.width)
     few = slice(0, 20_000)
-    works = {"noise": lambda *p: noise(*p, GroundParams(**base).noise)}
+    works = {"noise": lambda *p: noise(*p, np.ones(len(p[0]), bool), GroundParams(**base).noise)}
     for method in METHODS:
         own = GroundParams(**{**base, "method": method}).of(method)
         works[method] = lambda *p, own=own, method=method: FILTERS[method](*p, own)

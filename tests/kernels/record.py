@@ -25,6 +25,7 @@ COMMANDS = [
     "demo --out demo --workers 0",
     *(f"ground {STRIP} ground-{name}.laz --method {name}" for name in FILTERS),
     f"ground {STRIP} auto.laz --auto",
+    f"ground {STRIP} low.laz --set ground.noise.surface=true",
     *(f"normalize ground-smrf.laz by-{name}.laz --height {name}" for name in ("tin", "nearest", "raster")),
     f"decompose {STRIP} decomposed.laz",
     f"info --waveforms {STRIP}",

@@ -92,7 +92,7 @@ def test_every_echo_with_its_place_class_and_features(made, truth):
 def test_features_are_those_of_the_stage(made, truth):
     _, table = made
     own = [n for n in NAMES if n not in ("height_above_ground", "echo_number")]
-    alone = noise(truth["x"], truth["y"], truth["z"], conf.section("ground").noise)
+    alone = noise(truth["x"], truth["y"], truth["z"], np.ones(truth.rows, bool), conf.section("ground").noise)
     assert 0 < alone.sum() < 20
     echoes = Chunk(truth.with_columns({"noise": alone}), np.arange(truth.rows), Tile(0, 0, 1e7))
     expected = features(echoes, own, conf.section("features"))

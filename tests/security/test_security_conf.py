@@ -59,6 +59,7 @@ THRESHOLDS = {
     "high_shape",
     "sigma",
     "sigma_least",
+    "surface_gap",
     "slope",
     "tolerance",
     "initial_distance",

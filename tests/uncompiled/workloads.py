@@ -50,6 +50,8 @@ from fwclass.formats.wkb import shapes
 from fwclass.grid import Box, Tile, Window
 from fwclass.ground.filters import FILTERS, ground_points
 from fwclass.ground.measure import measure
+from fwclass.ground.methods.noise import noise
+from fwclass.ground.methods.params import NoiseParams
 from fwclass.ground.params import GroundParams
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import terrain
@@ -209,6 +211,12 @@ def ground_by(method: str) -> Callable[[Path], Any]:
         return ground_points(x, y, z, np.ones(len(x), bool), GroundParams(**section("ground", method=method)))
 
     return work
+
+
+def work_noise_below_surfaces(_: Path) -> Any:
+    x, y, z = town()
+    z = z - np.where(np.arange(len(z)) % 200 == 0, 3.0, 0.0)
+    return noise(x, y, z, np.ones(len(x), bool), NoiseParams(**{**section("ground")["noise"], "surface": True}))
 
 
 def work_measure(_: Path) -> Any:

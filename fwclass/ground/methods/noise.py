@@ -1,6 +1,6 @@
 """Points that are no surface at all: echoes far below the ground, outliers of dense data, birds and clouds.
 
-Three rules, each with its switch. All compare whole millimetres with whole millimetres, so that neither the order
+Four rules, each with its switch. All compare whole millimetres with whole millimetres, so that neither the order
 of the points nor a shift of all heights changes a flag.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.ground.methods.noise_kernels import mark_below_gaps, mark_beyond_sigma
+from fwclass.ground.methods.noise_kernels import mark_below_gaps, mark_below_surfaces, mark_beyond_sigma
 from fwclass.ground.methods.params import NoiseParams
 from fwclass.neighbours import CellIndex, sort_by_cell
 
@@ -19,12 +19,16 @@ LEVELS = 3
 SURROUNDINGS = 4
 """So many times as many points as a group has must lie around it."""
 
+FINEST, SIZES = 0.25, 5
+"""m, smallest of the cells in 3 x 3 of which a surface is looked for, and how many sizes there are, each twice the one
+before: the first is for 43 last echoes a square metre and more, the last, of 4 m, for 0.17."""
+
 MOST_CELLS = 1 << 22
 """Cells of the search of the 3σ rule, or 64 a point where that is more; it changes the time, never a flag."""
 
 
 def noise(
-    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: NoiseParams
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], last: NDArray[np.bool_], params: NoiseParams
 ) -> NDArray[np.bool_]:
     """Points (n,) that lie on no surface.
 
@@ -45,9 +49,15 @@ def noise(
     sparse data.
     `sigma_above` applies it to both sides, as in the paper; twigs, wires and poles then count as noise.
 
+    **surface**, of what the other rules leave: a last echo more than `surface_gap` below a surface, a layer of 0.3 m
+    that holds `surface_share` of the last echoes around, where hardly another one is as low (single echoes that came
+    over two surfaces, a few in a hundred of dense data, that no gap parts from each other). What a wood or a crop lets
+    through has others of its height within three times that distance, and stays.
+
     Parameters
     ----------
     x, y, z : (n,) finite coordinates [m], in any order.
+    last : (n,) the point is the last, or only, echo of its pulse.
     """
     out = np.zeros(len(x), bool)
     if len(x) == 0 or params.reach == 0.0:
@@ -64,6 +74,39 @@ def noise(
     if params.sigma_rule:
         stray |= _beyond_sigma(place, ~stray, params)
     out[order] = stray
+    if params.surface:
+        rows = np.flatnonzero(last & ~out)
+        out[rows] = _below_surfaces(x[rows], y[rows], z[rows], params)
+    return out
+
+
+def _below_surfaces(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: NoiseParams
+) -> NDArray[np.bool_]:
+    """Which points lie alone below a surface, each asked in the finest cells that hold enough points around it."""
+    out = np.zeros(len(x), bool)
+    if len(x) == 0:
+        return out
+    index = CellIndex.build(x, y, z, FINEST)
+    heights = index.z.astype(np.float64)
+    judged, below = np.zeros(len(x), bool), np.zeros(len(x), bool)
+    for level in range(SIZES):
+        mark_below_surfaces(
+            index.x,
+            index.y,
+            heights,
+            index.start,
+            index.ncols,
+            index.nrows,
+            1 << level,
+            index.x0 // index.cell,
+            index.y0 // index.cell,
+            params.surface_gap * 1000.0,
+            params.surface_share,
+            judged,
+            below,
+        )
+    out[index.order] = below
     return out
 
 

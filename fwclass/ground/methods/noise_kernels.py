@@ -1,10 +1,23 @@
-"""Marks of points below gaps, and of those far from the mean of others around."""
+"""Marks of points below gaps, below surfaces, and far from the mean of others around."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from fwclass.kernel import kernel
+
+COUNTED = 24
+"""Last echoes in 3 x 3 cells that tell a surface above another echo."""
+
+FEW, ALONE = 2, 0.01
+"""Others as low, and share of the last echoes around as high as it, up to which an echo below a surface is alone: what
+a wood lets through hangs together."""
+
+THICK, TOLERANCE, RISE = 300.0, 300.0, 0.1
+"""mm of a layer that is a surface; mm by which heights differ of what hangs together, and more by the distance."""
+
+BINS = 300
+"""Of a third of a layer each, that a surface is looked for in above a point: 30 m."""
 
 
 @kernel
@@ -101,6 +114,79 @@ def _mark(z, start, ncols, nrows, r0, c0, edge, level, noise):  # type: ignore[n
     for r in range(max(r0, 0), min(r0 + edge, nrows)):
         for i in range(start[r * ncols + left], start[r * ncols + right]):
             noise[i] |= z[i] <= level
+
+
+@kernel
+def mark_below_surfaces(x, y, z, start, ncols, nrows, size, col0, row0, gap, share, judged, noise):  # type: ignore[no-untyped-def]
+    """Mark in `noise` bool (points,) points below surfaces, of those that are not `judged` yet bool (points,) in cells
+    with `COUNTED` points in 3 x 3 of them, which are judged then: `size` is the edge of a cell in cells of the index;
+    x, y, z (points,) and the gap are in millimetres."""
+    lowest, bins = np.empty(FEW + 2), np.empty(BINS, np.int64)
+    nothing = np.zeros(len(z), np.bool_)
+    for big_r in range(row0 // size, (row0 + nrows - 1) // size + 1):
+        for big_c in range(col0 // size, (col0 + ncols - 1) // size + 1):
+            r0, c0 = big_r * size - row0, big_c * size - col0
+            if not _to_judge(start, ncols, nrows, r0, c0, size, judged):
+                continue
+            total, _ = _lowest_of(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, nothing, lowest)
+            left, right = max(c0, 0), min(c0 + size, ncols)
+            for r in range(max(r0, 0), min(r0 + size, nrows)):
+                for i in range(start[r * ncols + left], start[r * ncols + right]):
+                    if judged[i]:
+                        continue
+                    judged[i] = True
+                    if z[i] + gap >= lowest[FEW + 1]:
+                        continue
+                    most = _thickest(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, z[i] + gap, bins)
+                    if most < share * total:
+                        continue
+                    n, near = _company(x, y, z, start, ncols, nrows, r0 - 4 * size, c0 - 4 * size, 9 * size, i)
+                    noise[i] = near <= max(FEW, ALONE * n)
+
+
+@kernel
+def _to_judge(start, ncols, nrows, r0, c0, size, judged):  # type: ignore[no-untyped-def]
+    """Has the square of cells a point that is not judged yet, and do 3 x 3 such squares hold enough?"""
+    left, right = max(c0, 0), min(c0 + size, ncols)
+    some = False
+    for r in range(max(r0, 0), min(r0 + size, nrows)):
+        for i in range(start[r * ncols + left], start[r * ncols + right]):
+            some |= not judged[i]
+    if not some:
+        return False
+    n, left, right = 0, max(c0 - size, 0), min(c0 + 2 * size, ncols)
+    for r in range(max(r0 - size, 0), min(r0 + 2 * size, nrows)):
+        n += start[r * ncols + right] - start[r * ncols + left]
+    return n >= COUNTED
+
+
+@kernel
+def _thickest(z, start, ncols, nrows, r0, c0, edge, bottom, bins):  # type: ignore[no-untyped-def]
+    """Points in the fullest layer above `bottom` of a square of cells: three bins, together `THICK`."""
+    bins[:] = 0
+    step = THICK / 3.0
+    left, right = max(c0, 0), min(c0 + edge, ncols)
+    for r in range(max(r0, 0), min(r0 + edge, nrows)):
+        for i in range(start[r * ncols + left], start[r * ncols + right]):
+            if z[i] > bottom and z[i] - bottom < BINS * step:
+                bins[int((z[i] - bottom) / step)] += 1
+    most = 0
+    for k in range(2, BINS):
+        most = max(most, bins[k - 2] + bins[k - 1] + bins[k])
+    return most
+
+
+@kernel
+def _company(x, y, z, start, ncols, nrows, r0, c0, edge, i):  # type: ignore[no-untyped-def]
+    """Points of a square of cells, and how many others of them are about as high as point `i`."""
+    total, near = 0, -1
+    left, right = max(c0, 0), min(c0 + edge, ncols)
+    for r in range(max(r0, 0), min(r0 + edge, nrows)):
+        for j in range(start[r * ncols + left], start[r * ncols + right]):
+            total += 1
+            dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
+            near += abs(z[j] - z[i]) <= TOLERANCE + RISE * np.sqrt(dx * dx + dy * dy)
+    return total, near
 
 
 @kernel

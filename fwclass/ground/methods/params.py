@@ -38,6 +38,10 @@ class FilterParams(Params):
         return math.inf
 
 
+SURFACE_REACH = 20.0
+"""m that the rule of surfaces looks at: five of its largest cells, of 4 m."""
+
+
 class NoiseParams(Params):
     """What is no surface at all, looked for before any filter; `noise.noise` tells the rules.
 
@@ -54,6 +58,9 @@ class NoiseParams(Params):
     sigma_least : a point with another so near to its height stays [m].
     sigma_neighbours : with fewer others the rule is silent.
     sigma_above : the rule also removes points above the mean.
+    surface : the switch of the rule of single echoes below a surface.
+    surface_gap : least distance [m] below it.
+    surface_share : of the last echoes around, that make a surface.
     """
 
     low: bool
@@ -71,12 +78,16 @@ class NoiseParams(Params):
     sigma_least: float = Field(ge=0)
     sigma_neighbours: int = Field(ge=2, le=1_000_000_000)
     sigma_above: bool
+    surface: bool
+    surface_gap: float = Field(gt=0, le=1000)
+    surface_share: float = Field(gt=0, le=1)
 
     @property
     def reach(self) -> float:
         """Distance [m] from which a point may decide about another."""
         groups = 2.0 * self.cell if self.low or self.high else 0.0
-        return max(groups, self.sigma_radius if self.sigma_rule else 0.0)
+        sigma = self.sigma_radius if self.sigma_rule else 0.0
+        return groups + sigma + SURFACE_REACH if self.surface else max(groups, sigma)
 
 
 class SmrfParams(FilterParams):
