@@ -10,6 +10,8 @@ import shutil
 
 import pytest
 from commandline import fwclass
+from shapely import box
+from shapely.geometry import mapping
 from smallsurvey import small_survey
 
 from fwclass.errors import LockedError
@@ -26,6 +28,31 @@ def place(tmp_path_factory):
     for more in (("--set", "train.trees=3"), ()):
         ended = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, *more, cwd=place)
         assert ended.returncode == 0, ended.stderr
+    return place
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory):
+    """A run ``r`` with check points that polygons label, of which the delivery alone is left."""
+    place = tmp_path_factory.mktemp("labelled")
+    small_survey(place)
+    boxes = [(500_000 + 5 * i, 5_400_000, 500_005 + 5 * i, 5_400_040) for i in range(16)]
+    features = [
+        {"type": "Feature", "properties": {"k": 2 + 3 * (i % 2)}, "geometry": mapping(box(*b))}
+        for i, b in enumerate(boxes)
+    ]
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
+    collection = {"type": "FeatureCollection", "crs": crs, "features": features}
+    (place / "p.geojson").write_text(json.dumps(collection))
+    points = "".join(f"{500_010 + i},5400020,{200.5 + i / 20}\n" for i in range(9))
+    (place / "checks.csv").write_text(f"x,y,z\n{points}")
+    text = (place / "s.yaml").read_text().replace("[a.las]", "['[ab].las']\n  crs: EPSG:25832")
+    polygons = "{kind: polygons, files: [p.geojson], field: k}"
+    checks = "quality: {check_points: {file: checks.csv}}\n"
+    (place / "s.yaml").write_text(text.replace("{kind: source}", polygons) + checks)
+    made = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, "--accept-implausible", cwd=place)
+    assert made.returncode == 0, made.stderr
+    assert fwclass("clean", "r", "--keep", "delivery", cwd=place).returncode == 0
     return place
 
 
@@ -116,6 +143,22 @@ def test_sources_that_changed_after_it_was_cleaned_are_told(tmp_path):
     assert told.returncode == 3 and "sources changed or came since then: a.las" in told.stdout, told.stdout
     (tmp_path / "copy").rename(tmp_path / "a.las")
     assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+
+
+def test_all_files_that_changed_after_it_was_cleaned_are_told(labelled):
+    """Where polygons label the survey they alone were looked at, and check points nowhere."""
+    assert fwclass("status", "r", cwd=labelled).returncode == 0
+    (labelled / "other.csv").write_text((labelled / "checks.csv").read_text() + "500030,5400020,201.5\n")
+    (labelled / "other.las").write_bytes((labelled / "a.las").read_bytes()[:-1] + b"\x01")
+    (labelled / "other.geojson").write_text((labelled / "p.geojson").read_text() + "\n")
+    for name, other in (("a.las", "las"), ("b.las", "las"), ("p.geojson", "geojson"), ("checks.csv", "csv")):
+        file = labelled / name
+        before = file.read_bytes() if file.exists() else None
+        shutil.copy(labelled / f"other.{other}", file)
+        told = fwclass("status", "r", cwd=labelled)
+        assert told.returncode == 3 and f"sources changed or came since then: {name}\n" in told.stdout, told.stdout
+        file.unlink() if before is None else file.write_bytes(before)
+    assert fwclass("status", "r", cwd=labelled).returncode == 0
 
 
 def test_the_files_of_a_simulated_survey_stay(tmp_path):

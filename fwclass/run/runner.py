@@ -13,6 +13,7 @@ from fwclass.errors import FwclassError, InputError, PartialError, StoreError, s
 from fwclass.run.part import Name, Outcome, Task, already_done, emptied, key_now
 from fwclass.run.progress import Display
 from fwclass.run.tasks import Tasks
+from fwclass.store.external_file import ExternalFile
 from fwclass.store.failures import Failure
 from fwclass.store.generations import Generation
 from fwclass.store.receipts import Receipt
@@ -75,9 +76,10 @@ class Runner:
     with other libraries are done; with `verify` the generation that is there is read before it is taken for what
     this run delivers; `lean`, a part whose files were removed to save room is done, and made anew before one that
     reads it is made: only where all that is read of parts is read by tasks. `delivering_stages` and
-    `judging_stages`: those met so far whose parts are delivered, or only judge (`Task.check`). `store` remembers
-    receipts; two runners of one run share it (`seen`). `held` raises `StoreError` when the run's lock is lost; it
-    is asked before a failure is believed and before anything is delivered.
+    `judging_stages`: those met so far whose parts are delivered, or only judge (`Task.check`). `external`: files from
+    outside that the run goes by, once they are found. `store` remembers receipts; two runners of one run share it
+    (`seen`). `held` raises `StoreError` when the run's lock is lost; it is asked before a failure is believed and
+    before anything is delivered.
     """
 
     location: RunLocation
@@ -93,6 +95,7 @@ class Runner:
     whole: bool = False
     delivering_stages: set[str] = field(default_factory=set)
     judging_stages: set[str] = field(default_factory=set)
+    external: list[ExternalFile] = field(default_factory=list)
     held: Callable[[], None] = lambda: None
     seen: InitVar[Store | None] = None
 

@@ -27,11 +27,13 @@ class Digests:
     """Digests of foreign files, remembered by what they look like (`seen_as`) in ``store/inputs.json``.
 
     For a store that is only read, a file of a size that it has not under this name is not read: it is another one.
+    `asked`: all files whose digests were asked for.
     """
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self._known = _load(store)
+        self.asked: list[ExternalFile] = []
         self._first: dict[Path, Looks] = {}
         self._read_only, self._changed, self._saved = store.read_only, False, time.monotonic()
         self._sizes = {(Path(path).name, facts[0]) for path, facts in self._known.items()}
@@ -65,7 +67,17 @@ class Digests:
                     raise changed_file(path, self._first[path], files[-1].looks)
         if time.monotonic() - self._saved > _SAVED_EVERY:
             self.save()
+        self.asked += files
         return tuple(files)
+
+    def of_copy(self, copy: Path, place: Path) -> tuple[ExternalFile, ...]:
+        """As `of`, of the file at `place`, which is read as the `copy` that was made of it."""
+        if copy == place:
+            return self.of([place])
+        file = ExternalFile(place.name, digest_file(copy), copy, looks(copy))
+        self._known[str(place)], self._changed = [*seen_as(copy)[1], file.digest], True
+        self.asked.append(file)
+        return (file,)
 
     def save(self) -> None:
         """Remember what is new; called when all files are known, and now and then before."""

@@ -93,6 +93,7 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     area = shape_file("quality.area", config.quality.area, config, directory, digests, crs, box)
     corrections = reference_corrections(config, directory, digests, runner.store)
     digests.save()
+    runner.external += digests.asked
     waves, both = config.survey.echoes != "returns", zip(places, opened, strict=True)
     quantities = {s.path.name: quantities_of(_here(p, s), waves) for p, s in both if s.n_records}
     more_files: dict[str, Any] = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}

@@ -32,8 +32,6 @@ from fwclass.read.source import open_source
 from fwclass.read.stage import with_settings
 from fwclass.store.atomic import write_bytes
 from fwclass.store.corrections import CORRECTIONS
-from fwclass.store.digests import looks
-from fwclass.store.external_file import ExternalFile, digest_file
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, find_remote, local
 from fwclass.store.run_store import Store
@@ -201,7 +199,7 @@ def reference_corrections(
         data = _bytes_of(place)
         _check_corrections(data, place, config)
         copy = _copied(place, data, store)
-        return copy, (ExternalFile(place.name, digest_file(copy), copy, looks(copy)),)
+        return copy, digests.of_copy(copy, place)
     _check_corrections(local(place), place, config)
     return place, digests.of([local(place)], place)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -10,7 +12,8 @@ from click.testing import CliRunner
 from smallsurvey import small_survey
 
 from fwclass.cli import cli
-from fwclass.formats.echo_labels import EchoLabels
+from fwclass.formats.echo_labels import EchoLabels, echo_labels_bytes
+from fwclass.operate.clean import clean
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import canonical_key
 from fwclass.store.atomic import read_json
@@ -277,3 +280,23 @@ def test_corrections_that_are_added_while_a_run_begins_are_the_next_run_s(tmp_pa
     run(survey, root)
     assert (echoes(root)["reference"][rows] == 5).all()
     assert CliRunner().invoke(cli, ["status", str(root)]).exit_code == 0
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_a_cleaned_run_stands_until_its_corrections_are_others(second, tmp_path, own):
+    """Of every cleaned run that had corrections `status` said that they had changed or come since."""
+    survey, named, root = second[0], tmp_path / "mine.parquet", tmp_path / "run"
+    shutil.copytree(second[1], root, symlinks=True)
+    if own:
+        (root / "labels" / "corrections.parquet").rename(named)
+        run(survey, root, f"survey.reference.corrections={named}")
+    clean(root, "delivery", print)
+    told = CliRunner().invoke(cli, ["status", str(root)])
+    assert told.exit_code == 0 and "sources" not in told.output, told.output
+    if own:
+        named.write_bytes(echo_labels_bytes(EchoLabels.of({n: second[4][n][:1] for n in PLACE}, [2], 1, "another")))
+    else:
+        correct(root, inside(second[4]), 5, second[4])
+    told = CliRunner().invoke(cli, ["status", str(root)])
+    words = f"sources changed or came since then: {named.name if own else 'corrections.parquet'}"
+    assert told.exit_code == 3 and words in told.output, told.output

@@ -44,7 +44,7 @@ def _bare(store: Store) -> bool:
 def _other_sources(status: RunStatus) -> list[str]:
     """Names of source files that no run of this directory has read with these bytes."""
     known = remembered(status.store)
-    return sorted({file.name for task in status.tasks.values() for file in task.external if file.digest not in known})
+    return sorted({file.name for file in status.external if file.digest not in known})
 
 
 def as_data(status: RunStatus, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from fwclass.run.part import Name, Outcome, Task, emptied, holds, input_digests
 from fwclass.run.progress import Display
 from fwclass.run.runner import Done, Lacking, Runner
 from fwclass.store.atomic import digest_of
+from fwclass.store.external_file import ExternalFile
 from fwclass.store.failures import Failure
 from fwclass.store.receipts import Receipt, content_key
 from fwclass.store.run_location import RunLocation, held_by, open_store
@@ -165,7 +166,7 @@ class StatusWalk(Runner):
 class RunStatus:
     """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is; how many
     receipts have which `libraries`; the fault of the input by which it is not, None where it is another reason; the
-    digest of a delivery of all parts."""
+    digest of a delivery of all parts; the files from outside, as they are now."""
 
     store: Store
     states: dict[Name, PartState]
@@ -174,6 +175,7 @@ class RunStatus:
     libraries: Mapping[str, int]
     fault: FwclassError | None = None
     digest: str = ""
+    external: tuple[ExternalFile, ...] = ()
 
     @property
     def waiting(self) -> int:
@@ -208,4 +210,5 @@ def look_at(location: RunLocation, workflow: Callable[[Runner], object], accept_
         ends = fault.what
         if isinstance(fault, Lacking):
             ends = f"{'/'.join(fault.name)} is {look.states[fault.name].standing}"
-    return RunStatus(look.store, look.states, look.tasks, ends, look.libraries, wrong, look.digest())
+    external = (*look.external, *(file for task in look.tasks.values() for file in task.external))
+    return RunStatus(look.store, look.states, look.tasks, ends, look.libraries, wrong, look.digest(), external)
