@@ -80,7 +80,12 @@ main()
 
 @pytest.mark.parametrize(
     "workers, cores, words",
-    [(4, 2, "2 of 4: more than 2 cores serve"), (2, 16, "2 of 16 cores"), (2, 3, ""), (2, 2, "")],
+    [
+        (4, 2, "2 started of 4 asked for: more than this machine's 2 cores"),
+        (2, 16, "2 of 16 cores"),
+        (2, 3, ""),
+        (2, 2, ""),
+    ],
 )
 def test_workers_that_do_not_fit_the_cores_are_told(workers: int, cores: int, words: str) -> None:
     """Of 32 cores two worked, and nothing said so; four on two cores took a tenth longer than two."""

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from commandline import fwclass
 
+from fwclass.run import cluster
+
 HEAD = "survey      t: 1 file,"
 
 
@@ -43,6 +45,20 @@ def test_a_plan_is_told_and_written_and_nothing_runs(conf: Path, tmp_path: Path)
         assert text in ended.stdout
     assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["plan"]
     assert sorted(p.name for p in (tmp_path / "r" / "plan").iterdir()) == ["plan.json", "plan.png", "tiles.gpkg"]
+
+
+def test_a_plan_reckons_with_the_workers_that_a_run_starts(
+    conf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The time was divided by all that were asked for, and the memory of this machine multiplied."""
+    monkeypatch.setattr(cluster, "CORES", 2)
+    plans = []
+    for workers in (9, 2):
+        ended = fwclass("plan", conf, "--out", tmp_path / f"r{workers}", "--workers", workers, "--json")
+        assert ended.returncode == 0 and ("2 started of 9 asked for" in ended.stderr) == (workers == 9), ended.stderr
+        plans.append(json.loads(ended.stdout))
+    assert all(plan["workers"] == 2 for plan in plans)
+    assert plans[0]["wall_seconds"] == plans[1]["wall_seconds"]
 
 
 def test_what_a_paper_compares_is_reckoned_with(conf: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import click
 
 from fwclass.cli.base import JSON, OUTPUT, OVERWRITE, PATH, SET, WORKERS, cli
 from fwclass.cli.run_words import WORKFLOW
-from fwclass.cli.runner import open_runner
+from fwclass.cli.runner import cap_workers, cores_remark, open_runner
 from fwclass.errors import ConfigError
 
 
@@ -76,7 +76,10 @@ def plan(
         return
     root = out if out is not None else Path("runs") / config.survey.name
     check_free(root, overwrite)
-    number = config.run.workers if workers is None else workers
+    asked = config.run.workers if workers is None else workers
+    number = cap_workers(asked)
+    if number < asked:
+        click.echo(f"note: {cores_remark(asked, number)}", err=True)
     begun = chosen.begin(config)
     _tell_unknown(config, chosen)
     copied = DELIVER_STRIP in chosen.stages

@@ -74,9 +74,10 @@ def open_runner(
         def started() -> Any:
             from fwclass.run.cluster import CORES, Cluster
 
+            remote = isinstance(location, Remote)
             cluster = Cluster(
                 scheduler,
-                workers if isinstance(location, Remote) else min(workers, CORES),
+                cap_workers(workers, remote),
                 limits.worker_memory_gib,
                 limits.window,
                 limits.retries,
@@ -87,7 +88,8 @@ def open_runner(
                 compiles=display.compiling,
             )
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
-            if remark := cores_remark(workers, CORES, isinstance(location, Remote)) if scheduler is None else "":
+            remark = "" if scheduler is not None else cores_remark(workers, CORES, remote)
+            if remark:
                 display.say(f"workers          {remark}")
             display.workers = cluster.workers
             return cluster
@@ -106,13 +108,22 @@ def open_runner(
         runner.store.sweep()
 
 
-def cores_remark(workers: int, cores: int, far: bool = False) -> str:
-    """What is said of a number of workers that leaves cores idle, or that these cannot serve; empty for none. A store
-    that is `far` is waited for: more workers than cores are started there."""
+def cap_workers(workers: int, remote: bool = False) -> int:
+    """How many of so many `workers` a run on this machine starts: of a `remote` store, which is waited for, all; on the
+    disk no more than cores."""
+    from fwclass.run import cluster
+
+    return workers if remote or workers <= 1 else min(workers, cluster.CORES)
+
+
+def cores_remark(workers: int, cores: int, remote: bool = False) -> str:
+    """What is said of a number of workers that leaves cores idle, or that these cannot serve (`cap_workers`); empty for
+    none."""
     if workers > cores:
-        if far:
+        if remote:
             return ""
-        return f"{cores} of {workers}: more than {several(cores, 'core')} serve take longer (--scheduler starts any)"
+        slower = f"more than this machine's {several(cores, 'core')} are slower"
+        return f"{cores} started of {workers} asked for: {slower} (--scheduler takes any number)"
     if 2 * workers <= cores:
         return f"{workers} of {cores} cores: --workers N, or run.workers, takes more, each with memory of its own"
     return ""
