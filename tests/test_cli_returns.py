@@ -159,6 +159,14 @@ def test_a_survey_without_several_returns_says_so(tmp_path):
     whole.write(tmp_path / "a.las")
     ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0)
     assert ended.returncode == 0 and "no pulse has several returns" in ended.stderr, ended.stderr
+    assert json.loads((tmp_path / "r" / "report.json").read_text())["returns"]["single"]
+    few = whole[:900]
+    few.number_of_returns[:] = 2
+    few.write(tmp_path / "few.las")
+    path.write_text(path.read_text().replace("[a.las]", "[a.las, few.las]"))
+    ended = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0)
+    assert "no pulse has several returns" not in ended.stderr, ended.stderr
+    assert not json.loads((tmp_path / "r" / "report.json").read_text())["returns"]["single"]
 
 
 def test_the_quality_of_a_survey_with_x_and_y_exchanged_ends_with_4(tmp_path):

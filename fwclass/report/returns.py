@@ -53,8 +53,8 @@ def returns_facts(
     weekly: Iterable[str] = (),
 ) -> dict[str, Any] | None:
     """``remarks`` on the returns of the files, and what of them is not sound: ``coarse``, ``scales``, ``backward`` and
-    ``units``, of which each is what `judge_returns` refuses, or ""; ``single``, whether no pulse has several; None
-    where nothing was counted.
+    ``units``, of which each is what `judge_returns` refuses, or ""; ``single``, whether no pulse of any file
+    has several, nor waveforms, which show several echoes; None where nothing was counted.
 
     `receipts`: of the parts that counted returns; `names`: the features that decide; `weekly`: names of the files that
     call their GPS times seconds of the week.
@@ -74,20 +74,21 @@ def returns_facts(
     if not counted:
         return None
     many = {files[s]: n for s, n in points.items() if n >= FEW}
+    single = not waves and not any(values["several"] for parts in by_strip.values() for values in parts)
     by_intensity = any(quantity_of_feature(name) == "amplitude" for name in names)
     coarse, step = _coarse(counted)
     scales, ratio = _scales(counted) if by_intensity else ("", 0.0)
     backward, units = _backward(counted), _units(counted)
     return {
         "remarks": [t for t in (coarse, scales, backward, units) if t]
-        + _numbers(counted, many, waves)
+        + _numbers(counted, many, single)
         + _unnumbered({n: (unnumbered[s], points[s]) for s, n in files.items() if n in many})
         + _times(counted, {visible(name) for name in weekly}),
         "coarse": coarse if step >= params.coarse_places else "",
         "scales": scales if ratio >= params.max_intensity_ratio else "",
         "backward": backward,
         "units": units,
-        "single": not waves and not any(f["several"] for f in counted.values()),
+        "single": single,
     }
 
 
@@ -200,8 +201,8 @@ def _units(counted: Mapping[str, Mapping[str, Any]]) -> str:
     return f"{pairs:,} returns below others of their pulse ({first_few(list(faults), NAMED)}) {first}"
 
 
-def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int], waves: bool) -> list[str]:
-    """That returns are missing, or their numbers are; where there are waveforms (`waves`) these show several echoes."""
+def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int], single: bool) -> list[str]:
+    """That returns are missing, or their numbers are; `single`: no pulse of any file has several."""
     remarks = []
     cut = [
         n for n, f in counted.items() if f["missing"] > MISSING * (f["several"] + f["missing"]) and f["missing"] >= FEW
@@ -219,7 +220,7 @@ def _numbers(counted: Mapping[str, Mapping[str, Any]], points: Mapping[str, int]
             "pulse; features of returns do not mean what they mean elsewhere"
         )
     alone = [n for n, f in counted.items() if f["several"] == 0]
-    if len(alone) == len(counted) and not waves:
+    if single:
         remarks.append(
             "no pulse has several returns: they, or their numbers, were left out; features of returns say nothing, and "
             "a model that learned by them takes plants for something else"
