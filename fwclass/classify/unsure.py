@@ -26,7 +26,7 @@ SAID_FROM = 0.055
 (docs/models.md)."""
 
 
-FEW, TIMES = 1_000, 2
+LEAST_ECHOES, TIMES_OTHERS = 1_000, 2
 """Classified echoes from which on a file is looked at alone, and times the share of unsure ones of less unsure files
 from which it is unlike them. Six files of a town: 0.6 to 7.6 % unsure, so none is above the bound; one of them with
 noise of 0.1 m: 16.1 and 10.6 % (two models), 5.8 and 4.1 times the others."""
@@ -129,26 +129,26 @@ def unsure_facts(
 
 def unlike_files(of_files: Mapping[str, NDArray[np.int64]], params: ClassifyParams) -> dict[str, Any]:
     """Files that the average hides: ``files``, [name, share of unsure echoes] by descending share where it is above
-    `classify.max_unsure` and `TIMES` that of all less unsure files together, and ``remarks`` on them; `of_files`:
-    `by_percent` by name."""
+    `classify.max_unsure` and `TIMES_OTHERS` that of all less unsure files together, and ``remarks`` on them;
+    `of_files`: `by_percent` by name."""
     bound = round(100 * params.unsure)
     shares: dict[str, float] = {}
-    unsure = every = 0
-    counts = sorted((int(c[:bound].sum()) / max(int(c.sum()), 1), name) for name, c in of_files.items())
-    for share, name in counts:
-        of = int(of_files[name].sum())
-        if min(of, every) >= FEW and share > max(params.max_unsure, TIMES * unsure / every):
+    unsure = total = 0
+    ascending = sorted((int(c[:bound].sum()) / max(int(c.sum()), 1), name) for name, c in of_files.items())
+    for share, name in ascending:
+        count = int(of_files[name].sum())
+        if min(count, total) >= LEAST_ECHOES and share > max(params.max_unsure, TIMES_OTHERS * unsure / total):
             shares[name] = share
-        unsure, every = unsure + int(of_files[name][:bound].sum()), every + of
-    unlike = sorted(shares.items(), key=lambda one: (-one[1], one[0]))
+        unsure, total = unsure + int(of_files[name][:bound].sum()), total + count
+    unlike = sorted(shares.items(), key=lambda pair: (-pair[1], pair[0]))
     if not unlike:
         return {"files": [], "remarks": []}
     named = first_few([f"{visible(name)} {100 * share:.1f} %" for name, share in unlike], SHOWN)
     remark = (
-        f"of some files the model is unsure {TIMES} times as often as of others, or more ({named}): they are unlike "
-        "these, or what it learned from, which the average hides; tiles.gpkg ranks the tiles"
+        f"of some files the model is unsure {TIMES_OTHERS} times as often as of others, or more ({named}): they are "
+        "unlike these, or what it learned from, which the average hides; tiles.gpkg ranks the tiles"
     )
-    return {"files": [list(one) for one in unlike], "remarks": [remark]}
+    return {"files": [list(pair) for pair in unlike], "remarks": [remark]}
 
 
 def _as_a_stranger(card: Mapping[str, Any]) -> str:

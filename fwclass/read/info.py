@@ -242,7 +242,7 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     faults = [*_bounds_faults(source, tally)]
     outliers = _z_outliers(tally.heights, step)
     if outliers:
-        faults.append(f"{outliers} z outliers: points far above or below all others")
+        faults.append(f"{outliers:,} z outliers: points far above or below all others")
     if n >= MANY and (steps := coarse_steps(tally.lattice)):
         faults.append(f"places lie on a lattice, as if they were rounded: {steps} m")
     if fault := unit_fault(tally.beams.get("slants", ())):
@@ -254,7 +254,7 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     if n >= MANY and tally.gps[0] == tally.gps[1]:
         faults.append(f"all GPS times are {_time_text(tally.gps[0])} s: lines and pulses cannot be told by them")
     if tally.zero_intensity:
-        share = "all" if tally.zero_intensity == n else f"{tally.zero_intensity} of {n}"
+        share = "all" if tally.zero_intensity == n else f"{tally.zero_intensity:,} of {n:,}"
         faults.append(f"{share} intensities are zero")
     low, high = tally.intensity
     if low == high > 0 and n >= MANY:
@@ -268,13 +268,13 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     if missing:
         faults.append(f"at least {missing:,} returns of pulses with several are missing (a cropped or filtered file)")
     if tally.repeated:
-        faults.append(f"{tally.repeated} of {n} returns: {REPEATED}")
+        faults.append(f"{tally.repeated:,} of {n:,} returns: {REPEATED}")
     if tally.longer:
-        faults.append(f"{tally.longer} of {n} returns: {LONGER}")
+        faults.append(f"{tally.longer:,} of {n:,} returns: {LONGER}")
     if source.has_waves and tally.packets[0] < n:
         if tally.packets[0] == 0:
             faults.append("NO WAVEFORM CAN BE READ: the returns alone can be used (read.missing_packets=keep)")
-        faults += [f"{c} of {n} returns: {FAULTS[i]}" for i, c in enumerate(tally.packets) if c and i]
+        faults += [f"{c:,} of {n:,} returns: {FAULTS[i]}" for i, c in enumerate(tally.packets) if c and i]
     return faults
 
 

@@ -312,6 +312,15 @@ def test_info_tells_faults_of_the_points(tmp_path):
         assert expected in text
 
 
+def test_counts_of_thousands_are_read_at_a_glance(tmp_path):
+    n = 2_000
+    waves = [np.arange(80)] * n
+    path = write_las(tmp_path / "a.las", np.zeros((n, 3)), waveforms=waves, intensity=np.arange(n) % 2, location=10.0)
+    faults = info(path)["faults"]
+    assert "1,000 of 2,000 intensities are zero" in faults
+    assert f"2,000 of 2,000 returns: {LONGER}" in faults
+
+
 @pytest.mark.parametrize(("values", "told"), [(255, True), (np.arange(500) % 2 + 254, False)])
 def test_info_tells_intensities_that_nobody_measured(tmp_path, values, told):
     xyz = np.random.default_rng(0).uniform(0, 20, (500, 3))
