@@ -37,6 +37,9 @@ ECHO_COLUMNS = (
 BATHYMETRY_COLUMNS = ("water", "water_decay", "water_depth")
 """Columns besides, where the survey is asked for water (section `bathymetry`)."""
 
+SATURATED = 1
+"""Value of `fit_flags` of an echo whose samples reach the saturation or its channel's clip level."""
+
 IMPLAUSIBLE = 128
 """Value of `fit_flags` of an echo that cannot be, that its source withholds, or calls noise and keeps; neither ground
 filters nor terrain see it."""

@@ -12,6 +12,7 @@ from fwclass.radiometry.params import RADIOMETRIC, RadiometryParams
 from fwclass.radiometry.ranges import ranges, with_beams
 from fwclass.schema import Table, require
 from fwclass.stage import Chunk, Computation
+from fwclass.waveforms import SATURATED as FIT_SATURATED
 
 ONE_OF_SEVERAL, NO_RANGE, NO_NORMAL, CLIPPED, SATURATED, UNCALIBRATED = 1, 2, 4, 8, 16, 32
 """Values of `radiometry_flags`."""
@@ -65,7 +66,7 @@ def _flags(
         (NO_RANGE, np.isnan(range_)),
         (NO_NORMAL, np.isnan(cosine)),
         (CLIPPED, cosine < lowest),
-        (SATURATED, (echoes["fit_flags"] & 1) > 0),
+        (SATURATED, (echoes["fit_flags"] & FIT_SATURATED) > 0),
         (UNCALIBRATED, ~known),
     ):
         flags[where] |= flag

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from tolerances import FLOAT32_CHAIN_RTOL, FLOAT32_RTOL
 
 from fwclass import conf
+from fwclass.decompose.fitted_echoes import SATURATED as of_the_fit
 from fwclass.errors import InputError
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
@@ -22,6 +23,7 @@ from fwclass.radiometry.stage import RADIOMETRY, radiometry
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
 from fwclass.units import AREA_PER_FWHM
+from fwclass.waveforms import SATURATED as fit_saturated
 
 SECTION: dict[str, Any] = {
     "platform_altitude": 660.0,
@@ -293,3 +295,7 @@ def test_a_missing_column_is_named() -> None:
 def test_params_that_do_not_fit_are_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         params_of(**change)
+
+
+def test_a_saturated_echo_is_one_that_the_fit_calls_so() -> None:
+    assert fit_saturated == of_the_fit
