@@ -134,7 +134,7 @@ def _remedy(wrong: str, source: Source) -> str:
         return "export the file again, or cut it where its beams change"
     if LENGTH in wrong:
         again = "export the file again, with beam vectors of 0.1499 metres a nanosecond, or times in nanoseconds"
-        return (source.target is None and isinstance(source, PulseSource) and setting_for(source.crs)) or again
+        return (isinstance(source, PulseSource) and setting_for(source)) or again
     if HORIZONTAL in wrong and source.mirrored:
         return "leave --mirror-beams (read.mirror_beams) out"
     if HORIZONTAL in wrong:

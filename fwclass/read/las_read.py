@@ -74,7 +74,7 @@ def _advice(source: LasSource, wdp: str, length: float) -> str:
     """Where usable waveforms could come from; `length` of the beam vectors, of what light travels both ways."""
     if not VECTOR_RANGE[0] <= length <= VECTOR_RANGE[1]:
         long = f"they are {length:.4g} times as long as light's way"
-        return in_metres(length, "export it again with beam vectors in m/ps", source.crs) + f" ({long})"
+        return in_metres(length, "export it again with beam vectors in m/ps", source) + f" ({long})"
     if source.waves.kind == "none":
         return f"put {wdp} beside it"
     if source.waves.kind == "internal":

@@ -86,9 +86,7 @@ def check_pls(source: PulseSource) -> None:
         do=f"put {wvs} beside it"
         if source.waves.kind == "none"
         else in_metres(
-            length,
-            f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged",
-            source.crs,
+            length, f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged", source
         ),
     )
 

@@ -58,8 +58,9 @@ def in_degrees(path, ground, sensor):
 FEET = 1200.0 / 3937.0
 
 
-def in_feet(path, ground, sensor, heights=6360, plane=32666):
-    """A LAS file in US survey feet of a `plane` (UTM zone 16), or with heights in metres."""
+def in_feet(path, ground, sensor, heights=6360, plane=32666, longer=1.0):
+    """A LAS file in US survey feet of a `plane` (UTM zone 16), or with heights in metres; its beam vectors are so
+    many times `longer`."""
     n, unit = len(ground), np.array([FEET, FEET, FEET if heights == 6360 else 1.0])
     up = (sensor - ground) / np.linalg.norm(sensor - ground, axis=1, keepdims=True)
     rng = np.random.default_rng(2)
@@ -70,7 +71,7 @@ def in_feet(path, ground, sensor, heights=6360, plane=32666):
         waveforms=[digitise(gaussian(60, [(120.0, t, 3.5)], 10.0) + rng.normal(0, 1.0, 60)) for t in at],
         pulse=np.arange(n),
         location=at,
-        step=METRES_PER_NS * up / unit,
+        step=longer * METRES_PER_NS * up / unit,
         gps_time=1e-4 * np.arange(n),
         keys={3072: plane, 4096: heights},
     )
@@ -142,6 +143,15 @@ def test_pulses_in_feet_are_metres_where_the_truth_is(tmp_path, heights):
     assert np.median(off) < 0.01 and np.quantile(off, 0.99) < 0.02
     away = np.array([np.linalg.norm(sensor[int(k)] - ground[int(k)]) for k in las["pulse"]])
     assert np.median(np.abs(np.asarray(las["range"]) - away)) < 0.02
+
+
+def test_no_setting_is_named_that_is_set(tmp_path):
+    """The remedy for vectors that are still too long in metres was to bring the file into metres."""
+    ground, sensor = (place - np.array([0.0, 1e6, 0.0]) for place in truth(60))
+    path = in_feet(tmp_path / "a.las", ground, sensor, longer=1 / FEET)
+    brought = fwclass("decompose", path, tmp_path / "o.laz", "--set", "read.project_to=EPSG:32616+5703")
+    assert brought.returncode == 1 and "export it again with beam vectors in m/ps (they are 3.28" in brought.stderr
+    assert "project_to" not in brought.stderr and "into metres" not in brought.stderr
 
 
 def test_info_takes_a_system_in_feet_at_its_word(tmp_path):
