@@ -46,8 +46,30 @@ SETTINGS = (
     "SQLITE_",
 )
 """How variables begin by which GDAL writes and reads otherwise (the order of bytes, overviews, holes of polygons)."""
-OVERVIEWS = "_OVERVIEW"
-"""How those end by which it packs the overviews of rasters (``COMPRESS_OVERVIEW``)."""
+OVERVIEWS = frozenset(
+    f"{name}_OVERVIEW"
+    for name in (
+        "ALPHA",
+        "COMPRESS",
+        "INTERLEAVE",
+        "JPEG_QUALITY",
+        "JPEG_TABLESMODE",
+        "JXL_ALPHA_DISTANCE",
+        "JXL_DISTANCE",
+        "JXL_EFFORT",
+        "JXL_LOSSLESS",
+        "MAX_Z_ERROR",
+        "PHOTOMETRIC",
+        "PREDICTOR",
+        "SPARSE_OK",
+        "WEBP_LEVEL",
+        "WEBP_LOSSLESS",
+        "ZLEVEL",
+        "ZSTD_LEVEL",
+    )
+)
+"""Those by which it packs the overviews of rasters, as its libraries hold them (3.10.3 and 3.12.4); another program's
+may end alike."""
 PLACES = ("GDAL_DATA", "CPL_TMPDIR", "GDAL_CONFIG_FILE")
 """Those that say where something lies; of the last one nothing is read."""
 
@@ -101,7 +123,7 @@ def isolate() -> None:
 def ignore_settings() -> None:
     """No variable of the environment and no file of its own decides what GDAL reads and writes: the same survey gives
     the same bytes, whoever asks for it. Also where a worker was started by hand."""
-    for name in [name for name in os.environ if name.startswith(SETTINGS) or name.endswith(OVERVIEWS)]:
+    for name in [name for name in os.environ if name.startswith(SETTINGS) or name in OVERVIEWS]:
         if name not in PLACES:
             _before.setdefault(name, os.environ.pop(name))
     _set("GDAL_CONFIG_FILE", os.devnull)
@@ -229,7 +251,8 @@ def without(*names: str) -> Iterator[None]:
 
 @contextmanager
 def later(*names: str) -> Iterator[None]:
-    """Modules `names` that are installed and not loaded are stood for, where `isolate` was called, as `without`."""
+    """Within the block, stand-ins for modules `names` that are installed and not loaded yet; where `isolate` was
+    called, as `without`."""
     absent = [n for n in names if n not in sys.modules] if _isolated() else []
     standing = {name: module for name in absent if (module := _stand_in(name)) is not None}
     sys.modules.update(standing)
@@ -242,6 +265,8 @@ def later(*names: str) -> Iterator[None]:
 
 
 def _stand_in(name: str) -> Any:
+    """A module that is loaded when something of it is used, and tells its version without; None where `name` is not
+    installed."""
     from importlib import metadata
 
     try:

@@ -4,6 +4,7 @@ without its place, and none of other bytes."""
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import rasterio
 from commandline import process
 from smallsurvey import small_survey
 
+from fwclass import isolation
 from fwclass.run.part import single_thread
 
 
@@ -74,3 +76,21 @@ def test_a_worker_that_was_started_by_hand_has_none(monkeypatch) -> None:
     single_thread()
     assert "GDAL_TIFF_ENDIANNESS" not in os.environ and os.environ["GDAL_DATA"] == "/place"
     assert os.environ["GDAL_CONFIG_FILE"] == os.devnull
+
+
+def test_variables_of_other_programs_stay(monkeypatch) -> None:
+    """Whatever ended with _OVERVIEW went, on workers that were started by hand too."""
+    for name in ("MY_OVERVIEW", "COMPRESS_OVERVIEW", "JXL_EFFORT_OVERVIEW"):
+        monkeypatch.setenv(name, "9")
+    single_thread()
+    assert {n for n in os.environ if n.endswith("_OVERVIEW")} == {"MY_OVERVIEW"}
+
+
+def test_all_that_gdal_packs_overviews_by_is_known() -> None:
+    """Another version of it may have more."""
+    libraries = list(Path(rasterio.__file__).parents[1].glob("*.libs/libgdal*"))
+    if not libraries:
+        pytest.skip("GDAL is not that of wheels")
+    held = {m.decode() for f in libraries for m in re.findall(rb"\0([A-Z_]{1,30}_OVERVIEW)(?=\0)", f.read_bytes())}
+    assert "COMPRESS_OVERVIEW" in held
+    assert {name for name in held if not name.startswith(isolation.SETTINGS)} <= isolation.OVERVIEWS
