@@ -80,4 +80,4 @@ def test_words_of_the_users_own(tmp_path: Path) -> None:
     xyz = np.c_[np.full(9, 5e5), np.full(9, 5.4e6), np.arange(9.0)]
     path = lasmaker.write_las(tmp_path / "a.las", xyz, point_format=6, keys=None)
     ended = fwclass("ground", path, tmp_path / "g.laz", "--crs", FALSE)
-    assert ended.returncode == 2 and "this is two coordinate systems" in ended.stderr, ended.stderr
+    assert ended.returncode == 2 and "the text names two coordinate systems" in ended.stderr, ended.stderr

@@ -101,12 +101,12 @@ def another(words: CRS, known: CRS) -> bool:
     order of axes or another spelling. Heights count where both tell them."""
     if words.equals(known, ignore_axis_order=True):
         return False
-    flat, above = _parts(words), _parts(known)
-    if any(one is not None and two is not None and _other_heights(one, two) for one, two in [(flat[1], above[1])]):
+    (plane, heights), (known_plane, known_heights) = _parts(words), _parts(known)
+    if heights is not None and known_heights is not None and _other_heights(heights, known_heights):
         return True
-    if flat[0] is None or above[0] is None:
-        return (flat[0] is None) != (above[0] is None)
-    return _other_plane(flat[0], above[0])
+    if plane is None or known_plane is None:
+        return (plane is None) != (known_plane is None)
+    return _other_plane(plane, known_plane)
 
 
 def _parts(crs: CRS) -> tuple[CRS | None, CRS | None]:

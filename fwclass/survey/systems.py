@@ -183,5 +183,7 @@ def given_crs(text: str | None, where: str) -> CRS | None:
         ) from fault
     for kind, systems in false:
         if kind == "another":
-            raise ConfigError("this is two coordinate systems", where=where, expected="one, as EPSG:25832", got=systems)
+            raise ConfigError(
+                "the text names two coordinate systems", where=where, expected="one, as EPSG:25832", got=systems
+            )
     return crs
