@@ -20,7 +20,7 @@ from fwclass.publish.palette import RGB, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import HEIGHTS, STRIPS_APART
 from fwclass.publish.quality_section import quality
-from fwclass.publish.report import data_uri, environment, report_style
+from fwclass.publish.report import data_uri, environment, names_of, report_style
 from fwclass.publish.sections import quantity
 
 TEMPLATE = "quality.html.j2"
@@ -108,6 +108,7 @@ def render_quality(
             ("coordinates", _system(crs)),
             *([("input", f"{several(len(files), 'file')}: {first_few(files, NAMED)}")] if files else []),
         ],
+        names=names_of(files),
         quality=quality(summary),
         pictures=[{**vars(p), "uri": data_uri(p.png)} for p in pictures],
     )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import functools
 import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
@@ -171,6 +171,7 @@ def _view(
             if n not in (PULSE, SAMPLING, *LAYERS)
         ],
         "remarks": remarks,
+        "names": names_of(f["path"] for f in source.get("files") or ()),
         "waveforms": waveforms(report.get("waveforms")),
         "plausibility": _plausibility(report.get("plausibility")),
         "ground": ground(report.get("ground")),
@@ -351,16 +352,22 @@ def parted(text: str) -> tuple[str, str]:
     return said if said.endswith(".") or not advice else f"{said}.", "; ".join(advice)
 
 
-_WORD = re.compile(
-    "(?:the|a|an|no|of|in|at|all|some|few|many|most|there|tried|class|labels|pulses|points|echoes|strips|quality) "
-)
-"""What begins a sentence in small letters; any other word may be the name of a file, a strip or a column."""
+_NAME = re.compile(r"\S*[\d_/\\]|\S*\.\S|[b-z]\b|\S+ = ")
+"""What no word begins with: the name of a file, a column or a setting, an axis."""
 
 
-def sentence(text: str) -> str:
-    """A remark as it stands on a page: with a capital letter and a stop."""
-    begun = text[:1].upper() + text[1:] if _WORD.match(text) else text
+def sentence(text: str, names: Iterable[str] = ()) -> str:
+    """A remark as it stands on a page: with a capital letter, unless it begins with a name, and a stop. `names`: of the
+    sources and strips (`names_of`), which may look like words."""
+    named = _NAME.match(text) or any(text.startswith(n) and not text[len(n) :][:1].isalnum() for n in names)
+    begun = text if named else text[:1].upper() + text[1:]
     return begun if begun.endswith((".", "?", "!", ":")) else f"{begun}."
+
+
+def names_of(files: Iterable[str]) -> set[str]:
+    """How remarks call the `files`, paths: by name, and without its ending."""
+    paths = [PurePosixPath(str(file)) for file in files]
+    return {*(path.name for path in paths), *(path.stem for path in paths)} - {""}
 
 
 LONG = 750
