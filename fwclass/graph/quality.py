@@ -254,7 +254,7 @@ MEASURE_QUALITY = Stage(
 )
 DELIVER_QUALITY = Stage(
     "publish-quality",
-    17,
+    18,
     "survey",
     "cell",
     deliver_quality,
