@@ -50,15 +50,16 @@ def test_a_plan_is_told_and_written_and_nothing_runs(conf: Path, tmp_path: Path)
 def test_a_plan_reckons_with_the_workers_that_a_run_starts(
     conf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The time was divided by all that were asked for, and the memory of this machine multiplied."""
+    """Those of the settings are this machine's; `--workers` may be another's, and what a run here starts is said."""
     monkeypatch.setattr(cluster, "CORES", 2)
-    plans = []
-    for workers in (9, 2):
-        ended = fwclass("plan", conf, "--out", tmp_path / f"r{workers}", "--workers", workers, "--json")
-        assert ended.returncode == 0 and ("2 started of 9 asked for" in ended.stderr) == (workers == 9), ended.stderr
-        plans.append(json.loads(ended.stdout))
-    assert all(plan["workers"] == 2 for plan in plans)
-    assert plans[0]["wall_seconds"] == plans[1]["wall_seconds"]
+    plans = {}
+    for name, words in (("set", ("--set", "run.workers=9")), ("asked", ("--workers", 9)), ("two", ("--workers", 2))):
+        ended = fwclass("plan", conf, "--out", tmp_path / name, *words, "--json")
+        assert ended.returncode == 0, ended.stderr
+        assert ("planned with 9 workers; here 2 started of 9" in ended.stderr) == (name == "asked"), ended.stderr
+        plans[name] = json.loads(ended.stdout)
+    assert [plans[name]["workers"] for name in plans] == [2, 9, 2]
+    assert plans["set"]["wall_seconds"] == plans["two"]["wall_seconds"] > plans["asked"]["wall_seconds"]
 
 
 def test_what_a_paper_compares_is_reckoned_with(conf: Path, tmp_path: Path) -> None:

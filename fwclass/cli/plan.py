@@ -76,10 +76,9 @@ def plan(
         return
     root = out if out is not None else Path("runs") / config.survey.name
     check_free(root, overwrite)
-    asked = config.run.workers if workers is None else workers
-    number = cap_workers(asked)
-    if number < asked:
-        click.echo(f"note: {cores_remark(asked, number)}", err=True)
+    number = cap_workers(config.run.workers) if workers is None else workers  # these may be another machine's
+    if cap_workers(number) < number:
+        click.echo(f"note: planned with {number} workers; here {cores_remark(number, cap_workers(number))}", err=True)
     begun = chosen.begin(config)
     _tell_unknown(config, chosen)
     copied = DELIVER_STRIP in chosen.stages
