@@ -265,13 +265,13 @@ def with_heights(echoes: FileEchoes, job: EchoJob, tell: Tell) -> FileEchoes:
         if job.own_ground
         else []
     )
-    found = filter_facts(tiles.facts_of_blocks(FILTER_GROUND), int(flags["ground"].sum()))
-    odd = [] if job.own_ground else filter_remarks(found, params)
+    facts = filter_facts(tiles.facts_of_blocks(FILTER_GROUND), int(flags["ground"].sum()))
+    odd = [] if job.own_ground else filter_remarks(facts, params)
     return replace(
         echoes,
         table=table.with_columns({**heights, "noise": flags["noise"]}),
         notes=(*echoes.notes, note, *sunken, *odd),
-        judged={**echoes.judged, "ground": sunken, **found},
+        judged={**echoes.judged, "ground": sunken, **facts},
     )
 
 

@@ -92,7 +92,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         params, measured = job.adapt(cloud, require_shown(cloud, shown), params)
         params = with_assignments(params, job.assignments)
     at, before = time.perf_counter(), compiling.spent()
-    flags, found = flags_and_facts(cloud, shown, params, tell)
+    flags, facts = flags_and_facts(cloud, shown, params, tell)
     filtering = time.perf_counter() - at - (compiling.spent() - before)
     classes = classes_of(cloud, flags, job.keep_classes)
     if job.rasters:
@@ -104,7 +104,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     codes, counts = np.unique(classes, return_counts=True)
     stray = stray_points(cloud, shown)
     judged, odd = judged_of_cloud(cloud, flags.noise | ~shown, job.settings)
-    odd += [*(last_returns_lack(cloud) if params.last_returns else ()), *filter_remarks(found, params)]
+    odd += [*(last_returns_lack(cloud) if params.last_returns else ()), *filter_remarks(facts, params)]
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -125,7 +125,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
-        "judged": {**judged, **found},
+        "judged": {**judged, **facts},
         "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *odd]),
         "seconds": {
             "filter": round(filtering, 3),

@@ -78,7 +78,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     check_copy(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, True, job.use_flagged)
     check_extent(cloud, cloud.usable, params.cell)
-    flags, found, by = _ground(cloud, shown, job, tell)
+    flags, facts, by = _ground(cloud, shown, job, tell)
     tell("terrain and heights")
     rows = np.flatnonzero(cloud.usable)
     tiles = FileTiles(
@@ -93,8 +93,8 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     judged, odd = judged_of_cloud(cloud, flags.noise | ~shown, job.settings)
     ground = int(flags.ground.sum())
     if by is not None:
-        judged |= found
-        odd += [*last_returns_lack(cloud), *filter_remarks(found, by)]
+        judged |= facts
+        odd += [*last_returns_lack(cloud), *filter_remarks(facts, by)]
     elif cloud.classes is not None:
         judged["ground"] = sunken_remarks(height, cloud.classes, conf.section("plausibility"))
         odd += judged["ground"]
