@@ -63,8 +63,8 @@ def test_a_large_process_gives_back_and_a_small_one_keeps():
 )
 def test_a_part_has_arrow_free_its_memory_for_all(environment, pool):
     text = (
-        "import pyarrow as pa\nfrom fwclass.run.part import single_thread\n"
-        "single_thread()\nprint(pa.default_memory_pool().backend_name)"
+        "import pyarrow as pa\nfrom fwclass.run.part import settle_process\n"
+        "settle_process()\nprint(pa.default_memory_pool().backend_name)"
     )
     plain = {n: v for n, v in os.environ.items() if n != "ARROW_DEFAULT_MEMORY_POOL"} | environment
     done = subprocess.run([sys.executable, "-c", text], env=plain, capture_output=True, text=True, check=True)

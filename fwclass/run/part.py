@@ -137,7 +137,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
     broken = [u for u in upstream if not u.ok]
     if broken:
         return Outcome(*task.name, "blocked", message=f"{broken[0].stage}/{broken[0].part} {broken[0].status}")
-    single_thread()
+    settle_process()
     keep_freed()
     key = ""
     began, used = time.perf_counter(), time.process_time()
@@ -231,7 +231,7 @@ def _log_values(receipt: Receipt) -> dict[str, Value]:
     }
 
 
-def single_thread() -> None:
+def settle_process() -> None:
     """No thread pools inside a part, and no settings of GDAL's: parts are what runs in parallel. Memory that Arrow
     frees is there for all again, unless ``ARROW_DEFAULT_MEMORY_POOL`` says otherwise: by default it keeps its own, 140
     MiB behind an overview.

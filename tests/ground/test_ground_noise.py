@@ -201,10 +201,11 @@ def test_without_rules_nothing_is_noise_and_no_reach(params):
     assert not noise(*(np.empty(0),) * 3, params(low=True, sigma_rule=True)).any()
 
 
-def test_what_lies_beyond_the_reach_changes_nothing(base):
+@pytest.mark.parametrize("density", [0.3, 1.0])
+def test_what_lies_beyond_the_reach_changes_nothing(base, density):
     own = NoiseParams(**{**base["ground"]["noise"], "surface": True})
     rng = np.random.default_rng(10)
-    x, y, z = plain(1.0, wide=150.0)
+    x, y, z = plain(density, wide=150.0)
     rows = rng.integers(0, len(x), 60)
     z[rows] -= np.round(rng.uniform(1, 100, 60), 3)
     core = (abs(x - 75) < 20) & (abs(y - 75) < 20)

@@ -13,7 +13,7 @@ from commandline import process
 from smallsurvey import small_survey
 
 from fwclass import isolation
-from fwclass.run.part import single_thread
+from fwclass.run.part import settle_process
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_settings_of_gdals_change_no_byte(tmp_path: Path, monkeypatch, where: st
 def test_a_worker_that_was_started_by_hand_has_none(monkeypatch) -> None:
     monkeypatch.setenv("GDAL_TIFF_ENDIANNESS", "BIG")
     monkeypatch.setenv("GDAL_DATA", "/place")
-    single_thread()
+    settle_process()
     assert "GDAL_TIFF_ENDIANNESS" not in os.environ and os.environ["GDAL_DATA"] == "/place"
     assert os.environ["GDAL_CONFIG_FILE"] == os.devnull
 
@@ -82,7 +82,7 @@ def test_variables_of_other_programs_stay(monkeypatch) -> None:
     """Whatever ended with _OVERVIEW went, on workers that were started by hand too."""
     for name in ("MY_OVERVIEW", "COMPRESS_OVERVIEW", "JXL_EFFORT_OVERVIEW"):
         monkeypatch.setenv(name, "9")
-    single_thread()
+    settle_process()
     assert {n for n in os.environ if n.endswith("_OVERVIEW")} == {"MY_OVERVIEW"}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.ground.methods.noise_kernels import mark_below_gaps, mark_below_surfaces, mark_beyond_sigma
-from fwclass.ground.methods.params import NoiseParams
+from fwclass.ground.methods.params import FINEST, SIZES, NoiseParams
 from fwclass.neighbours import CellIndex, sort_by_cell
 
 LEVELS = 3
@@ -18,10 +18,6 @@ LEVELS = 3
 
 SURROUNDINGS = 4
 """So many times as many points as a group has must lie around it."""
-
-FINEST, SIZES = 0.25, 5
-"""m, smallest of the cells in 3 x 3 of which a surface is looked for, and how many sizes there are, each twice the one
-before: the first is for 43 last echoes a square metre and more, the last, of 4 m, for 0.17."""
 
 MOST_CELLS = 1 << 22
 """Cells of the search of the 3σ rule, or 64 a point where that is more; it changes the time, never a flag."""

@@ -38,8 +38,12 @@ class FilterParams(Params):
         return math.inf
 
 
-SURFACE_REACH = 20.0
-"""m that the rule of surfaces looks at: five of its largest cells, of 4 m."""
+FINEST, SIZES = 0.25, 5
+"""m, smallest of the cells in 3 x 3 of which a surface is looked for, and how many sizes there are, each twice the one
+before: the first is for 43 last echoes a square metre and more, the last, of 4 m, for 0.17."""
+
+SURFACE_REACH = 5 * FINEST * (1 << (SIZES - 1))
+"""m that the rule of surfaces looks at: its own and four more of the largest cells."""
 
 
 class NoiseParams(Params):

@@ -19,7 +19,7 @@ from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.inputs import BandInputs, OtherTilesInputs
 from fwclass.operate.seams.shifted_squares import ShiftedSquare, shifted_squares
 from fwclass.run.inputs import TABLE, PartInputs
-from fwclass.run.part import Outcome, Task, single_thread
+from fwclass.run.part import Outcome, Task, settle_process
 from fwclass.run.progress import Display
 from fwclass.schema import IDENTITY, Table
 from fwclass.store.arrays import arrays_at, read_arrays
@@ -59,7 +59,7 @@ def tile_seams(tasks: Iterable[Task], inputs: BandInputs, listed: int, display: 
 
     What a stage reads of an earlier one of these is what was computed here, so that a class answers for its features.
     """
-    single_thread()
+    settle_process()
     by_place: dict[str, list[Task]] = {}
     for task in tasks:
         by_place.setdefault(task.part, []).append(task)
@@ -86,7 +86,7 @@ def block_seams(
 ) -> list[Seam]:
     """Do the work of `tasks` (filter and terrain of blocks) with tiles of another size (those of `plan`), compare the
     columns of the blocks' echoes and the cells of the terrain."""
-    single_thread()
+    settle_process()
     display.expect(Counter(t.stage for _, t in tasks))
     seams: dict[str, Seam] = {}
     size, keys = plan.config.tile.size, tuple(plan.layout.keys)
