@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
 from fwclass.errors import InputError, several
-from fwclass.grid import Box, millimetres
+from fwclass.grid import Box, joint_box, millimetres
 from fwclass.label.polygons import NONE, Polygons, owners
 from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
 from fwclass.schema import IDENTITY, PLACE
 from fwclass.store.run_location import RunLocation
+from fwclass.survey.files import box_text
 from fwclass.view.worklist import UnsureCluster, WorkList
 
 COLUMNS = (*IDENTITY, *PLACE, "classification", "confidence")
@@ -92,7 +93,7 @@ def listed_places(delivery: Delivery, path: Path) -> WorkList:
             sure = float(confidence.mean()) if len(confidence) else 0.0
             clusters.append(UnsureCluster(len(rows["x"]), *middle, size, box.bounds, sure, classes))
     if not clusters:
-        raise no_echo(path, places)
+        raise no_echo(path, places, delivery)
     none = np.empty(0, np.int64)
     return WorkList(tuple(clusters), 1.0, none.reshape(0, 2), none, len(clusters) + max(0, total - MOST_LISTED))
 
@@ -103,17 +104,22 @@ def tiles_with_places(run: RunLocation, path: Path) -> frozenset[str]:
     places = read_places(path, delivery)
     touched = frozenset(str(t["tile"]) for t in delivery.tiles if places.within(_area(t)).parts)
     if not touched:
-        raise no_echo(path, places)
+        raise no_echo(path, places, delivery)
     return touched
 
 
-def no_echo(path: Path, places: Polygons) -> InputError:
-    """What to say where none is."""
+def no_echo(path: Path, places: Polygons, delivery: Delivery) -> InputError:
+    """What to say where none is, with where places and tiles lie."""
+    low_x, low_y, high_x, high_y = (v / 1000 for v in places.bounds)
+    reach = places.parts and joint_box(
+        Box(*map(float, ends)) for ends in zip(low_x, low_y, high_x, high_y, strict=True)
+    )
+    survey = joint_box(map(_area, delivery.tiles))
     return InputError(
         "no echo of this delivery lies in any of these places",
         where=path,
-        expected="places on the survey, in its coordinates",
-        got=several(places.parts, "place"),
+        expected=f"places that meet {box_text(survey)}, in the survey's coordinates",
+        got=several(places.parts, "place") + (f" in {box_text(reach)}" if reach else ""),
         do="take the file that `fwclass suggest` wrote for this run",
     )
 

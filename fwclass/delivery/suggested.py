@@ -143,7 +143,7 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     places = read_places(path, delivery)
     rows = echoes_in(delivery, places)
     if not _classified(delivery, rows).any():
-        raise no_echo(path, places)
+        raise no_echo(path, places, delivery)
     confirmed = _confirm(delivery, rows, places.parts, who, time)
     return replace(confirmed, away=away(delivery, places), crossing=int(crossing_parts(places).sum()))
 

@@ -20,10 +20,10 @@ _WKT, _KEYS, _TEXTS = 2112, 34735, 34737
 _GEOGRAPHIC, _PROJECTED, _VERTICAL, VERTICAL_UNITS = 2048, 3072, 4096, 4099
 _UNITS = 3076
 _USER_DEFINED = 32767
-_TWO_SYSTEMS = "the file names two coordinate systems"
+TWO_SYSTEMS = "the file names two coordinate systems"
 _TOLD = {
     "none": "the CRS record names no code of EPSG ({}): its other words count",
-    "another": _TWO_SYSTEMS + ", {}: the words count",
+    "another": TWO_SYSTEMS + ", {}: the words count",
 }
 FEET = {9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
 """Name and metres of the units that are no metres, by EPSG code."""
@@ -55,7 +55,7 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     if crs is None:
         crs = ways[1](header, faults)
     elif (other := ways[1](header, [])) is not None and _elsewhere(crs, other):
-        faults.append(f"{_TWO_SYSTEMS}, {crs.name} and {other.name}: by its header the first counts")
+        faults.append(f"{TWO_SYSTEMS}, {crs.name} and {other.name}: by its header the first counts")
     if crs is None:
         faults.append("no usable CRS: name one in the configuration")
     elif crs.is_geographic:
@@ -69,7 +69,7 @@ def crs_of(header: Records, faults: list[str]) -> Any:
 
 def doubtful_system(faults: Sequence[str]) -> str:
     """The one of a file's `faults` that says that it names two systems; "" where it names one."""
-    return next((fault for fault in faults if fault.startswith(_TWO_SYSTEMS)), "")
+    return next((fault for fault in faults if fault.startswith(TWO_SYSTEMS)), "")
 
 
 def _elsewhere(crs: CRS, other: CRS) -> bool:
@@ -159,7 +159,7 @@ def _from_keys(header: Records, faults: list[str]) -> CRS | None:
             except CRSError:
                 continue
             if other := _other_keys(header, crs, keys.get(_UNITS, 0)):
-                faults.append(f"{_TWO_SYSTEMS}, {crs.name} by its code and {other}: the code counts")
+                faults.append(f"{TWO_SYSTEMS}, {crs.name} by its code and {other}: the code counts")
             return crs
         faults.append(f"the GeoTIFF keys name an unknown CRS, EPSG:{horizontal}")
     return None

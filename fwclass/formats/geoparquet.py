@@ -12,6 +12,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError, first_line
+from fwclass.formats.crs import told_codes
+from fwclass.formats.epsg import without_false_codes
 from fwclass.formats.grid_files import without_paths
 from fwclass.formats.parquet_footer import SPARE, check_unpacked
 from fwclass.formats.vector import Header
@@ -72,10 +74,12 @@ def _header(path: Path) -> Header:
     boxes = {_root(path) for path in (own.get("covering") or {}).get("bbox", {}).values()}
     fields = {f.name: str(f.type) for f in schema if f.name != column and f.name not in boxes}
     kinds = own.get("geometry_types") or []
+    crs, false = (None, ()) if (stated := _crs(path, own)) is None else without_false_codes(stated)
     return {
         "layer": path.stem,
         "fields": fields,
-        "crs": _crs(path, own),
+        "crs": crs,
+        "faults": tuple(told_codes(false)),
         "features": int(features),
         "geometry": ", ".join(map(str, kinds)) or "unknown",
         "column": column,

@@ -8,6 +8,7 @@ import os
 import re
 import sqlite3
 import struct
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,9 @@ _JSON_MEMBERS = {b"features", b"geometry", b"geometries", b"coordinates"}
 
 HEAD = 65536
 """Bytes of a JSON file in which its type, or a member that tells it, must be found."""
+
+MOST_NAMES = 20
+"""Coordinate systems that a GeoJSON text names, of which one is used."""
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s"{}\[\]:,]+')
 _PLAIN = re.compile(rb"""(?:[^"'/]++|"(?:[^"\\]++|\\.)*+")*+""", re.DOTALL)
@@ -130,18 +134,12 @@ def _json_fault(head: bytes) -> str:
 
 def _check_system(path: Path) -> None:
     """`InputError` where the coordinate system is an address, which GDAL would fetch; without it, it takes degrees."""
-    with open_regular(path) as file:
-        size = os.fstat(file.fileno()).st_size
-        text = file.read(size)  # not mapped: where it is cut off meanwhile, the process would end by a signal
-    if len(text) < size:
-        raise cut_off(path, size, len(text))
+    text = _text_of(path)
     plain = _PLAIN.match(text)
     if plain is not None and plain.end() < len(text):
         raise _other(path, f'what JSON has not at byte {plain.end()}: a comment, or a text in other quotes than "')
-    for key_of_system in _SYSTEM.finditer(text):
-        for key, value in _members(
-            path, text[key_of_system.end() : key_of_system.end() + HEAD].decode("utf-8", "replace")
-        ):
+    for members in _systems_in(path, text):
+        for key, value in members:
             if key in ("href", "url") or (key == "type" and value in ("link", "url")):
                 raise _other(
                     path,
@@ -150,6 +148,32 @@ def _check_system(path: Path) -> None:
                 )
             named = names_file(value) if key == "name" else next(iter(paths_named(value)), "")
             _refuse_file(path, named)
+
+
+def names_of_systems(path: Path) -> list[str]:
+    """Names of the coordinate systems in a GeoJSON text, in its order, each once, at most `MOST_NAMES`."""
+    names: dict[str, None] = {}
+    for members in _systems_in(path, _text_of(path)):
+        if ("type", "name") in members:
+            names |= dict.fromkeys(value for key, value in members if key == "name")
+        if len(names) >= MOST_NAMES:
+            break
+    return list(names)[:MOST_NAMES]
+
+
+def _text_of(path: Path) -> bytes:
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        text = file.read(size)  # not mapped: where it is cut off meanwhile, the process would end by a signal
+    if len(text) < size:
+        raise cut_off(path, size, len(text))
+    return text
+
+
+def _systems_in(path: Path, text: bytes) -> Iterator[list[tuple[str, str]]]:
+    """Every name with a text in each of the objects that are called crs."""
+    for key in _SYSTEM.finditer(text):
+        yield _members(path, text[key.end() : key.end() + HEAD].decode("utf-8", "replace"))
 
 
 def _members(path: Path, text: str) -> list[tuple[str, str]]:

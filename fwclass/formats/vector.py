@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from fwclass.errors import ConfigError, InputError, first_line, nearest, set_words
-from fwclass.formats.crs import crs_of_wkt
 from fwclass.formats.gdal import offline
 from fwclass.formats.polygon_magic import check_format
+from fwclass.formats.polygon_systems import system_named
 from fwclass.paths import BESIDE
 
 FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "Shapefile"}
@@ -21,7 +19,7 @@ MOST_FIELDS = 4096
 """Fields of a layer: the time to read one of them grows with the square of their number."""
 
 Header = dict[str, Any]
-"""``layer, fields {name: type}, crs, features, geometry`` of a layer."""
+"""``layer, fields {name: type}, crs, faults, features, geometry`` of a layer; faults are of how its system is named."""
 
 
 def layers(path: Path) -> list[str]:
@@ -72,10 +70,12 @@ def header(path: Path, layer: str | None, setting: str = "survey.reference.layer
             do="export the polygons with the field of their classes alone",
         )
     types = [str(np.dtype(t)) if t != "object" else "text" for t in about["dtypes"]]
+    crs, faults = system_named(path, chosen, about["crs"])
     return {
         "layer": chosen,
         "fields": dict(zip(map(str, about["fields"]), types, strict=True)),
-        "crs": _crs(about["crs"]),
+        "crs": crs,
+        "faults": faults,
         "features": int(about["features"]),
         "geometry": str(about["geometry_type"]),
     }
@@ -104,16 +104,6 @@ def files_of(path: Path) -> list[Path]:
         return [path]
     beside = [q for q in sorted(path.parent.glob("*")) if q.stem == path.stem and q.suffix.lower() in BESIDE[".shp"]]
     return [path, *beside]
-
-
-def _crs(text: str | None) -> CRS | None:
-    try:
-        crs = crs_of_wkt(text)
-        if crs is not None:
-            crs.to_2d()  # what PROJ reads, it need not be able to make another of
-        return crs
-    except CRSError:
-        return None
 
 
 def _unreadable(path: Path, fault: Exception) -> InputError:

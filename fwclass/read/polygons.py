@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from pyproj.exceptions import ProjError
 
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.formats import geoparquet, vector
+from fwclass.formats.crs import doubtful_system
 from fwclass.formats.wkb import Shapes, lines, shapes
 
 PARQUET = (".parquet", ".geoparquet")
@@ -27,14 +28,15 @@ MOST_DEGREES = 361.0
 class PolygonLayer:
     """A layer of polygons that was opened and found readable.
 
-    `fields`: type by name. `crs`: `pyproj.CRS`, or None where the file names none. `column`: of the geometries, in
-    GeoParquet.
+    `fields`: type by name. `crs`: `pyproj.CRS`, or None where the file names none. `faults`: of how it names it.
+    `column`: of the geometries, in GeoParquet.
     """
 
     path: Path
     layer: str
     fields: Mapping[str, str]
     crs: Any
+    faults: tuple[str, ...]
     features: int
     geometry: str
     column: str | None = None
@@ -99,11 +101,17 @@ def check_field(opened: PolygonLayer, field: str) -> None:
 NAME_CRS = "--set survey.reference.crs=EPSG:<code>"
 
 
-def source_crs(opened: PolygonLayer, configured: CRS | None, survey: CRS | None, do: str = NAME_CRS) -> CRS | None:
+def source_crs(
+    opened: PolygonLayer,
+    configured: CRS | None,
+    survey: CRS | None,
+    do: str = NAME_CRS,
+    say: Callable[[str], None] | None = None,
+) -> CRS | None:
     """The system that the polygons' coordinates are in: the one given, else the file's own.
 
-    None where the survey has none either: they are taken as they are. `InputError` where it is unknown; `do` says what
-    to do then.
+    None where the survey has none either: they are taken as they are. `InputError` where it is unknown, or the file
+    names two and there is nobody to `say` so to; `do` says what to do then.
     """
     crs = configured or opened.crs
     if crs is None and survey is not None:
@@ -111,9 +119,14 @@ def source_crs(opened: PolygonLayer, configured: CRS | None, survey: CRS | None,
             "the coordinate system of the polygons is unknown",
             where=opened.path,
             expected="a CRS in the file" + (", or survey.reference.crs in the configuration" if do == NAME_CRS else ""),
-            got="none",
+            got="; ".join(opened.faults) or "none",
             do=do,
         )
+    doubt = doubtful_system(opened.faults) if configured is None and survey is not None else ""
+    if doubt and say is None:
+        raise InputError(doubt.partition(",")[0], where=opened.path, expected="one", got=doubt, do=do)
+    if doubt and say is not None:
+        say(f"note: {opened.path.name}: {doubt}")
     return crs if survey is not None else None
 
 

@@ -42,7 +42,7 @@ def polygon_info(path: Path) -> dict[str, Any]:
 
 
 def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
-    crs, faults = opened.crs, []
+    crs, faults = opened.crs, [*opened.faults]
     if crs is None:
         faults.append("no coordinate system: name one as survey.reference.crs")
     bounds = None

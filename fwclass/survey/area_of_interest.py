@@ -57,7 +57,7 @@ class Area:
         self._some(opened, shapes)
         survey = crs_of_wkt(crs)
         do = "export them with their system: GeoPackage and GeoParquet keep it"
-        own = source_crs(opened, None, survey, do)
+        own = source_crs(opened, None, survey, do, say)
         if own is not None and survey is not None:
             shapes, _ = reproject(shapes, own, survey, self.path, do)
         a, b = edges(shapes.x, shapes.y, shapes.ring_start)

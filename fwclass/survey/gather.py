@@ -84,13 +84,14 @@ def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
     flown = digests.find(config.survey.trajectory.files, directory, "survey.trajectory.files", config)
     require_distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
-    polygons = reference_polygons(config, directory, digests, crs)
+    say = runner.display.say
+    polygons = reference_polygons(config, directory, digests, crs, say)
     clouds = reference_clouds(config, directory, digests, box)
     by_echo = reference_echo_labels(config, directory, digests)
-    water = shape_file("water", config.water, config, directory, digests, crs, box)
-    breaklines = shape_file("breaklines", config.breaklines, config, directory, digests, crs, box)
+    water = shape_file("water", config.water, config, directory, digests, crs, box, say)
+    breaklines = shape_file("breaklines", config.breaklines, config, directory, digests, crs, box, say)
     check_points = check_point_file(config, directory, digests, crs, box)
-    area = shape_file("quality.area", config.quality.area, config, directory, digests, crs, box)
+    area = shape_file("quality.area", config.quality.area, config, directory, digests, crs, box, say)
     corrections = reference_corrections(config, directory, digests, runner.store)
     digests.save()
     runner.external += digests.asked

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from fwclass.conf import Config
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, several
 from fwclass.formats.crs import crs_of_wkt
 from fwclass.formats.echo_labels import FIELD, MOST_BYTES, check_echo_labels, read_echo_labels
+from fwclass.formats.wkb import Shapes
 from fwclass.grid import Box, TileGrid, joint_box
 from fwclass.ground.stage import TERRAIN
 from fwclass.label.corrections import reference_codes
@@ -66,9 +67,10 @@ def reference_clouds(
 
 
 def reference_polygons(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, say: Callable[[str], None]
 ) -> tuple[PolygonFile, ...]:
-    """The reference's files of polygons, each with its class field, in a system that is known."""
+    """The reference's files of polygons, each with its class field, in a system that is known; one that names two is
+    told by `say`."""
     reference = config.survey.reference
     user_crs = given_crs(reference.crs, "survey.reference.crs")
     if reference.kind != "polygons":
@@ -81,7 +83,7 @@ def reference_polygons(
         field = reference.field or ""
         check_field(opened, field)
         codes_of(values_of(opened, [field])[field], reference.values, config.classes, f"{path}: field {field}")
-        system = source_crs(opened, user_crs, survey)
+        system = source_crs(opened, user_crs, survey, say=say)
         files.append(
             PolygonFile(
                 place, digests.of(opened.files, place), opened.layer, system.to_wkt() if system is not None else None
@@ -101,9 +103,10 @@ def shape_file(
     digests: Digests,
     crs: str | None,
     box: Box,
+    say: Callable[[str], None],
 ) -> PolygonFile | None:
-    """The file that a section of the configuration names; `InputError` for breaklines without heights, and where none
-    of its shapes lies in the survey's `box` [m]."""
+    """The file that a section of the configuration names, one with two systems told by `say`; `InputError` for
+    breaklines without heights, and where none of its shapes lies in the survey's `box` [m]."""
     user_crs = given_crs(section_params.crs, f"{section}.crs")
     if section_params.file is None:
         return None
@@ -116,7 +119,7 @@ def shape_file(
     path = local(places[0])
     opened = open_polygons(path, section_params.layer, f"{section}.layer")
     name_crs = f"--set {section}.crs=EPSG:<code>"
-    system = source_crs(opened, user_crs, survey, name_crs)
+    system = source_crs(opened, user_crs, survey, name_crs, say)
     shapes = read_lines(opened)[0] if section == "breaklines" else read_polygons(opened, None)[1]
     if system is not None and survey is not None:
         shapes, _ = reproject(shapes, system, survey, path, name_crs)
@@ -128,7 +131,7 @@ def shape_file(
             f"no {_WHAT[section]} lies in the survey",
             where=path,
             expected=f"shapes that meet {box_text(box)}",
-            got=f"{shapes.parts} shapes",
+            got=f"{several(shapes.parts, 'shape')}{_reach(shapes)}",
             do=f"check the file, and its coordinate system ({section}.crs)",
         )
     if section == "water":
@@ -137,6 +140,12 @@ def shape_file(
         check_lines(shapes.x, shapes.y, shapes.ring_start, config.terrain.thin, _around(box, config), path)
     wkt = system.to_wkt() if system is not None else None
     return PolygonFile(places[0], digests.of(opened.files, places[0]), opened.layer, wkt)
+
+
+def _reach(shapes: Shapes) -> str:
+    """Where shapes lie, "" for none."""
+    ends = [float(f(v)) for f in (np.min, np.max) for v in (shapes.x, shapes.y)] if len(shapes.x) else []
+    return f" in {box_text(Box(*ends))}" if ends else ""
 
 
 def _around(box: Box, config: Config) -> Bounds:

@@ -73,7 +73,7 @@ def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Di
     layout = plan.layout
     only = asked.tiles
     if isinstance(only, Area):
-        only = only.tiles(layout, plan.survey.crs)
+        only = only.tiles(layout, plan.survey.crs, display.say)
     keys = layout.keys if only is None else layout.keys & only
     check_done(look, keys, (*compared.of_tiles, *compared.gathering))
     candidates = shifted_squares(keys, config.tile.size, asked.shift, config.seams.width)
