@@ -18,6 +18,7 @@ from fwclass.errors import LockedError
 from fwclass.operate.clean import clean
 from fwclass.operate.sizes import sizes_of
 from fwclass.store.lock import writer
+from fwclass.store.seal import seal, unseal
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +160,30 @@ def test_all_files_that_changed_after_it_was_cleaned_are_told(labelled):
         assert told.returncode == 3 and f"sources changed or came since then: {name}\n" in told.stdout, told.stdout
         file.unlink() if before is None else file.write_bytes(before)
     assert fwclass("status", "r", cwd=labelled).returncode == 0
+
+
+def test_a_model_that_was_exchanged_after_it_was_cleaned_is_told(place, tmp_path):
+    """`status` said that all was done: of what a run reads, the model alone was not looked at."""
+    shutil.copytree(place / "r" / "model", tmp_path / "m")
+    small_survey(tmp_path)
+    words = ("--set", "survey.model=m", "--accept-implausible")
+    assert fwclass("run", "s.yaml", "--out", "r", "--workers", 0, *words, cwd=tmp_path).returncode == 0
+    assert fwclass("clean", "r", "--keep", "delivery", cwd=tmp_path).returncode == 0
+    (tmp_path / "m" / "card.json").touch()
+    assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+    before = (tmp_path / "m" / "card.json").read_text()
+    (tmp_path / "m" / "card.json").write_text(before.replace("}", "} ", 1))
+    for more in ((), ("--verify",)):
+        told = fwclass("status", "r", *more, cwd=tmp_path)
+        assert told.returncode == 3 and f"came since then: {tmp_path / 'm'}\n" in told.stdout, told.stdout
+    (tmp_path / "m" / "card.json").write_text(before)
+    assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+    kept = tmp_path / "r" / "store" / "inputs.json"
+    digests = {
+        name: facts for name, facts in unseal(json.loads(kept.read_text())).items() if not name.startswith("model ")
+    }
+    kept.write_text(json.dumps(seal(digests)))  # as earlier versions kept them
+    assert fwclass("status", "r", cwd=tmp_path).returncode == 0
 
 
 def test_the_files_of_a_simulated_survey_stay(tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.errors import DamagedError
+from fwclass.errors import DamagedError, visible
 from fwclass.formats import vector
 from fwclass.store.digests import Looks, looks
 from fwclass.store.external_file import ExternalFile, changed_file, digest_file
@@ -19,6 +19,9 @@ from fwclass.store.url import Url
 from fwclass.survey.files import find_files
 
 _INPUTS = "inputs.json"
+_MODEL = "model "
+"""What names of models begin with, among those of files."""
+
 _SAVED_EVERY = 30.0
 """s of digests that an interruption may cost."""
 
@@ -78,6 +81,17 @@ class Digests:
         self._known[str(place)], self._changed = [*seen_as(copy)[1], file.digest], True
         self.asked.append(file)
         return (file,)
+
+    def of_model(self, place: Location, digest: str) -> None:
+        """Remember a model that is read, by the digest that was taken of its files. Earlier runs remembered none: where
+        the store is only read, and knows of none, it is not asked for."""
+        name = f"{_MODEL}{place}"
+        if self._read_only and not any(known.startswith(_MODEL) for known in self._known):
+            return
+        facts = [_MODEL, name, digest]
+        self._changed |= self._known.get(name) != facts
+        self._known[name] = facts
+        self.asked.append(ExternalFile(visible(str(place)), digest))
 
     def save(self) -> None:
         """Remember what is new; called when all files are known, and now and then before."""

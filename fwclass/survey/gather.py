@@ -59,11 +59,15 @@ def directory_of(config: Config, root: Path) -> Path | Url:
     return in_any_form(path if path.is_absolute() else (config.path.parent / path).resolve())
 
 
-def gather(config: Config, runner: Runner, copied: bool = False) -> Survey:
+def gather(
+    config: Config, runner: Runner, copied: bool = False, models: Iterable[tuple[Location, str] | None] = ()
+) -> Survey:
     """Find and check all files before anything is computed. `copied`: strips are delivered, so that all of their
-    records must be where the headers place them."""
+    records must be where the headers place them. `models`: places and digests of those that are read too."""
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
+    for model in filter(None, models):
+        digests.of_model(*model)
     places, opened, full, excluded = open_survey(config, directory, copied, digests)
     user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = assign_numbers(s.path.stem for s in opened)

@@ -72,7 +72,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES, de
     config, plan = plan.config, replace(plan, providers=providers(plan, stages))
     copied = delivers and DELIVER_STRIP in stages
     simulate_survey(config, runner)
-    survey = gather(config, runner, copied)
+    survey = gather(config, runner, copied, (plan.model, plan.base))
     if copied:
         check_class_codes({s.path.name: s.point_format for s in survey.strips}, config)
     learned: Mapping[str, Any] | None = load_same(local(plan.model[0]), plan.model[1]).card if plan.model else None
