@@ -89,7 +89,9 @@ def write_bytes(path: Path, data: bytes, flush: bool = True) -> None:
                 stream.flush()
                 os.fsync(stream.fileno())
         beside.replace(path)
-    except BaseException:
+    except BaseException as fault:
+        if isinstance(fault, OSError) and not fault.filename:  # a full disk is told with its place
+            fault.filename = str(path)
         beside.unlink(missing_ok=True)
         raise
     if flush:

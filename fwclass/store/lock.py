@@ -81,7 +81,8 @@ def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
 
 
 def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
-    """Host and pid of the run that is writing to `root`, None where there is none; nothing is written.
+    """Host and pid of the run that is writing to `root`, None where there is none; nothing is written. Both are None
+    of one that found no room on the disk for its name.
 
     On a file system without locks between hosts, what the file says is believed.
     """
@@ -89,7 +90,9 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     try:
         with io.TextIOWrapper(open_regular(path), errors="replace") as stream:
             facts = _facts(stream)
-            if facts is not None and facts.get("host") == socket.gethostname() and not _locked(stream.fileno()):
+            if facts is None:
+                return {"host": None, "pid": None} if _locked(stream.fileno()) else None
+            if facts.get("host") == socket.gethostname() and not _locked(stream.fileno()):
                 return None  # it was killed and left its name
             return facts
     except FileNotFoundError:
@@ -98,7 +101,7 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
 
 def holder_text(facts: Mapping[str, Any]) -> str:
     """Who holds a lock, in words."""
-    return f"pid {facts.get('pid')} on {facts.get('host')}" if facts else "one that did not leave its name"
+    return f"pid {facts.get('pid')} on {facts.get('host')}" if facts.get("pid") else "one that did not leave its name"
 
 
 def _facts(stream: IO[str]) -> dict[str, Any] | None:

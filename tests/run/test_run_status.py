@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import resource
 import shutil
 import time
 
@@ -11,8 +14,9 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
-from fwclass.errors import ConfigError, InputError, PartialError
+from fwclass.errors import ConfigError, InputError, LockedError, PartialError, StoreError
 from fwclass.operate.request import Request
+from fwclass.operate.seams.walk import check_idle
 from fwclass.operate.status.replay import task_alone
 from fwclass.operate.status.summary import as_data, as_text
 from fwclass.operate.status.walk import look_at
@@ -22,8 +26,9 @@ from fwclass.run.local import Loop
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner, require_all
+from fwclass.store.atomic import write_text
 from fwclass.store.external_file import ExternalFile
-from fwclass.store.lock import holder, writer
+from fwclass.store.lock import holder, holder_text, writer
 from fwclass.workflows import WORKFLOWS
 
 
@@ -169,6 +174,43 @@ def test_a_name_left_by_a_killed_run_is_not_believed(tmp_path):
     assert holder(tmp_path) is None
     with writer(tmp_path):
         assert holder(tmp_path) is not None
+
+
+@contextlib.contextmanager
+def full_disk():
+    """No file may grow, not by a byte."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_writer_without_room_for_its_name_is_told_and_keeps_others_out(tmp_path):
+    """The lock held, and `status`, `seams` and schedules said that nobody was there."""
+    task = Task("one", "a", 1, {}, written("a"))
+    with contextlib.ExitStack() as first:
+        with full_disk():
+            first.enter_context(writer(tmp_path))
+        assert not (tmp_path / "store" / "lock").read_bytes()
+        assert holder(tmp_path) and "did not leave its name" in holder_text(holder(tmp_path))
+        (tmp_path / "store" / "staging" / "left" / "one" / "a").mkdir(parents=True)
+        assert seen(tmp_path, task)["one/a"][0] == "running"
+        with pytest.raises(StoreError, match="a run is writing"):
+            check_idle(tmp_path)
+        with pytest.raises(LockedError, match="another run is writing"), writer(tmp_path):
+            pass
+    assert holder(tmp_path) is None and not (tmp_path / "store" / "lock").read_bytes()
+    with writer(tmp_path):
+        assert holder(tmp_path)["pid"] == os.getpid()
+
+
+def test_a_full_disk_is_told_with_its_place(tmp_path):
+    """Small files of the store, such as the words of a run, were written without saying where."""
+    with full_disk(), pytest.raises(OSError) as fault:
+        write_text(tmp_path / "run.json", "{}")
+    assert fault.value.filename == str(tmp_path / "run.json") and not list(tmp_path.iterdir())
 
 
 def test_the_plan_ends_where_what_follows_is_not_known(tmp_path):

@@ -28,6 +28,7 @@ from fwclass.operate.seams.summary import SeamResult
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
 from fwclass.run.progress import Display
+from fwclass.store.lock import holder_text
 from fwclass.store.run_location import RunLocation, address_of, held_by, open_store
 from fwclass.survey.area_of_interest import Area
 from fwclass.survey.layout import Layout
@@ -169,10 +170,7 @@ def check_idle(location: RunLocation) -> None:
         raise StoreError("this is no run directory", where=where, expected="a directory with `store`", do="name a run")
     if writer is not None:
         raise StoreError(
-            "a run is writing to this directory",
-            where=where,
-            got=f"pid {writer.get('pid')} on {writer.get('host')}",
-            do="wait for it to end",
+            "a run is writing to this directory", where=where, got=holder_text(writer), do="wait for it to end"
         )
 
 

@@ -12,6 +12,7 @@ from fwclass.operate.status.walk import STANDINGS, PartState, RunStatus
 from fwclass.run.libraries import by_libraries, text_of
 from fwclass.run.part import Name
 from fwclass.store.libraries import fingerprint
+from fwclass.store.lock import holder_text
 from fwclass.store.run_store import Store
 from fwclass.survey.file_digests import remembered
 
@@ -97,7 +98,7 @@ def as_text(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
     counts = _counts(status.states)
     rows = [f"{request.root}: {request.command()}"]
     if writer:
-        rows.append(f"a run is writing to it: pid {writer.get('pid')} on {writer.get('host')}")
+        rows.append(f"a run is writing to it: {holder_text(writer)}")
     width = max([5, *map(len, counts)])
     if counts:
         rows += ["", f"{'stage':<{width}}" + "".join(f"{name:>9}" for name in ("parts", *STANDINGS))]
