@@ -162,6 +162,20 @@ def test_all_files_that_changed_after_it_was_cleaned_are_told(labelled):
     assert fwclass("status", "r", cwd=labelled).returncode == 0
 
 
+def test_settings_that_changed_after_it_was_cleaned_are_told(tmp_path):
+    """`status` said that all was done, whatever the survey's file had become."""
+    path = small_survey(tmp_path)
+    before = path.read_text()
+    assert fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=tmp_path).returncode == 0
+    assert fwclass("clean", "r", "--keep", "delivery", cwd=tmp_path).returncode == 0
+    for text, code in ((before + "# a remark\nview: {cache: 400}\n", 0), (before.replace("trees: 5", "trees: 9"), 3)):
+        path.write_text(text)
+        told = fwclass("status", "r", cwd=tmp_path)
+        assert told.returncode == code and ("the settings train.trees" in told.stdout) == (code == 3), told.stdout
+    path.write_text(before)
+    assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+
+
 def test_a_model_that_was_exchanged_after_it_was_cleaned_is_told(place, tmp_path):
     """`status` said that all was done: of what a run reads, the model alone was not looked at."""
     shutil.copytree(place / "r" / "model", tmp_path / "m")

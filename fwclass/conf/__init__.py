@@ -19,10 +19,14 @@ from fwclass.conf.schedule import SECRET
 from fwclass.errors import ConfigError, nearest
 from fwclass.redact import redacted_setting
 
+IDLE = {"adapt", "plan", "profile", "run", "seams", "store", "street", "street_scene", "suggest", "view", "voxels"}
+"""Sections of which a run's delivery shows nothing."""
+
 NAMED = 20
 """Faults of a configuration that a message tells."""
 
-__all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "load_text", "preset", "presets", "section"]
+__all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "load_text"]
+__all__ += ["own_settings", "preset", "presets", "section"]
 
 
 def load(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = True) -> Config:
@@ -56,6 +60,21 @@ def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any]
     raw = _lay_over(merge(changes, dict(change or {})), name)
     where = " ".join(f"--set {redacted_setting(text)}" for text in settings) or path
     return _build(name, raw.get(name), where)
+
+
+def own_settings(config: Config) -> dict[str, str]:
+    """What a configuration sets otherwise than `conf/base.yaml` and a delivery may show, by dotted keys, as text."""
+    base = _flat(read(conf_directory() / "base.yaml"))
+    flat = _flat({name: value for name, value in config.raw.items() if name not in IDLE})
+    flat["survey.features"] = list(config.features_asked)
+    return {key: str(value) for key, value in flat.items() if key not in base or base[key] != value}
+
+
+def _flat(sections: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in sections.items():
+        flat |= _flat(value, f"{before}{key}.") if isinstance(value, Mapping) else {f"{before}{key}": value}
+    return flat
 
 
 def check_settings(

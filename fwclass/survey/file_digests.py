@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import DamagedError, visible
 from fwclass.formats import vector
+from fwclass.store.atomic import digest_of
 from fwclass.store.digests import Looks, looks
 from fwclass.store.external_file import ExternalFile, changed_file, digest_file
 from fwclass.store.remote_file import Location, RemoteFile, seen_as
@@ -21,6 +22,8 @@ from fwclass.survey.files import find_files
 _INPUTS = "inputs.json"
 _MODEL = "model "
 """What names of models begin with, among those of files."""
+
+_SETTINGS = "settings"
 
 _SAVED_EVERY = 30.0
 """s of digests that an interruption may cost."""
@@ -92,6 +95,19 @@ class Digests:
         self._changed |= self._known.get(name) != facts
         self._known[name] = facts
         self.asked.append(ExternalFile(visible(str(place)), digest))
+
+    def of_settings(self, settings: Mapping[str, str]) -> None:
+        """Remember what a run goes by; others than those of the last one are asked for as a file is. Where the store is
+        only read, and knows of none, as after earlier versions, they are not."""
+        kept = self._known.get(_SETTINGS, [_SETTINGS, {}, ""])[1]
+        then = kept if isinstance(kept, dict) else {}
+        facts = [_SETTINGS, dict(settings), digest_of(dict(settings))]
+        if not self._read_only:
+            self._changed |= self._known.get(_SETTINGS) != facts
+            self._known[_SETTINGS] = facts
+        elif _SETTINGS in self._known and then != settings:
+            changed = sorted(key for key in {*then, *settings} if then.get(key) != settings.get(key))
+            self.asked.append(ExternalFile(visible("the settings " + ", ".join(changed)), str(facts[-1])))
 
     def save(self) -> None:
         """Remember what is new; called when all files are known, and now and then before."""

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fwclass.conf import Config
+from fwclass.conf import Config, own_settings
 from fwclass.conf.files import PUBLIC, public_data
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_unless_flat
@@ -68,6 +68,7 @@ def gather(
     digests = Digests(runner.store)
     for model in filter(None, models):
         digests.of_model(*model)
+    digests.of_settings(own_settings(config))
     places, opened, full, excluded = open_survey(config, directory, copied, digests)
     user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = assign_numbers(s.path.stem for s in opened)
