@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import unicodedata
 from pathlib import Path
 
 import laspy
@@ -113,3 +114,22 @@ def test_the_last_line_after_damage_mends_it(two: Path) -> None:
     last = next(t for t in ended.stderr.splitlines() if "run the same again" in t)
     assert last.endswith("--verify"), last
     assert fwclass(*line(two, "--set", "train.trees=6", "--verify")).returncode == 0
+
+
+def test_a_name_whose_letters_are_written_otherwise_is_the_same(two: Path) -> None:
+    """A file that came back from a Mac (ö as two characters) was a source that is gone, by a name that looks alike."""
+    composed, decomposed = "Größe_west.las", unicodedata.normalize("NFD", "Größe_west.las")
+    for before, after in (("west.las", decomposed), (decomposed, composed)):
+        (two.parent / before).rename(two.parent / after)
+        ended = fwclass(*line(two))
+        assert ended.returncode == (4 if before == "west.las" else 0), ended.stderr
+    assert "sources of the delivery before" not in ended.stderr and "are gone" not in ended.stderr
+
+
+def test_strips_that_have_one_name_elsewhere_are_told(two: Path) -> None:
+    """Delivered side by side, and one of them lost without a word by who copies them to Windows."""
+    assert "Windows" not in fwclass(*line(two)).stderr
+    (two.parent / "east.las").rename(two.parent / "West.las")
+    two.write_text(two.read_text().replace('"*st.las"', '"*est.las"'))
+    ended = fwclass(*line(two))
+    assert "note: West.las and west.las have one name on Windows and macOS" in ended.stderr, ended.stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
+from unicodedata import normalize
 
 from fwclass.errors import DamagedError, first_few, refuse_unsound
 from fwclass.run.runner import Runner
@@ -22,11 +23,12 @@ def since_earlier(runner: Runner, name: str, survey: str, files: Mapping[str, An
     Returns ``lost_sources`` with path, points and pulses, and ``remarks``.
     """
     path = runner.store.generations.shown(name)
-    here = {*(one["path"] for one in files["files"]), *files["excluded"]}
+    here = {normalize("NFC", name) for name in (*(one["path"] for one in files["files"]), *files["excluded"])}
     try:
         before = read_json(path) if path is not None else None
         there = list(before["input"]["files"]) if before is not None else []
-        lost = [{key: f.get(key) for key in ("path", "points", "pulses")} for f in there if f["path"] not in here]
+        gone = [f for f in there if normalize("NFC", f["path"]) not in here]
+        lost = [{key: f.get(key) for key in ("path", "points", "pulses")} for f in gone]
     except (DamagedError, OSError, KeyError, TypeError, AttributeError):
         return None
     if before is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 from fwclass.conf import Config, own_settings
 from fwclass.conf.files import PUBLIC, public_data
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, visible
 from fwclass.formats.flat import refuse_unless_flat
 from fwclass.grid import Box
 from fwclass.paths import name_fault
@@ -70,6 +71,9 @@ def gather(
         digests.of_model(*model)
     digests.of_settings(own_settings(config))
     places, opened, full, excluded = open_survey(config, directory, copied, digests)
+    say = runner.display.say
+    if copied and (alike := _alike(s.path.name for s in opened)):
+        say(f"note: {visible(' and '.join(alike))} have one name on Windows and macOS: copied there, one strip is lost")
     user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = assign_numbers(s.path.stem for s in opened)
     bounds, faults = _bounds_of(zip(places, opened, strict=True))
@@ -89,7 +93,6 @@ def gather(
     flown = digests.find(config.survey.trajectory.files, directory, "survey.trajectory.files", config)
     require_distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
-    say = runner.display.say
     polygons = reference_polygons(config, directory, digests, crs, say)
     clouds = reference_clouds(config, directory, digests, box)
     by_echo = reference_echo_labels(config, directory, digests)
@@ -228,6 +231,14 @@ def require_distinct(paths: Sequence[Path]) -> None:
             where=", ".join(str(p) for p in paths if p.stem == twice[0]),
             do="rename one: strips are delivered under their source's name, trajectories are told apart by theirs",
         )
+
+
+def _alike(names: Iterable[str]) -> list[str]:
+    """The first names whose strips differ in nothing but capitals and how letters are written, [] for none."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(unicodedata.normalize("NFC", Path(name).stem).casefold(), []).append(name)
+    return next((group for group in groups.values() if len(group) > 1), [])
 
 
 def _refuse_same_file(strips: tuple[Strip, ...]) -> None:
