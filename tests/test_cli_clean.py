@@ -162,6 +162,30 @@ def test_all_files_that_changed_after_it_was_cleaned_are_told(labelled):
     assert fwclass("status", "r", cwd=labelled).returncode == 0
 
 
+def test_a_delivery_that_lacks_a_file_is_told_by_status(place, tmp_path):
+    """It said that all was done, also of one that stands alone; --verify alone saw it."""
+    root = shutil.copytree(place / "r", tmp_path / "r", symlinks=True)
+    for file, name in (
+        (root / "current" / "laz" / "survey.vpc", "survey.vpc"),
+        (root / "current" / "report.html", "report.html"),
+    ):
+        before = file.read_bytes()
+        file.unlink()
+        told = fwclass("status", place / "s.yaml", "--out", root)
+        assert told.returncode == 3 and "is not what was delivered" in told.stdout and name in told.stdout, told.stdout
+        told = json.loads(fwclass("status", place / "s.yaml", "--out", root, "--json").stdout)
+        assert not told["done"] and [n.rpartition("/")[2] for n in told["delivery_lacks"]] == [name]
+        file.write_bytes(before)
+    assert fwclass("status", place / "s.yaml", "--out", root).returncode == 0
+    assert fwclass("clean", root, "--keep", "delivery").returncode == 0
+    assert fwclass("status", root).returncode == 0
+    (root / "current" / "laz" / "survey.vpc").write_bytes(b"")
+    told = fwclass("status", root)
+    assert told.returncode == 3 and "is not what was delivered" in told.stdout and "survey.vpc" in told.stdout
+    assert fwclass("run", "s.yaml", "--out", root, "--workers", 0, cwd=place).returncode == 0
+    assert fwclass("status", root).returncode == 0
+
+
 def test_settings_that_changed_after_it_was_cleaned_are_told(tmp_path):
     """`status` said that all was done, whatever the survey's file had become."""
     path = small_survey(tmp_path)

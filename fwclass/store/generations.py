@@ -150,6 +150,13 @@ class Generations:
         sizes = self.files.sizes(generation.key, listed)
         return [name for name, facts in listed.items() if sizes.get(name) != facts["bytes"]]
 
+    def lacks(self, generation: Generation) -> list[str]:
+        """As `lacking`, of its own manifest, which is named alone where it is damaged; nothing of one without any."""
+        listed = self.manifest(generation)
+        if listed is None:
+            return [MANIFEST] if generation.manifest else []
+        return self.lacking(generation, listed)
+
     def damage(self) -> dict[str, list[str]]:
         """Files of each generation that are gone or not what was written, by its name, where there are any: the one
         that readers see first. All are read, but for those of before there were manifests."""

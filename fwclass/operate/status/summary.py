@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fwclass.errors import first_few
+from fwclass.errors import first_few, visible
 from fwclass.operate.request import Request
 from fwclass.operate.status.walk import STANDINGS, PartState, RunStatus
 from fwclass.run.libraries import by_libraries, text_of
@@ -26,7 +26,14 @@ def is_delivered(status: RunStatus, request: Request) -> bool:
         return False
     shown = status.store.generations.current()
     there = [shown] if request.wanted is None or shown is None else status.store.generations.all()
-    return any(g is not None and g.digest == status.digest for g in there)
+    generations = status.store.generations
+    return any(g is not None and g.digest == status.digest and not generations.lacks(g) for g in there)
+
+
+def _lacking(status: RunStatus) -> list[str]:
+    """Files of the delivery that readers see that are gone, or of another size."""
+    shown = status.store.generations.current()
+    return [] if shown is None else status.store.generations.lacks(shown)
 
 
 def is_cleaned(status: RunStatus) -> bool:
@@ -34,7 +41,7 @@ def is_cleaned(status: RunStatus) -> bool:
     last."""
     shown = status.store.generations.current()
     left = shown is not None and shown.whole and status.fault is None and _bare(status.store)
-    return left and not _other_sources(status)
+    return left and not _other_sources(status) and not _lacking(status)
 
 
 def _bare(store: Store) -> bool:
@@ -55,6 +62,7 @@ def as_data(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
         "run": request.root,
         "command": request.command(),
         "done": is_delivered(status, request),
+        "delivery_lacks": _lacking(status),
         "running": dict(writer) if writer else None,
         "plan_ends": status.ends,
         "fault": None if status.fault is None else str(status.fault),
@@ -111,7 +119,8 @@ def as_text(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
         stands = f"delivery {shown.name} stands; {gone}, and {after}"
         others_now = first_few(_other_sources(status), NAMED)
         came = [f"sources changed or came since then: {others_now}"] if others_now else []
-        return "\n".join([rows[0], "", stands, *came])
+        broken = [_broken(shown.name, lost)] if (lost := _lacking(status)) else []
+        return "\n".join([rows[0], "", stands, *came, *broken])
     rows += ["", *(_every(status) if every else _grouped(status))]
     rows += _failed(status, request)
     if status.ends is not None and status.fault is None:
@@ -165,8 +174,14 @@ def _verdict(status: RunStatus, request: Request, writer: Mapping[str, Any] | No
         return f"all {total} parts are done"
     if status.all_done:
         next_step = "wait for the run to end" if writer else f"deliver them: {request.command()}"
+        if (gone := _lacking(status)) and (shown := status.store.generations.current()) is not None:
+            return f"all {total} parts are done, and {_broken(shown.name, gone)}; {next_step}"
         return f"all {total} parts are done, and readers do not see them yet; {next_step}"
     left = sum(s.standing != "done" for s in status.states.values())
     next_step = "wait for the run to end" if writer else f"make them: {request.command()}"
     waits = f" ({status.waiting} of them only wait for what they need)" if status.waiting else ""
     return f"{left} of {total} parts are not done{waits}; {next_step}"
+
+
+def _broken(name: str, gone: Sequence[str]) -> str:
+    return f"delivery {name} is not what was delivered, gone or of another size: {visible(first_few(gone, NAMED))}"
