@@ -186,6 +186,25 @@ def test_a_delivery_that_lacks_a_file_is_told_by_status(place, tmp_path):
     assert fwclass("status", root).returncode == 0
 
 
+def test_what_a_later_run_read_is_not_what_the_delivery_was_made_of(place, tmp_path):
+    """A run of chosen tiles, or one that failed, read other sources: `status` took them for those of the delivery."""
+    path = small_survey(tmp_path)
+    words, before = ("run", "s.yaml", "--out", "r", "--workers", 0), path.read_text()
+    assert fwclass(*words, cwd=tmp_path).returncode == 0
+    assert fwclass("clean", "r", "--keep", "delivery", cwd=tmp_path).returncode == 0
+    (tile,) = (p.name.split(".")[0] for p in sorted((tmp_path / "r" / "laz" / "tiles").iterdir())[:1])
+    source = (tmp_path / "a.las").read_bytes()
+    (tmp_path / "a.las").write_bytes(source[:-1] + b"\x01")
+    path.write_text(before.replace("trees: 5", "trees: 4"))
+    assert fwclass(*words, "--tiles", tile, cwd=tmp_path).returncode == 0
+    assert fwclass("clean", "r", "--keep", "delivery", cwd=tmp_path).returncode == 0
+    told = fwclass("status", "r", cwd=tmp_path)
+    assert told.returncode == 3 and "came since then: a.las, the settings\n" in told.stdout, told.stdout
+    (tmp_path / "a.las").write_bytes(source)
+    path.write_text(before)
+    assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+
+
 def test_settings_that_changed_after_it_was_cleaned_are_told(tmp_path):
     """`status` said that all was done, whatever the survey's file had become."""
     path = small_survey(tmp_path)
@@ -216,6 +235,7 @@ def test_a_model_that_was_exchanged_after_it_was_cleaned_is_told(place, tmp_path
         assert told.returncode == 3 and f"came since then: {tmp_path / 'm'}\n" in told.stdout, told.stdout
     (tmp_path / "m" / "card.json").write_text(before)
     assert fwclass("status", "r", cwd=tmp_path).returncode == 0
+    (tmp_path / "r" / "store" / "delivered.json").unlink()
     kept = tmp_path / "r" / "store" / "inputs.json"
     digests = {
         name: facts for name, facts in unseal(json.loads(kept.read_text())).items() if not name.startswith("model ")

@@ -18,6 +18,7 @@ from fwclass.run.part import Outcome
 from fwclass.run.runner import Runner
 from fwclass.store.generations import Generation
 from fwclass.store.url import Url
+from fwclass.survey.file_digests import keep_delivered
 from fwclass.workflows import workflow_of
 
 
@@ -88,15 +89,23 @@ def run_survey(
     report: Any = None
     try:
         report = workflow_of(request.workflow)(config, runner, request.wanted)
-        generation = runner.publish(config.run.keep_generations)
+        generation = _publish(config, runner)
     except FwclassError:
         if report is None and (runner.pending / REPORT).exists():  # a later step failed, as a page of a paper
-            entry.generation = runner.publish(config.run.keep_generations).number
+            entry.generation = _publish(config, runner).number
             _keep_shown(runner, request, before)
         raise
     entry.generation = generation.number
     shown = _keep_shown(runner, request, before)
     return RunResult(report, generation, shown, before, earlier, runner.failures, entry.judged(report))
+
+
+def _publish(config: Config, runner: Runner) -> Generation:
+    """Deliver what was made, and remember of what, where it is whole."""
+    generation = runner.publish(config.run.keep_generations)
+    if runner.whole:
+        keep_delivered(runner.store, generation.name, runner.external)
+    return generation
 
 
 def _keep_shown(runner: Runner, request: Request, before: Generation | None) -> Generation | None:

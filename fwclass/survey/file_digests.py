@@ -19,7 +19,7 @@ from fwclass.store.seal import seal, unseal
 from fwclass.store.url import Url
 from fwclass.survey.files import find_files
 
-_INPUTS = "inputs.json"
+_INPUTS, _DELIVERED = "inputs.json", "delivered.json"
 _MODEL = "model "
 """What names of models begin with, among those of files."""
 
@@ -97,17 +97,17 @@ class Digests:
         self.asked.append(ExternalFile(visible(str(place)), digest))
 
     def of_settings(self, settings: Mapping[str, str]) -> None:
-        """Remember what a run goes by; others than those of the last one are asked for as a file is. Where the store is
-        only read, and knows of none, as after earlier versions, they are not."""
+        """Remember what a run goes by, as a file is; the name tells which are others than those of the last run. Where
+        the store is only read, and knows of none, as after earlier versions, they are not asked for."""
         kept = self._known.get(_SETTINGS, [_SETTINGS, {}, ""])[1]
         then = kept if isinstance(kept, dict) else {}
         facts = [_SETTINGS, dict(settings), digest_of(dict(settings))]
-        if not self._read_only:
-            self._changed |= self._known.get(_SETTINGS) != facts
-            self._known[_SETTINGS] = facts
-        elif _SETTINGS in self._known and then != settings:
-            changed = sorted(key for key in {*then, *settings} if then.get(key) != settings.get(key))
-            self.asked.append(ExternalFile(visible("the settings " + ", ".join(changed)), str(facts[-1])))
+        if self._read_only and _SETTINGS not in self._known:
+            return
+        changed = sorted(key for key in {*then, *settings} if then.get(key) != settings.get(key))
+        self.asked.append(ExternalFile(visible(f"the settings {', '.join(changed)}".strip()), str(facts[-1])))
+        self._changed |= self._known.get(_SETTINGS) != facts
+        self._known[_SETTINGS] = facts
 
     def save(self) -> None:
         """Remember what is new; called when all files are known, and now and then before."""
@@ -121,8 +121,22 @@ class Digests:
         return digest_file(path)
 
 
-def remembered(store: Store) -> set[str]:
-    """Digests of all foreign files that runs of this store have read."""
+def keep_delivered(store: Store, generation: str, files: Iterable[ExternalFile]) -> None:
+    """Remember what a whole delivery was made of: later runs may read other files, and deliver less, or nothing."""
+    facts = seal({"generation": generation, "digests": sorted({file.digest for file in files})})
+    if store.recall(_DELIVERED) != facts:
+        store.keep(_DELIVERED, facts)
+
+
+def delivered_of(store: Store, generation: str) -> set[str]:
+    """Digests of all foreign files, models and settings that a delivery was made of; of one by an earlier version of
+    all that runs of this store have read."""
+    try:
+        facts = unseal(store.recall(_DELIVERED) or {})
+        if facts.get("generation") == generation:
+            return {str(digest) for digest in facts["digests"]}
+    except (DamagedError, TypeError, ValueError, KeyError, AttributeError):
+        pass
     return {str(facts[-1]) for facts in _load(store).values()}
 
 

@@ -14,7 +14,7 @@ from fwclass.run.part import Name
 from fwclass.store.libraries import fingerprint
 from fwclass.store.lock import holder_text
 from fwclass.store.run_store import Store
-from fwclass.survey.file_digests import remembered
+from fwclass.survey.file_digests import delivered_of
 
 NAMED = 4
 """Parts that are named of those that have one reason."""
@@ -50,8 +50,9 @@ def _bare(store: Store) -> bool:
 
 
 def _other_sources(status: RunStatus) -> list[str]:
-    """Names of source files that no run of this directory has read with these bytes."""
-    known = remembered(status.store)
+    """Names of source files and settings that are not those of the delivery that readers see."""
+    shown = status.store.generations.current()
+    known = delivered_of(status.store, "" if shown is None else shown.name)
     return sorted({file.name for file in status.external if file.digest not in known})
 
 
