@@ -124,7 +124,8 @@ def source_crs(
         )
     doubt = doubtful_system(opened.faults) if configured is None and survey is not None else ""
     if doubt and say is None:
-        raise InputError(doubt.partition(",")[0], where=opened.path, expected="one", got=doubt, do=do)
+        what, _, got = doubt.partition(", ")
+        raise InputError(what, where=opened.path, expected="one", got=got, do=do)
     if doubt and say is not None:
         say(f"note: {opened.path.name}: {doubt}")
     return crs if survey is not None else None
