@@ -74,12 +74,12 @@ def _header(path: Path) -> Header:
     boxes = {_root(path) for path in (own.get("covering") or {}).get("bbox", {}).values()}
     fields = {f.name: str(f.type) for f in schema if f.name != column and f.name not in boxes}
     kinds = own.get("geometry_types") or []
-    crs, false = (None, ()) if (stated := _crs(path, own)) is None else without_false_codes(stated)
+    crs, faults = _crs(path, own)
     return {
         "layer": path.stem,
         "fields": fields,
         "crs": crs,
-        "faults": tuple(told_codes(false)),
+        "faults": faults,
         "features": int(features),
         "geometry": ", ".join(map(str, kinds)) or "unknown",
         "column": column,
@@ -156,16 +156,20 @@ def _root(path: Any) -> str:
     return str(path[0]) if isinstance(path, list) and path else ""
 
 
-def _crs(path: Path, own: dict[str, Any]) -> CRS | None:
-    """PROJJSON of the column; longitude and latitude where it says nothing, None where it says null."""
+def _crs(path: Path, own: dict[str, Any]) -> tuple[CRS | None, tuple[str, ...]]:
+    """PROJJSON of the column, and what is wrong with its codes; longitude and latitude where it says nothing, None
+    where it says null."""
     stated = own.get("crs", WITHOUT_CRS)
     if isinstance(stated, str) and not _CODE.fullmatch(stated):  # PROJ's own words could name files
         raise _foreign(path, "a coordinate system that is neither PROJJSON nor a code")
+    if stated is None:
+        return None, ()
     try:
-        crs = CRS.from_user_input(stated) if stated is not None else None
-        if crs is not None and without_paths(crs)[1]:
+        crs = CRS.from_user_input(stated)
+        if without_paths(crs)[1]:
             raise _foreign(path, "a coordinate system that names a file by its path")
-        return crs
+        crs, false = without_false_codes(crs)
+        return crs, tuple(told_codes(false))
     except (CRSError, TypeError) as fault:
         raise _foreign(path, "a coordinate system that cannot be understood") from fault
 

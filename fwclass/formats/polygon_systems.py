@@ -5,12 +5,16 @@ GDAL goes by codes and names: it calls words of UTM zone 33 EPSG:25832 where tha
 
 from __future__ import annotations
 
+import contextlib
 import glob
+import re
+import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 from pyproj import CRS
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import visible
 from fwclass.formats.crs import TWO_SYSTEMS, crs_of_wkt, told_codes
@@ -18,6 +22,9 @@ from fwclass.formats.epsg import another, without_false_codes
 from fwclass.formats.polygon_magic import HEAD, names_of_systems
 from fwclass.formats.sqlite_files import open_sqlite
 from fwclass.paths import open_regular
+
+MOST_ROWS = 20
+"""Rows of a GeoPackage that name a layer's system, of which it should have one."""
 
 
 def system_named(path: Path, layer: str, answer: str | None) -> tuple[CRS | None, tuple[str, ...]]:
@@ -31,13 +38,16 @@ def system_named(path: Path, layer: str, answer: str | None) -> tuple[CRS | None
     words, codes = _of_table(path, layer) if path.suffix.lower() == ".gpkg" else (_of_prj(path), set[str]())
     if words is None:
         return known, ()
-    crs, false = without_false_codes(words)
-    if false:
-        return crs, tuple(told_codes(false))
-    for code in sorted(codes | ({answer} if answer and answer.startswith("EPSG:") else set())):
-        other = _system(code)
-        if other is not None and another(crs, other):
-            return crs, tuple(told_codes([("another", f"{crs.name} by its words and {other.name} by {code}")]))
+    try:
+        crs, false = without_false_codes(words)
+        if false:
+            return crs, tuple(told_codes(false))
+        for code in sorted(codes | ({answer} if answer and answer.startswith("EPSG:") else set())):
+            other = _system(code)
+            if other is not None and another(crs, other):
+                return crs, tuple(told_codes([("another", f"{crs.name} by its words and {other.name} by {code}")]))
+    except (CRSError, ProjError, RecursionError):  # words of which PROJ makes no other system, nor numbers
+        return known, ()
     return known or crs, ()
 
 
@@ -51,25 +61,22 @@ def _of_prj(path: Path) -> CRS | None:
 
 
 def _of_table(path: Path, layer: str) -> tuple[CRS | None, set[str]]:
-    """What the definition of a layer's system describes, and the codes beside it, and of what else it is called."""
-    table = "gpkg_spatial_ref_sys"
-    with closing(open_sqlite(path, Path(f"{path}-wal").exists())) as opened:
-        columns = [str(row[1]) for row in opened.execute(f"PRAGMA table_info({table})")]
+    """What the definition of a layer's system describes, and the codes beside it, and of what else it is called; of
+    tables without the columns of a GeoPackage nothing."""
+    rows: list[tuple[Any, ...]] = []
+    with closing(open_sqlite(path, Path(f"{path}-wal").exists())) as opened, contextlib.suppress(sqlite3.Error):
+        columns = [str(row[1]) for row in opened.execute("PRAGMA table_info(gpkg_spatial_ref_sys)")]
         texts = [column for column in ("definition", "definition_12_063") if column in columns]
-        rows = [
-            row
-            for listed in ("gpkg_geometry_columns", "gpkg_contents")
-            for row in opened.execute(
-                f"SELECT organization, organization_coordsys_id, {', '.join(texts)} FROM {table} WHERE srs_id IN "  # noqa: S608 (names of tables)
-                f"(SELECT srs_id FROM {listed} WHERE lower(table_name) = lower(?))",
-                (layer,),
-            )
-        ]
+        asked = ", ".join(["organization", "organization_coordsys_id", *texts])
+        for listed in ("gpkg_geometry_columns", "gpkg_contents"):
+            mine = f"(SELECT srs_id FROM {listed} WHERE lower(table_name) = lower(?))"  # noqa: S608 (names of tables)
+            found = opened.execute(f"SELECT {asked} FROM gpkg_spatial_ref_sys WHERE srs_id IN {mine}", (layer,))  # noqa: S608
+            rows += found.fetchmany(MOST_ROWS)
     described = [crs for _, _, *definitions in rows for text in definitions if (crs := _words(text)) is not None]
     names = [crs.to_json_dict().get("id", {}) for crs in described[1:]]
     codes = {f"{name.get('authority')}:{name.get('code')}".upper() for name in names}
     codes |= {f"{organization}:{code}".upper() for organization, code, *_ in rows}
-    return (described[0] if described else None), {code for code in codes if code.startswith("EPSG:")}
+    return (described[0] if described else None), {code for code in codes if re.fullmatch(r"EPSG:\d{1,9}", code)}
 
 
 def _of_json(path: Path, answer: CRS | None) -> tuple[CRS | None, tuple[str, ...]]:
@@ -81,7 +88,7 @@ def _of_json(path: Path, answer: CRS | None) -> tuple[CRS | None, tuple[str, ...
         unknown = next(name for name in names if _system(name) is None)
         return None, (f"the file names a coordinate system that is not known, {visible(unknown)}",)
     for crs in known[:-1]:
-        if another(crs, known[-1]):
+        if not crs.equals(known[-1], ignore_axis_order=True):
             return known[-1], (f"{TWO_SYSTEMS}, {crs.name} and {known[-1].name}: the last counts",)
     return (known[-1] if known and degrees else answer), ()
 
