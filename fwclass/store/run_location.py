@@ -92,7 +92,7 @@ def unmade_again(location: RunLocation) -> Iterator[None]:
     """A run directory that is not there yet is taken away again, with its new parents, where a refusal leaves it
     without a single part; nothing that was there before is touched. On object storage nothing is. `ConfigError` for
     one that would lie in another's store or delivery."""
-    if isinstance(location, Remote) or location.exists():
+    if isinstance(location, Remote):
         yield
         return
     if around := run_around(location):
@@ -103,6 +103,9 @@ def unmade_again(location: RunLocation) -> Iterator[None]:
             got=f"{location}, in the run {around}",
             do="name another place",
         )
+    if location.exists():
+        yield
+        return
     parents = [p for p in location.parents if not p.exists()]
     try:
         yield

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from commandline import fwclass
+from smallsurvey import small_survey
 
 from fwclass import conf, paths
 from fwclass.errors import ConfigError, InputError, StoreError
@@ -290,6 +291,19 @@ def test_no_run_is_made_in_what_another_has_made(place: str, tmp_path: Path) -> 
     assert not (tmp_path / "r" / place / "new").exists()
     with unmade_again(tmp_path / "r" / "beside"):
         pass
+
+
+@pytest.mark.parametrize("place", ["store", "generations", "generations/0001", "current", "current/laz"])
+def test_no_run_is_made_in_a_directory_of_another(place: str, tmp_path: Path) -> None:
+    """`--out RUN/current` left a store in the delivery."""
+    for name in ("store", "generations/0001/laz"):
+        (tmp_path / "r" / name).mkdir(parents=True)
+    (tmp_path / "r" / "current").symlink_to("generations/0001")
+    before = sorted(tmp_path.rglob("*"))
+    words = ("--out", tmp_path / "r" / place, "--workers", 0)
+    ended = fwclass("run", small_survey(tmp_path), *words)
+    assert ended.returncode == 2 and "what another run has made" in ended.stderr, ended.stderr
+    assert sorted(p for p in tmp_path.rglob("*") if p.suffix not in (".las", ".yaml")) == before
 
 
 def test_a_pending_delivery_that_is_a_link_is_not_written_through(tmp_path: Path) -> None:
