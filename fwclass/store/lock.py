@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from fwclass.errors import FULL, LockedError, StoreError, visible
-from fwclass.paths import below, open_below, open_regular
+from fwclass.errors import FULL, ConfigError, LockedError, StoreError, visible
+from fwclass.paths import below, open_below, open_regular, run_around
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,28 @@ SCHEDULE = Lock(
 )
 
 
+def refuse_inside(root: Path) -> None:
+    """`ConfigError` for a run directory that would lie in another's store or delivery."""
+    if around := run_around(root):
+        raise ConfigError(
+            "the run directory would lie in what another run has made and delivers",
+            where="--out",
+            expected="a directory outside of the store and the deliveries of a run",
+            got=f"{root}, in the run {around}",
+            do="name another place",
+        )
+
+
 @contextmanager
 def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
     """Hold the run directory `root`; a second writer gets a `LockedError` naming the first one's host and pid.
 
     Gives a function that raises `StoreError` when the directory is not the one any more that is held; what else goes
-    wrong then is told as that.
+    wrong then is told as that. `ConfigError` as `refuse_inside`.
 
     The lock is the kernel's (`flock`) and goes with the process that held it, so none is left behind by a crash.
     """
+    refuse_inside(root)
     path = below(root, f"store/{lock.name}")
     path.parent.mkdir(parents=True, exist_ok=True)
     handle = open_below(root, f"store/{lock.name}", os.O_RDWR | os.O_APPEND | os.O_CREAT)

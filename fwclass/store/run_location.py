@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import ConfigError, FwclassError
-from fwclass.paths import run_around
+from fwclass.errors import FwclassError
 from fwclass.store.atomic import from_json, to_json
 from fwclass.store.bucket import Remote, files_at
-from fwclass.store.lock import WRITER, Lock, holder, writer
+from fwclass.store.lock import WRITER, Lock, holder, refuse_inside, writer
 from fwclass.store.params import StoreParams
 from fwclass.store.remote_lock import check_token, remote_holder, remote_writer
 from fwclass.store.run_store import Store
@@ -95,14 +94,7 @@ def unmade_again(location: RunLocation) -> Iterator[None]:
     if isinstance(location, Remote):
         yield
         return
-    if around := run_around(location):
-        raise ConfigError(
-            "the run directory would lie in what another run has made and delivers",
-            where="--out",
-            expected="a directory outside of the store and the deliveries of a run",
-            got=f"{location}, in the run {around}",
-            do="name another place",
-        )
+    refuse_inside(location)
     if location.exists():
         yield
         return

@@ -300,9 +300,10 @@ def test_no_run_is_made_in_a_directory_of_another(place: str, tmp_path: Path) ->
         (tmp_path / "r" / name).mkdir(parents=True)
     (tmp_path / "r" / "current").symlink_to("generations/0001")
     before = sorted(tmp_path.rglob("*"))
-    words = ("--out", tmp_path / "r" / place, "--workers", 0)
-    ended = fwclass("run", small_survey(tmp_path), *words)
-    assert ended.returncode == 2 and "what another run has made" in ended.stderr, ended.stderr
+    survey = small_survey(tmp_path)
+    for line in (("run", survey, "--workers", 0), ("schedule", survey, "--every", "3s", "--once")):
+        ended = fwclass(*line, "--out", tmp_path / "r" / place)
+        assert ended.returncode == 2 and "what another run has made" in ended.stderr, ended.stderr
     assert sorted(p for p in tmp_path.rglob("*") if p.suffix not in (".las", ".yaml")) == before
 
 
