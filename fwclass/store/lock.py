@@ -50,14 +50,19 @@ SCHEDULE = Lock(
 
 def refuse_inside(root: Path) -> None:
     """`ConfigError` for a run directory that would lie in another's store or delivery."""
-    if around := run_around(root):
-        raise ConfigError(
-            "the run directory would lie in what another run has made and delivers",
-            where="--out",
-            expected="a directory outside of the store and the deliveries of a run",
-            got=f"{root}, in the run {around}",
-            do="name another place",
-        )
+    if run := run_around(root):
+        raise around(root, run)
+
+
+def around(place: object, run: object) -> ConfigError:
+    """What to say of a place in the store or the delivery of a run."""
+    return ConfigError(
+        "the run directory would lie in what another run has made and delivers",
+        where="--out",
+        expected="a directory outside of the store and the deliveries of a run",
+        got=f"{place}, in the run {run}",
+        do="name another place",
+    )
 
 
 @contextmanager

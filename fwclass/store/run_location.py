@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import FwclassError
+from fwclass.errors import FwclassError, StoreError
 from fwclass.store.atomic import from_json, to_json
 from fwclass.store.bucket import Remote, files_at
-from fwclass.store.lock import WRITER, Lock, holder, refuse_inside, writer
+from fwclass.store.lock import WRITER, Lock, around, holder, refuse_inside, writer
 from fwclass.store.params import StoreParams
 from fwclass.store.remote_lock import check_token, remote_holder, remote_writer
 from fwclass.store.run_store import Store
@@ -55,6 +55,7 @@ def locked(
 ) -> Iterator[tuple[RunLocation, Callable[[], None]]]:
     """Hold the run: where parts are to be committed now, and what raises `StoreError` once the lock is lost."""
     if isinstance(location, Remote):
+        _refuse_inside_remote(location)
         with remote_writer(location.objects, tell, lock) as (token, beat):
             yield replace(location, token=token), beat.check
     else:
@@ -92,6 +93,7 @@ def unmade_again(location: RunLocation) -> Iterator[None]:
     without a single part; nothing that was there before is touched. On object storage nothing is. `ConfigError` for
     one that would lie in another's store or delivery."""
     if isinstance(location, Remote):
+        _refuse_inside_remote(location)
         yield
         return
     refuse_inside(location)
@@ -108,6 +110,16 @@ def unmade_again(location: RunLocation) -> Iterator[None]:
                 with suppress(OSError):  # somebody else's by now
                     path.rmdir()
         raise
+
+
+def _refuse_inside_remote(location: Remote) -> None:
+    """As `refuse_inside`: the other run would sweep what it did not put there. Nothing is asked for most addresses."""
+    parts = location.url.split("/")
+    for k in (k for k in range(3, len(parts)) if parts[k] in ("store", "generations")):
+        run, soon = Url("/".join(parts[:k])), location.params.model_copy(update={"patience": 0.0})
+        with suppress(StoreError):  # who may not read there cannot have made it
+            if Remote(run, soon).objects.get("store/run.json") is not None:
+                raise around(location.url, run)
 
 
 def _without_parts(root: Path) -> bool:

@@ -12,11 +12,13 @@ import time
 import pytest
 from objectstore import Server, Trouble, quick
 
-from fwclass.errors import StoreError
+from fwclass.errors import ConfigError, StoreError
+from fwclass.store.bucket import Remote
 from fwclass.store.lock import WRITER
 from fwclass.store.objects import Objects
 from fwclass.store.refusals import LostRace
 from fwclass.store.remote_lock import lock_key, remote_holder, remote_writer
+from fwclass.store.run_location import locked, unmade_again
 
 LOCK = lock_key(WRITER)
 HOLDER = """
@@ -147,3 +149,16 @@ def test_a_server_without_conditions_is_refused(objects: Objects, monkeypatch: p
     monkeypatch.setattr(objects, "_conditional", careless)
     with pytest.raises(StoreError, match="no conditional writes"), remote_writer(objects, quiet):
         pass
+
+
+@pytest.mark.parametrize("place", ["store", "store/x", "generations", "generations/0001-a/laz"])
+def test_no_run_is_made_in_what_another_has_in_a_bucket(s3: Server, place: str) -> None:
+    """The other one sweeps what it did not put there."""
+    run, free = s3.url(), s3.url()
+    s3.write(run / "store/run.json", b"{}")
+    for enter in (lambda there: locked(there, quiet), unmade_again):
+        with pytest.raises(ConfigError, match="what another run has made"), enter(Remote(run / place, quick())):
+            pass
+        with enter(Remote(free / place, quick())):
+            pass
+    assert s3.keys(run) == ["store/run.json"]
