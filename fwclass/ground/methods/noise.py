@@ -95,6 +95,7 @@ def _below_surfaces(
             index.ncols,
             index.nrows,
             1 << level,
+            index.cell,
             index.x0 // index.cell,
             index.y0 // index.cell,
             params.surface_gap * 1000.0,

@@ -117,47 +117,46 @@ def _mark(z, start, ncols, nrows, r0, c0, edge, level, noise):  # type: ignore[n
 
 
 @kernel
-def mark_below_surfaces(x, y, z, start, ncols, nrows, size, col0, row0, gap, share, judged, noise):  # type: ignore[no-untyped-def]
+def mark_below_surfaces(x, y, z, start, ncols, nrows, size, cell, col0, row0, gap, share, judged, noise):  # type: ignore[no-untyped-def]
     """Mark in `noise` bool (points,) points below surfaces, of those that are not `judged` yet bool (points,) in cells
     with `COUNTED` points in 3 x 3 of them, which are judged then: `size` is the edge of a cell in cells of the index;
-    x, y, z (points,) and the gap are in millimetres."""
+    x, y, z (points,), the edge `cell` of those and the gap are in millimetres."""
     lowest, bins = np.empty(FEW + 2), np.empty(BINS, np.int64)
     nothing = np.zeros(len(z), np.bool_)
-    for big_r in range(row0 // size, (row0 + nrows - 1) // size + 1):
-        for big_c in range(col0 // size, (col0 + ncols - 1) // size + 1):
-            r0, c0 = big_r * size - row0, big_c * size - col0
-            if not _to_judge(start, ncols, nrows, r0, c0, size, judged):
-                continue
-            total, _ = _lowest_of(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, nothing, lowest)
-            left, right = max(c0, 0), min(c0 + size, ncols)
-            for r in range(max(r0, 0), min(r0 + size, nrows)):
-                for i in range(start[r * ncols + left], start[r * ncols + right]):
-                    if judged[i]:
-                        continue
-                    judged[i] = True
-                    if z[i] + gap >= lowest[FEW + 1]:
-                        continue
-                    most = _thickest(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, z[i] + gap, bins)
-                    if most < share * total:
-                        continue
-                    n, near = _company(x, y, z, start, ncols, nrows, r0 - 4 * size, c0 - 4 * size, 9 * size, i)
-                    noise[i] = near <= max(FEW, ALONE * n)
+    sparse_r, sparse_c = nrows, ncols  # a cell that holds too few, which most of its points come one after another of
+    for k in range(len(z)):
+        if judged[k]:
+            continue
+        r0 = (y[k] // cell + row0) // size * size - row0
+        c0 = (x[k] // cell + col0) // size * size - col0
+        if r0 == sparse_r and c0 == sparse_c:
+            continue
+        if _number(start, ncols, nrows, r0 - size, c0 - size, 3 * size) < COUNTED:
+            sparse_r, sparse_c = r0, c0
+            continue
+        total, _ = _lowest_of(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, nothing, lowest)
+        left, right = max(c0, 0), min(c0 + size, ncols)
+        for r in range(max(r0, 0), min(r0 + size, nrows)):
+            for i in range(start[r * ncols + left], start[r * ncols + right]):
+                if judged[i]:
+                    continue
+                judged[i] = True
+                if z[i] + gap >= lowest[FEW + 1]:
+                    continue
+                most = _thickest(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, z[i] + gap, bins)
+                if most < share * total:
+                    continue
+                n, near = _company(x, y, z, start, ncols, nrows, r0 - 4 * size, c0 - 4 * size, 9 * size, i)
+                noise[i] = near <= max(FEW, ALONE * n)
 
 
 @kernel
-def _to_judge(start, ncols, nrows, r0, c0, size, judged):  # type: ignore[no-untyped-def]
-    """Has the square of cells a point that is not judged yet, and do 3 x 3 such squares hold enough?"""
-    left, right = max(c0, 0), min(c0 + size, ncols)
-    some = False
-    for r in range(max(r0, 0), min(r0 + size, nrows)):
-        for i in range(start[r * ncols + left], start[r * ncols + right]):
-            some |= not judged[i]
-    if not some:
-        return False
-    n, left, right = 0, max(c0 - size, 0), min(c0 + 2 * size, ncols)
-    for r in range(max(r0 - size, 0), min(r0 + 2 * size, nrows)):
+def _number(start, ncols, nrows, r0, c0, edge):  # type: ignore[no-untyped-def]
+    """Points in a square of `edge` cells."""
+    n, left, right = 0, max(c0, 0), min(c0 + edge, ncols)
+    for r in range(max(r0, 0), min(r0 + edge, nrows)):
         n += start[r * ncols + right] - start[r * ncols + left]
-    return n >= COUNTED
+    return n
 
 
 @kernel
