@@ -70,8 +70,8 @@ def _of_table(path: Path, layer: str) -> tuple[CRS | None, set[str]]:
         asked = ", ".join(["organization", "organization_coordsys_id", *texts])
         for listed in ("gpkg_geometry_columns", "gpkg_contents"):
             mine = f"(SELECT srs_id FROM {listed} WHERE lower(table_name) = lower(?))"  # noqa: S608 (names of tables)
-            found = opened.execute(f"SELECT {asked} FROM gpkg_spatial_ref_sys WHERE srs_id IN {mine}", (layer,))  # noqa: S608
-            rows += found.fetchmany(MOST_ROWS)
+            named = opened.execute(f"SELECT {asked} FROM gpkg_spatial_ref_sys WHERE srs_id IN {mine}", (layer,))  # noqa: S608
+            rows += named.fetchmany(MOST_ROWS)
     described = [crs for _, _, *definitions in rows for text in definitions if (crs := _words(text)) is not None]
     names = [crs.to_json_dict().get("id", {}) for crs in described[1:]]
     codes = {f"{name.get('authority')}:{name.get('code')}".upper() for name in names}

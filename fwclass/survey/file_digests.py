@@ -124,7 +124,11 @@ class Digests:
 def keep_delivered(store: Store, generation: str, files: Iterable[ExternalFile]) -> None:
     """Remember what a whole delivery was made of: later runs may read other files, and deliver less, or nothing."""
     facts = seal({"generation": generation, "digests": sorted({file.digest for file in files})})
-    if store.recall(_DELIVERED) != facts:
+    try:
+        kept = store.recall(_DELIVERED)
+    except DamagedError:
+        kept = None
+    if kept != facts:
         store.keep(_DELIVERED, facts)
 
 

@@ -18,6 +18,7 @@ class Runs:
         self.kept: dict = {}
         self.generation: Generation | None = None
         self.pending, self.failures, self.root = root / "pending", [], root
+        self.whole, self.external = True, ()
         generations = SimpleNamespace(check_links=lambda: None, current=lambda: self.generation)
         self.store = SimpleNamespace(
             generations=generations, keep=self.kept.__setitem__, recall=self.kept.get, where=root
