@@ -25,8 +25,20 @@ IDLE = {"adapt", "plan", "profile", "run", "seams", "store", "street", "street_s
 NAMED = 20
 """Faults of a configuration that a message tells."""
 
-__all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "load_text"]
-__all__ += ["own_settings", "preset", "presets", "section"]
+__all__ = [
+    "Config",
+    "build",
+    "by_dotted_key",
+    "checked",
+    "conf_directory",
+    "find",
+    "load",
+    "load_text",
+    "own_settings",
+    "preset",
+    "presets",
+    "section",
+]
 
 
 def load(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = True) -> Config:
@@ -64,16 +76,17 @@ def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any]
 
 def own_settings(config: Config) -> dict[str, str]:
     """What a configuration sets otherwise than `conf/base.yaml` and a delivery may show, by dotted keys, as text."""
-    base = _flat(read(conf_directory() / "base.yaml"))
-    flat = _flat({name: value for name, value in config.raw.items() if name not in IDLE})
+    base = by_dotted_key(read(conf_directory() / "base.yaml"))
+    flat = by_dotted_key({name: value for name, value in config.raw.items() if name not in IDLE})
     flat["survey.features"] = list(config.features_asked)
     return {key: str(value) for key, value in flat.items() if key not in base or base[key] != value}
 
 
-def _flat(sections: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+def by_dotted_key(sections: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Nested settings by dotted keys."""
     flat: dict[str, Any] = {}
     for key, value in sections.items():
-        flat |= _flat(value, f"{before}{key}.") if isinstance(value, Mapping) else {f"{before}{key}": value}
+        flat |= by_dotted_key(value, f"{before}{key}.") if isinstance(value, Mapping) else {f"{before}{key}": value}
     return flat
 
 

@@ -116,9 +116,9 @@ def _refuse_inside_remote(location: Remote) -> None:
     """As `refuse_inside`: the other run would sweep what it did not put there. Nothing is asked for most addresses."""
     parts = location.url.split("/")
     for k in (k for k in range(3, len(parts)) if parts[k] in ("store", "generations")):
-        run, soon = Url("/".join(parts[:k])), location.params.model_copy(update={"patience": 0.0})
+        run, params = Url("/".join(parts[:k])), location.params.model_copy(update={"patience": 0.0})
         with suppress(StoreError):  # who may not read there cannot have made it
-            if Remote(run, soon).objects.get("store/run.json") is not None:
+            if Remote(run, params).objects.get("store/run.json") is not None:
                 raise around(location.url, run)
 
 

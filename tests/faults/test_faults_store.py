@@ -78,7 +78,7 @@ def test_a_damaged_store_is_mended(survey, copy, expected):
     one.write_text(one.read_text().replace('"digest": "', '"digest": "0', 1))
     for path in rng.sample(files, 8):
         hurt(path, rng.choice(("gone", "cut", "empty", "longer")), rng)
-    for name in ("inputs.json", "lock"):
+    for name in ("inputs.json", "delivered.json", "lock"):
         (copy / "store" / name).write_text('{"torn')
     for path in (copy / "store" / "params").iterdir():
         path.write_bytes(b"")

@@ -123,7 +123,7 @@ def mark_below_surfaces(x, y, z, start, ncols, nrows, size, cell, col0, row0, ga
     x, y, z (points,), the edge `cell` of those and the gap are in millimetres."""
     lowest, bins = np.empty(FEW + 2), np.empty(BINS, np.int64)
     nothing = np.zeros(len(z), np.bool_)
-    sparse_r, sparse_c = nrows, ncols  # a cell that holds too few, which most of its points come one after another of
+    sparse_r, sparse_c = nrows, ncols  # the cell last seen with too few: points of a cell mostly follow one another
     for k in range(len(z)):
         if judged[k]:
             continue
@@ -131,7 +131,7 @@ def mark_below_surfaces(x, y, z, start, ncols, nrows, size, cell, col0, row0, ga
         c0 = (x[k] // cell + col0) // size * size - col0
         if r0 == sparse_r and c0 == sparse_c:
             continue
-        if _number(start, ncols, nrows, r0 - size, c0 - size, 3 * size) < COUNTED:
+        if _count(start, ncols, nrows, r0 - size, c0 - size, 3 * size) < COUNTED:
             sparse_r, sparse_c = r0, c0
             continue
         total, _ = _lowest_of(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, nothing, lowest)
@@ -151,7 +151,7 @@ def mark_below_surfaces(x, y, z, start, ncols, nrows, size, cell, col0, row0, ga
 
 
 @kernel
-def _number(start, ncols, nrows, r0, c0, edge):  # type: ignore[no-untyped-def]
+def _count(start, ncols, nrows, r0, c0, edge):  # type: ignore[no-untyped-def]
     """Points in a square of `edge` cells."""
     n, left, right = 0, max(c0, 0), min(c0 + edge, ncols)
     for r in range(max(r0, 0), min(r0 + edge, nrows)):

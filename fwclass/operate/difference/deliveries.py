@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.conf import by_dotted_key
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.formats.gdal import write_shapes
 from fwclass.formats.geoparquet import header
@@ -150,7 +151,7 @@ def difference(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[
     return {
         "first": _facts(first),
         "second": _facts(second),
-        "settings": _changed(_flat(first.report["config"]), _flat(second.report["config"])),
+        "settings": _changed(by_dotted_key(first.report["config"]), by_dotted_key(second.report["config"])),
         "files": _files(first, second),
         "labels": _changed(_labels(first), _labels(second)),
         "libraries": _changed(first.report["libraries"]["here"], second.report["libraries"]["here"]),
@@ -187,14 +188,6 @@ def _tiles(delivery: ComparedDelivery) -> Path:
 
 def _sizes(first: ComparedDelivery, second: ComparedDelivery) -> tuple[float, float]:
     return float(first.report["config"]["tile"]["size"]), float(second.report["config"]["tile"]["size"])
-
-
-def _flat(config: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested settings by dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        flat |= _flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
-    return flat
 
 
 def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, list[Any]]:

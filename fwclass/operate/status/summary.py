@@ -26,14 +26,13 @@ def is_delivered(status: RunStatus, request: Request) -> bool:
         return False
     shown = status.store.generations.current()
     there = [shown] if request.wanted is None or shown is None else status.store.generations.all()
-    generations = status.store.generations
-    return any(g is not None and g.digest == status.digest and not generations.lacks(g) for g in there)
+    return any(g is not None and g.digest == status.digest and not status.lacking(g) for g in there)
 
 
 def _lacking(status: RunStatus) -> list[str]:
     """Files of the delivery that readers see that are gone, or of another size."""
     shown = status.store.generations.current()
-    return [] if shown is None else status.store.generations.lacks(shown)
+    return [] if shown is None else status.lacking(shown)
 
 
 def is_cleaned(status: RunStatus) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from fwclass.errors import ConfigError, FwclassError, InputError
@@ -18,6 +18,7 @@ from fwclass.run.runner import Done, Lacking, Runner
 from fwclass.store.atomic import digest_of
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.failures import Failure
+from fwclass.store.generations import Generation
 from fwclass.store.receipts import Receipt, content_key
 from fwclass.store.run_location import RunLocation, held_by, open_store
 from fwclass.store.run_store import Store
@@ -176,6 +177,13 @@ class RunStatus:
     fault: FwclassError | None = None
     digest: str = ""
     external: tuple[ExternalFile, ...] = ()
+    _lacking: dict[str, list[str]] = field(default_factory=dict, repr=False)
+
+    def lacking(self, generation: Generation) -> list[str]:
+        """Files of a delivery that are gone, or of another size; looked for once."""
+        if generation.name not in self._lacking:
+            self._lacking[generation.name] = self.store.generations.lacks(generation)
+        return self._lacking[generation.name]
 
     @property
     def waiting(self) -> int:
