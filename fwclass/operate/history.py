@@ -254,12 +254,17 @@ def past_runs(location: RunLocation, last: int | None = None) -> list[dict[str, 
     None: all of them, or as many as are read of object storage unasked.
     """
     runs = _join_lines(history.lines(location, last))
-    if any("word" not in run for run in runs):
+    if open_runs := [run for run in runs if "word" not in run]:
         from fwclass.store.run_location import held_by
 
         writer = held_by(location)
-        for run in (r for r in runs if "word" not in r):
-            alive = writer is not None and (writer.get("host"), writer.get("pid")) == (run.get("host"), run.get("pid"))
+        for run in open_runs:
+            if writer is None:
+                alive = False
+            elif writer.get("pid") is None:  # it found no room for its name
+                alive = run is open_runs[-1]
+            else:
+                alive = (writer.get("host"), writer.get("pid")) == (run.get("host"), run.get("pid"))
             run["word"] = RUNNING if alive else WORDS[INTERRUPTED]
     return runs if last is None else runs[-last:]
 

@@ -68,6 +68,8 @@ def test_a_killed_run_is_told_as_interrupted_and_one_at_work_as_running(tmp_path
     with writer(tmp_path):
         Entry(tmp_path, request(tmp_path)).begin(None)
         assert [r["word"] for r in past_runs(tmp_path)] == ["interrupted", "running"]
+        os.truncate(tmp_path / "store" / "lock", 0)  # as on a disk without room for the name
+        assert [r["word"] for r in past_runs(tmp_path)] == ["interrupted", "running"]
     told = table(past_runs(tmp_path))
     assert [line.split()[3] for line in told.splitlines()[1:]] == ["interrupted", "interrupted"]
 
