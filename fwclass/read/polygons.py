@@ -162,7 +162,7 @@ def reproject(shapes: Shapes, source: CRS, target: CRS, where: object, do: str =
     Only the corners move: an edge stays straight. `InputError` where a corner has no place in `target`; `do` says what
     to do where they are in another system than `source`.
     """
-    _check_degrees(shapes, source, where, do)
+    check_degrees(shapes, source, where, do)
     if source.equals(target, ignore_axis_order=True) or _flat(source).equals(_flat(target), ignore_axis_order=True):
         return shapes, ""
     try:
@@ -187,7 +187,8 @@ def _flat(crs: CRS) -> CRS:
     return CRS(crs.sub_crs_list[0]) if crs.is_compound else crs.to_2d()
 
 
-def _check_degrees(shapes: Shapes, source: CRS, where: object, do: str) -> None:
+def check_degrees(shapes: Shapes, source: CRS, where: object, do: str) -> None:
+    """`InputError` where `source` counts in degrees and the corners are no such numbers; `do` as in `reproject`."""
     if not source.is_geographic or not len(shapes.x):
         return
     most = max(float(np.abs(shapes.x).max()), float(np.abs(shapes.y).max()))

@@ -6,9 +6,14 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from pyproj import CRS
+
 from fwclass.errors import InputError, visible
 from fwclass.formats.crs import describe_crs
-from fwclass.read.polygons import PolygonLayer, layers, open_polygons, read_polygons, values_of
+from fwclass.formats.flat import HIGHEST, LONGEST
+from fwclass.formats.wkb import Shapes
+from fwclass.read.polygons import PolygonLayer, check_degrees, layers, open_polygons, read_polygons, values_of
 
 MOST_VALUES = 40
 """A field with more values than this is no class field."""
@@ -55,6 +60,7 @@ def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
             if shapes.parts:
                 x, y = shapes.x, shapes.y
                 bounds = [float(x.min()), float(y.min()), float(x.max()), float(y.max())]
+                faults += _beside_its_system(shapes, crs)
             if shapes.invalid:
                 faults.append(f"{shapes.invalid} polygons with rings that are not closed or have too few points")
             if shapes.empty:
@@ -70,6 +76,19 @@ def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
         "uncounted": list(opened.fields)[0 if opened.features > MAX_TABLE else MOST_FIELDS :],
     }
     return about, faults
+
+
+def _beside_its_system(shapes: Shapes, crs: CRS | None) -> list[str]:
+    """Corners in metres where the file speaks of degrees, and the other way round."""
+    if crs is None:
+        return []
+    try:
+        check_degrees(shapes, crs, "", "")
+    except InputError as fault:
+        return [f"{fault.what} ({fault.expected}: {fault.got})"]
+    if crs.is_projected and np.abs(shapes.x).max() <= LONGEST and np.abs(shapes.y).max() <= HIGHEST:
+        return [f"the coordinates look like degrees, and the file speaks of {crs.name}"]
+    return []
 
 
 def _values(opened: PolygonLayer) -> dict[str, dict[str, int]]:

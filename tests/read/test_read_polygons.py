@@ -224,6 +224,16 @@ def test_info_tells_what_is_wrong(tmp_path):
     assert any("1 features without a polygon" in f for f in found["faults"])
 
 
+@pytest.mark.parametrize(
+    ("crs", "by", "told"), [(4326, 1.0, "are not the degrees"), (25832, 1e-5, "look like degrees")]
+)
+def test_info_tells_corners_that_are_not_of_their_system(crs, by, told, tmp_path):
+    made = frame(crs=crs)
+    made["geometry"] = made.geometry.scale(by, by, origin=(0, 0))
+    faults = info(written(made, tmp_path / "a.gpkg"))["faults"]
+    assert len(faults) == 1 and told in faults[0]
+
+
 @pytest.mark.statistics
 @pytest.mark.parametrize("dictionary", [False, True])
 def test_geoparquet_unpacks_to_no_more_than_its_bytes_allow(dictionary, tmp_path):
