@@ -222,7 +222,7 @@ def distribution(
                 | {"box": _box(stats, low, high)}
             )
         if rows:
-            out.append({"feature": feature, "title": _title(feature), "unit": _unit(feature), "rows": rows})
+            out.append({"feature": feature, "title": _title(feature), "unit": unit_of(feature), "rows": rows})
     return out or None
 
 
@@ -316,9 +316,10 @@ def _title(feature: str) -> str:
     return f"{title}, r = {int(scale[1]) / 100:g} m" if scale else title
 
 
-def _unit(feature: str) -> str:
+def unit_of(feature: str) -> str:
+    """Unit of a feature as a page writes it (m², 1/m², °); nothing for an unknown one, and for a pure number."""
     try:
-        return column(feature).unit
+        return column(feature).unit.replace("2", "²").replace("deg", "°")
     except KeyError:
         return ""
 

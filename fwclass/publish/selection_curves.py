@@ -84,6 +84,7 @@ def draw_rates(steps: Sequence[Mapping[str, Any]], chosen: float, title: str) ->
             label=name,
         )
     right.set_yscale("log")
+    right.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     right.legend(frameon=False, fontsize=7.5, labelcolor=INK)
     for axes, what in ((left, "accuracy of all echoes, %"), (right, "processor time, µs per echo of the survey")):
         axes.set_xscale("log")

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from fwclass.conf.papers import check_printed, paper
 from fwclass.errors import ConfigError
-from fwclass.publish.papers import plots, scene, tables
+from fwclass.publish import drawing, selection_curves
+from fwclass.publish.papers import page, plots, scene, tables
 from fwclass.publish.papers.page import _claims
+from fwclass.publish.sections import unit_of
 from fwclass.study.papers import fan_claims, shi_claims, xiong_claims
 from fwclass.study.papers.claims import of_gain
 from fwclass.study.papers.shi_scenes import busiest
@@ -84,10 +88,49 @@ def test_differences_without_an_interval_say_so() -> None:
 
 @pytest.mark.parametrize(
     ("verdicts", "told"),
-    [(["holds"], "1 holds"), (["holds", "holds", "not comparable"], "2 hold, 1 cannot be compared")],
+    [
+        (["holds"], "1 holds"),
+        (["holds", "holds", "not comparable"], "2 hold, 1 cannot be compared"),
+        (["holds", "undecided"], "1 holds, 1 is undecided"),
+        (["undecided", "undecided", "does not hold"], "1 does not hold, 2 are undecided"),
+    ],
 )
 def test_verdicts_are_counted_in_words(verdicts: list[str], told: str) -> None:
     assert _claims({"claims": [{"verdict": v} for v in verdicts]})["told"] == told
+
+
+def test_short_times_that_differ_are_written_apart() -> None:
+    """`0.3 to 0.3 s` stood beside "holds"."""
+    times = {"svm": {"train": 0.30, "test": 0.02, "test_rows": 6891}, "nn_svm": {"train": 0.27, "test": 0.01}}
+    text, told, _ = shi_claims._trimming_time({"times": times, "steps": {n: {"vectors": 9} for n in times}})
+    assert (text, told) == ("0.32 to 0.28 s", "holds")
+
+
+def test_a_time_has_as_many_decimals_as_count() -> None:
+    assert [tables.seconds_of(s) for s in (397.4, 27.46, 0.372, 0.0042)] == ["397 s", "27.5 s", "0.37 s", "0.004 s"]
+
+
+def test_units_are_written_as_on_maps() -> None:
+    names = ("density_c100", "height_variance_r100", "inclination_r100", "amplitude", "unknown")
+    assert [unit_of(n) for n in names] == ["1/m²", "m²", "°", "DN", ""]
+
+
+def test_times_of_thinning_have_numbers_on_their_axis(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Powers of ten stood there as `$\\mathdefault{10^{1}}$`."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(selection_curves, "png", lambda figure: drawn.append(figure) or drawing.png(figure))
+    times = dict(zip(("total", "features", "vote", "follow"), (53.0, 52.0, 0.2, 0.01), strict=True))
+    steps = [{"rate": r, "accuracy": 0.9, "accuracy_std": 0.01, "microseconds": times} for r in (1.0, 0.1)]
+    selection_curves.draw_rates(steps, 0.1, "")
+    labels = [text.get_text() for text in drawn[0].axes[1].get_yticklabels()]
+    assert {"0.01", "0.1", "1", "10"} <= set(labels), labels
+
+
+def test_every_picture_of_a_page_has_a_telephone_s_width() -> None:
+    """Without it the rule of narrow windows is void, and a chart is as wide as its pixels, twice what is meant."""
+    for template in Path(page.__file__).parent.glob("*.html.j2"):
+        for found in re.findall(r"<figure[^>]*><img src=[^>]*>", template.read_text(encoding="utf-8")):
+            assert "| width | xmlattr" in found or "p.uri" in found, (template.name, found)
 
 
 def _pair(value: float, low: float | None, high: float | None) -> dict:

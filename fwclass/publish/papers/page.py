@@ -52,12 +52,10 @@ def _claims(facts: Mapping[str, Any]) -> dict[str, Any]:
     rows = [{**c, "badge": VERDICTS[c["verdict"]]} for c in facts["claims"]]
     count = {v: sum(r["verdict"] == v for r in rows) for v in VERDICTS}
     words = {
-        "holds": "hold",
-        "does not hold": "do not hold",
-        "undecided": "are undecided",
-        "not comparable": "cannot be compared",
+        "holds": ("holds", "hold"),
+        "does not hold": ("does not hold", "do not hold"),
+        "undecided": ("is undecided", "are undecided"),
+        "not comparable": ("cannot be compared", "cannot be compared"),
     }
-    summary = ", ".join(
-        f"{n} {v if n == 1 and v in ('holds', 'does not hold') else words[v]}" for v, n in count.items() if n
-    )
+    summary = ", ".join(f"{n} {words[v][n > 1]}" for v, n in count.items() if n)
     return {"rows": rows, "told": summary}

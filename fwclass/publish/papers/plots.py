@@ -9,7 +9,8 @@ from matplotlib.ticker import MaxNLocator
 
 from fwclass.publish.drawing import INK, SIZE, dress, png, sheet
 from fwclass.publish.palette import BY_NAME, css
-from fwclass.schema import column, split_name
+from fwclass.publish.sections import unit_of
+from fwclass.schema import split_name
 
 OURS, THEIRS, PALE = "#17697a", "#d0742e", "#e6c3a6"
 WITH_ERRORS: dict[str, Any] = {"color": OURS, "ecolor": "#9fb8bf", "fmt": "o-"}
@@ -36,7 +37,7 @@ def draw_distribution(quantiles: Mapping[str, Mapping[str, Any]], printed: Mappi
         axes.set_ylim(low - room, high + room)
         axes.set_xlim(-0.6, len(by_class) - 0.4)
         axes.set_xticks(range(len(by_class)), list(by_class))
-        unit = column(feature).unit
+        unit = unit_of(feature)
         dress(axes, grid="y")
         axes.set_title(f"{base.replace('_', ' ')}{f' [{unit}]' if unit else ''}", fontsize=SIZE, color=INK)
     return png(figure)

@@ -18,7 +18,8 @@ def seconds_of(value: float | None) -> str:
     """Seconds as text, with as many decimals as count."""
     if value is None:
         return "–"
-    return f"{value:.0f} s" if value >= 100 else f"{value:.1f} s" if value >= 1 else f"{value:.2f} s"
+    digits = sum(value < edge for edge in (100, 1, 0.1))
+    return f"{value:.{digits}f} s"
 
 
 def ours(result: Mapping[str, Any]) -> dict[str, str]:

@@ -68,9 +68,9 @@ def _selection(facts: Facts) -> Verdict:
 def _trimming_time(facts: Facts) -> Verdict:
     before, after = facts["times"]["svm"], facts["times"]["nn_svm"]
     vectors = [facts["steps"][n]["vectors"] for n in ("svm", "nn_svm")]
-    text = f"{before['train'] + before['test']:.1f} to {after['train'] + after['test']:.1f} s"
+    text = " to ".join(f"{s:.2f}" if s < 10 else f"{s:.1f}" for s in (t["train"] + t["test"] for t in (before, after)))
     why = f"{vectors[0]:,} to {vectors[1]:,} support vectors, {before['test_rows']:,} echoes, one thread"
-    return text, verdict(after["train"] + after["test"] < before["train"] + before["test"]), why
+    return f"{text} s", verdict(after["train"] + after["test"] < before["train"] + before["test"]), why
 
 
 def printed_gain(facts: Facts, name: str) -> float:
