@@ -80,6 +80,9 @@ def second(first):
     survey, root, _, before = first
     rows = inside(before)
     correct(root, rows, np.where(before["reference"][rows] == 2, 5, 2), before)
+    told = CliRunner().invoke(cli, ["status", str(root)])
+    assert told.exit_code == 3 and "are taken where nothing of theirs changed" in told.output, told.output
+    assert "does not name" not in told.output, "every part was listed as if none were wanted"
     return survey, root, run(survey, root), echoes(root), before, rows
 
 

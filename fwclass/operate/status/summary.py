@@ -123,15 +123,16 @@ def as_text(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
         return "\n".join([rows[0], "", stands, *came, *broken])
     rows += ["", *(_every(status) if every else _grouped(status))]
     rows += _failed(status, request)
-    if status.ends is not None and status.fault is None:
-        rows.append(f"which other parts there are is known once those are made ({status.ends})")
     surplus = others(status, request)
+    if status.ends is not None and status.fault is None:
+        kept = f"; {sum(surplus.values()):,} of the store are taken where nothing of theirs changed" if surplus else ""
+        rows.append(f"which other parts there are is known once those are made ({status.ends}){kept}")
     others_by_stage = ", ".join(f"{stage} {n}" for stage, n in surplus.items())
     if status.fault is not None:
         rows += [f"a run would end here: {status.fault}", "so it cannot be told which parts are stale"]
         return "\n".join([*rows, f"the store holds {others_by_stage}"] if surplus else rows)
-    if surplus:
-        rows.append(f"besides, the store holds parts that the plan does not name (so far): {others_by_stage}")
+    if surplus and status.ends is None:
+        rows.append(f"besides, the store holds parts that the plan does not name: {others_by_stage}")
     rows += [text_of(row) for row in by_libraries(status.libraries, status.store)]
     return "\n".join([*rows, _verdict(status, request, writer)])
 
