@@ -48,6 +48,9 @@ MOST_ORDER = 12
 FEWEST_LAGS = 4
 """Samples apart, at least, that tell where the noise has forgotten itself."""
 
+NONE = 0.98
+"""Share of one value among a channel's quiet samples from which they show no noise: noise of 0.21 steps, or less."""
+
 GAIN_TOLERANCE, WORTH, SURE = 0.1, 0.02, 3.0
 """An order is enough when the variance behind the matched filter is what it is taken for to 10 % (5 % of the
 threshold), or to three sampling errors, and no order foretells the samples better by 2 %."""
@@ -66,6 +69,8 @@ class QuietNoise:
     growth : what a DN of signal adds to the variance [DN].
     periodic : share of the variance that comes back every `period` samples, as a disturbance does that is picked up;
         of the channel where it is most.
+    still : least share over all channels of the quiet samples that have their channel's commonest value. Channels with
+        `NONE` or more have no noise to measure, rounding alone counts, and the other numbers are not of them.
     """
 
     lag1: float | None
@@ -75,6 +80,7 @@ class QuietNoise:
     growth: float = 0.0
     periodic: float = 0.0
     period: int = 0
+    still: float = 0.0
 
     @property
     def facts(self) -> dict[str, float | int | None]:
@@ -88,16 +94,19 @@ class QuietNoise:
             "noise_growth": self.growth,
             "noise_periodic": self.periodic,
             "noise_period": self.period,
+            "noise_still": self.still,
         }
 
 
 @dataclass(frozen=True)
 class _Quiet:
-    """A channel's samples less their echoes, over its level [DN]; which of them no echo reaches; their waveforms."""
+    """A channel's samples less their echoes, over its level [DN]; which of them no echo reaches; their waveforms; the
+    share of the commonest value among the quiet ones as they were recorded."""
 
     value: Floats
     quiet: NDArray[np.bool_]
     row: NDArray[np.int64]
+    still: float
 
 
 def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -> QuietNoise:
@@ -107,8 +116,11 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
     nothing else stands out. Depends on the set of waveforms only: of a channel with more than `MOST_SAMPLES` every n-th
     in their order is taken.
     """
-    worst, tone = QuietNoise(None, 1.0, 0), (0.0, 0)
+    worst, tone, still = QuietNoise(None, 1.0, 0), (0.0, 0), list[float]()
     for _, channel, part in _channels(waves, pulse, params):
+        still.append(part.still)
+        if part.still >= NONE:
+            continue
         differences = _differences(part.value, part.quiet, part.row)
         correlation, samples = _correlation(differences), int(part.quiet.sum())
         if len(correlation) < 2:
@@ -120,7 +132,7 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
         measured = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
         if worst.lag1 is None or measured.inflation > worst.inflation:
             worst = measured
-    return replace(worst, periodic=tone[0], period=tone[1])
+    return replace(worst, periodic=tone[0], period=tone[1], still=min(still, default=0.0))
 
 
 def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams) -> SystemPulse:
@@ -135,6 +147,8 @@ def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: Decompos
     )
     channels = {c.key: c for c in pulse.channels}
     for rows, channel, part in _channels(waves, pulse, certain):
+        if part.still >= NONE:  # what is left is the flanks of pulses, which correlate as they will
+            continue
         correlation, samples = correlations(part.value, part.quiet, part.row)
         noise = choose_order(correlation, samples, _template(pulse.of(channel), channel.sample_spacing))
         if noise.phi:
@@ -245,7 +259,9 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     clear = (fits.count > 0)[row]
     if (quiet & clear).sum() >= FEWEST_CLEAR:
         quiet &= clear
-    return _Quiet(waves.samples - signal - channel.baseline, quiet, row)
+    _, count = np.unique(waves.samples[quiet], return_counts=True)
+    still = float(count.max(initial=0) / max(int(quiet.sum()), 1))
+    return _Quiet(waves.samples - signal - channel.baseline, quiet, row, still)
 
 
 def _filter(value: Floats, template: Floats) -> Floats:

@@ -260,6 +260,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=22)
+PULSE = Computation(name="pulse", version=23)
 PLACES = Computation(name="places", version=16)
 DECOMPOSE = Computation(name="decompose", version=20, writes=ECHO_COLUMNS)

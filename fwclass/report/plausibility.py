@@ -74,7 +74,8 @@ def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     wide echoes are at every height and along the strip (`width_walk`, `width_drift`)."""
     walks = {name: meta.get(name, []) for name in ("widths", "drift")}
     return {
-        **{name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")},
+        **{name: meta.get(name, value) for name, value in UNKNOWN.noise.facts.items()},
+        "channels": meta["channels"],
         **walks,
         "unsettled": meta.get("unsettled", 0.0),
     }

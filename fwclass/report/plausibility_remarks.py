@@ -7,6 +7,7 @@ from typing import Any
 
 from fwclass.assess.remarks import percent_words
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.quiet import NONE
 from fwclass.report.place_remarks import place_remarks
 from fwclass.report.plausibility import BITS, FLOOR, LENGTHS, MIXED, SHARES, SWAP, TURN, TWICE, UNITS
 from fwclass.report.pulse_remarks import names_of, pulse_remarks
@@ -33,6 +34,11 @@ UNSETTLED = 0.01
 
 PERIODIC = 0.2
 """Share of the noise's variance that comes back, from which it is told; at most 0.02 on the receivers measured."""
+
+ROUNDED = (
+    "their rounding counts as noise, 0.29 of a step, so that thresholds, A/σ, standard errors and misfit tell nothing "
+    "of a receiver"
+)
 
 DOUBTFUL, DOUBTED = 0.3, 20
 """Share of neighbouring returns, and number, from which their strengths are told: chance makes a half."""
@@ -126,8 +132,13 @@ def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _noise_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
-    """Of noise that is correlated, comes back, or is not known under echoes."""
+    """Of noise that is none, is correlated, comes back, or is not known under echoes."""
     lines = []
+    if some := [s for s in strips if s.get("noise_still", 0.0) >= NONE]:
+        lines.append(
+            f"the samples have no noise ({percent_words(min(s['noise_still'] for s in some))} of the quiet ones are "
+            f"one value), as simulated ones: {ROUNDED} ({names_of(some)})"
+        )
     if some := [s for s in strips if s.get("unsettled", 0.0) > UNSETTLED]:
         lines.append(
             "fits that weigh samples by what they show of the noise under bright echoes did not settle: its variance "

@@ -128,7 +128,7 @@ _PULSE = {
     **{key: [(NUMBER, NUMBER)] for key in ("widths?", "drift?")},
     **dict.fromkeys(("sampled", "quiet_samples", "noise_order", "noise_period?"), COUNT),
     **dict.fromkeys(("noise", "lag1"), FIGURE),
-    **dict.fromkeys(("inflation", "noise_growth", "noise_periodic?", "unsettled?"), NUMBER),
+    **dict.fromkeys(("inflation", "noise_growth", "noise_periodic?", "noise_still?", "unsettled?"), NUMBER),
 }
 _PLACES = {
     "vendor_offset": [

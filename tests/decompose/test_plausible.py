@@ -66,6 +66,23 @@ def test_white_noise_in_short_records_is_not_taken_for_correlated(base, params):
     assert abs(found.lag1) < 0.1
 
 
+def test_waveforms_without_noise_have_none_however_their_pulses_end(params):
+    """What the flanks leave, rounded, correlates: it was taken for a receiver's noise."""
+    rng, t = np.random.default_rng(1), np.arange(80)
+    shape = np.exp(-0.5 * ((t - 20.0) / 1.75) ** 2)
+    samples = [np.full(160, 16, np.uint8) for _ in range(300)]
+    for one in samples:
+        one[60:140] += np.rint(rng.uniform(20.0, 200.0) * shape).astype(np.uint8)
+    waves, channel = waves_of(samples), Channel(1.0, 255.0, 16.0, 0.0, 0.2887, 1000.0, 255.0)
+    pulse = SystemPulse("gaussian", 4.12, channels=(channel,))
+    known = with_correlated_noise(pulse, waves, params)
+    noise = quiet_noise(waves, known, params)
+    assert known == pulse
+    assert noise.lag1 is None and noise.inflation == 1.0 and noise.still >= 0.98
+    noisy = waves_of([s + np.rint(rng.normal(0.0, 0.5, 160) + 0.3).astype(np.int8).astype(np.uint8) for s in samples])
+    assert quiet_noise(noisy, pulse, params).still < 0.9
+
+
 def test_nothing_is_said_of_too_few_samples(params):
     pulse = SystemPulse("gaussian", 4.0, channels=(Channel(1.0, 255.0, 10.0, 0.1, 0.5, 20.0, 255.0),))
     assert quiet_noise(waves_of([np.full(30, 10, np.uint8)] * 3), pulse, params).lag1 is None

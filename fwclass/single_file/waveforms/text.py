@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.report.plausibility_remarks import PERIODIC
+from fwclass.decompose.quiet import NONE
+from fwclass.report.plausibility_remarks import PERIODIC, ROUNDED
 from fwclass.report.pulse_remarks import descriptor_words
 
 
@@ -15,6 +16,8 @@ def describe(report: dict[str, Any]) -> str:
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
     if report["noise"]["lag1"] is not None:
         lines.append(f"noise        {_noise_words(report['noise'])}")
+    elif report["noise"]["noise_still"] >= NONE:
+        lines.append(f"noise        none: {ROUNDED}")
     lines += [f"further      {text}" for text in further_words(report["noise"]["channels"])]
     steps = sorted({c["step"] for c in report["noise"]["channels"] if c["step"] > 1.0})
     lines += [f"samples      multiples of {step:g} DN, whose rounding counts as noise" for step in steps]
