@@ -96,7 +96,7 @@ def check_format(path: Path) -> None:
     elif ending == ".shp":
         _check_beside(path)
     else:
-        _check_system(path)
+        names_of_systems(path)
 
 
 def _other(path: Path, got: str, do: str = "convert it, for example with ogr2ogr") -> InputError:
@@ -132,12 +132,21 @@ def _json_fault(head: bytes) -> str:
     return "a JSON object without a type of GeoJSON"
 
 
-def _check_system(path: Path) -> None:
-    """`InputError` where the coordinate system is an address, which GDAL would fetch; without it, it takes degrees."""
+def names_of_systems(path: Path) -> tuple[str, ...]:
+    """Names of the coordinate systems in a GeoJSON text, in its order, each once, at most `MOST_NAMES`.
+
+    `InputError` where one is an address, which GDAL would fetch; without it, it takes degrees.
+    """
+    return _names_of_systems(path, _looks(path))
+
+
+@lru_cache(maxsize=16)  # all of the file is read, and each layer of it asks
+def _names_of_systems(path: Path, *_: tuple[int, ...]) -> tuple[str, ...]:
     text = _text_of(path)
     plain = _PLAIN.match(text)
     if plain is not None and plain.end() < len(text):
         raise _other(path, f'what JSON has not at byte {plain.end()}: a comment, or a text in other quotes than "')
+    names: dict[str, None] = {}
     for members in _systems_in(path, text):
         for key, value in members:
             if key in ("href", "url") or (key == "type" and value in ("link", "url")):
@@ -148,17 +157,9 @@ def _check_system(path: Path) -> None:
                 )
             named = names_file(value) if key == "name" else next(iter(paths_named(value)), "")
             _refuse_file(path, named)
-
-
-def names_of_systems(path: Path) -> list[str]:
-    """Names of the coordinate systems in a GeoJSON text, in its order, each once, at most `MOST_NAMES`."""
-    names: dict[str, None] = {}
-    for members in _systems_in(path, _text_of(path)):
-        if ("type", "name") in members:
+        if ("type", "name") in members and len(names) < MOST_NAMES:
             names |= dict.fromkeys(value for key, value in members if key == "name")
-        if len(names) >= MOST_NAMES:
-            break
-    return list(names)[:MOST_NAMES]
+    return tuple(names)[:MOST_NAMES]
 
 
 def _text_of(path: Path) -> bytes:

@@ -4,5 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-Method = Literal["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf", "consensus"]
-"""Ground filters by the names of the command line."""
+Voter = Literal["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf"]
+"""Ground filters that a consensus may ask, by the names of the command line."""
+
+Method = Literal[Voter, "consensus"]
+"""All ground filters."""

@@ -6,10 +6,11 @@ Lengths that follow from the largest building are null in the configuration and 
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
+from fwclass.ground.methods import Voter
 from fwclass.params import Params
 
 LEAST_CELL = 0.01
@@ -345,9 +346,7 @@ class ConsensusParams(FilterParams):
     votes : so many must call a point ground.
     """
 
-    methods: tuple[Literal["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf"], ...] = Field(
-        min_length=2
-    )
+    methods: tuple[Voter, ...] = Field(min_length=2)
     votes: int = Field(ge=1)
 
     @model_validator(mode="after")
