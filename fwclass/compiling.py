@@ -74,7 +74,7 @@ _since, _spent = 0.0, 0.0
 _count = 0
 
 
-def spent() -> float:
+def compile_seconds() -> float:
     """Seconds that this process has compiled, or waited for others that did."""
     return _spent + (time.perf_counter() - _since if runs() else 0.0)
 

@@ -28,7 +28,7 @@ def counted(kind: Literal["reading", "writing", "checking"]) -> Iterator[None]:
         _took[kind] += time.perf_counter() - began
 
 
-def spent() -> dict[str, float]:
+def cost_so_far() -> dict[str, float]:
     """What this process has spent so far.
 
     Returns a dict with ``reading`` and ``writing`` tables and arrays, and ``checking`` that files are what was written
@@ -41,4 +41,4 @@ def spent() -> dict[str, float]:
 
 def since(before: dict[str, float]) -> dict[str, float]:
     """What was spent since `before`, to four digits behind the point."""
-    return {name: round(value - before[name], 4) for name, value in spent().items()}
+    return {name: round(value - before[name], 4) for name, value in cost_so_far().items()}

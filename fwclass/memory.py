@@ -49,11 +49,11 @@ def give_back(most: int | None) -> None:
     """Return freed memory to the system where the process holds more than `KEPT`, or half of the `most` that it may
     have [bytes]: the next part needs the room."""
     library = _library()
-    if library is not None and resident() > min(KEPT, most // 2 if most else KEPT):
+    if library is not None and resident_bytes() > min(KEPT, most // 2 if most else KEPT):
         library.malloc_trim(0)
 
 
-def resident() -> int:
+def resident_bytes() -> int:
     """Bytes of this process in memory, 0 where the system does not tell."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

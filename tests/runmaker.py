@@ -20,7 +20,7 @@ from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.schema import Table
 from fwclass.store.atomic import file_digest
-from fwclass.store.run_location import RunLocation, locked
+from fwclass.store.run_location import RunLocation, lock_run
 from fwclass.store.tables import read_table, write_table
 from fwclass.workflows import WORKFLOWS, workflow_of
 
@@ -48,7 +48,7 @@ def walk(
     with (
         coarse(),
         Display() as display,
-        locked(location, display.say) as (own, held),
+        lock_run(location, display.say) as (own, held),
         executor or contextlib.nullcontext(Loop()) as running,
     ):
         runner = Runner(own, running, display, held=held)

@@ -20,7 +20,7 @@ from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, under_way, until
 
 from fwclass.store.bucket import Remote
 from fwclass.store.lock import SCHEDULE
-from fwclass.store.run_location import locked
+from fwclass.store.run_location import lock_run
 from fwclass.store.url import Url
 
 pytestmark = pytest.mark.slow
@@ -83,7 +83,7 @@ def test_two_runs_and_a_refused_one_are_in_the_history(s3, out, survey):
     assert told.returncode == 2 and "no such run directory" in told.stderr
     assert fwclass("run", survey, "--out", out, "--set", "train.trees=6").returncode == 1
     assert fwclass("run", survey, "--out", out).returncode == 1
-    with locked(Remote(out, PARAMS), quiet):
+    with lock_run(Remote(out, PARAMS), quiet):
         assert fwclass("run", survey, "--out", out).returncode == 1
     runs = past(out)  # in the order of their seconds
     assert sorted((run["word"], *run["settings"]) for run in runs) == [
@@ -102,7 +102,7 @@ def test_a_run_under_way_is_told_and_one_that_was_killed_is_interrupted(s3, out)
     from fwclass.operate.request import Request
 
     location = Remote(out, PARAMS)
-    with locked(location, quiet):
+    with lock_run(location, quiet):
         Entry(location, Request("c.yaml", out)).begin(None)
         assert [run["word"] for run in past_runs(location)] == ["running"]
     assert [run["word"] for run in past_runs(location)] == ["interrupted"]
@@ -176,7 +176,7 @@ def test_a_schedule_that_is_silent_is_followed_and_ends_when_it_wakes(s3, out, s
             assert state(s3, out)["pid"] == other.pid
             other.kill()
             other.wait()
-    with locked(Remote(out, PARAMS), quiet, SCHEDULE):  # its process is gone: on its own host nobody waits
+    with lock_run(Remote(out, PARAMS), quiet, SCHEDULE):  # its process is gone: on its own host nobody waits
         pass
 
 

@@ -373,7 +373,7 @@ def test_a_person_is_told_from_a_second_on(monkeypatch: pytest.MonkeyPatch) -> N
         with compiling._timed("a"), compiling._timed("b"):
             time.sleep(compiling.NOTIFY_AFTER + 0.3)
             assert heard == [True]
-        assert heard == [True, False] and not compiling.runs() and compiling.spent() > compiling.NOTIFY_AFTER
+        assert heard == [True, False] and not compiling.runs() and compiling.compile_seconds() > compiling.NOTIFY_AFTER
 
 
 def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:

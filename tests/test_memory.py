@@ -72,7 +72,7 @@ def test_a_part_has_arrow_free_its_memory_for_all(environment, pool):
 
 
 def test_costs_count_once_and_for_each_kind():
-    before = cost.spent()
+    before = cost.cost_so_far()
     with cost.counted("writing"), cost.counted("reading"):
         sum(range(200_000))
     took = cost.since(before)

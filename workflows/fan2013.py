@@ -13,7 +13,7 @@ from fwclass.graph.stages import check_features
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import fan
 from fwclass.study.papers.begin import require_whole
-from fwclass.study.papers.page import deliver
+from fwclass.study.papers.page import write_paper
 from fwclass.study.selection import selection
 from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import tasks_of, until_report, until_tiles
@@ -51,7 +51,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
 
     def page() -> dict[str, Any]:
         facts = fan.facts(config, printed, report, curves, variants, receipts)
-        return deliver(config, runner, plan.layout, report, facts)
+        return write_paper(config, runner, plan.layout, report, facts)
 
     return runner.carry_out(page)
 

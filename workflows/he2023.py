@@ -9,7 +9,7 @@ from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
 from fwclass.graph.stage import Plan
 from fwclass.run.runner import Runner, require_all
-from fwclass.study.papers.he import NAME, SAMPLE, STAGES, deliver, facts, with_samples
+from fwclass.study.papers.he import NAME, SAMPLE, STAGES, facts, with_samples, write_he2023
 from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import tasks_of
 from fwclass.walk.workflow import Workflow
@@ -22,7 +22,9 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     receipts = require_all(runner, tasks_of(with_samples(Plan(config), runner.store), STAGES))
     samples = [part for stage, part in receipts if stage == SAMPLE]
     runner.finish(whole=True)
-    return runner.carry_out(lambda: deliver(config, runner, samples, facts(config, paper(NAME), samples, receipts)))
+    return runner.carry_out(
+        lambda: write_he2023(config, runner, samples, facts(config, paper(NAME), samples, receipts))
+    )
 
 
 he2023 = Workflow(

@@ -9,7 +9,7 @@ from fwclass.conf.papers import paper
 from fwclass.errors import ConfigError
 from fwclass.graph.stage import Plan
 from fwclass.run.runner import Runner, require_all
-from fwclass.study.papers.li import NAME, STAGES, deliver, facts
+from fwclass.study.papers.li import NAME, STAGES, facts, write_li2018
 from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import tasks_of
 from fwclass.walk.workflow import Workflow
@@ -32,7 +32,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         )
     receipts = require_all(runner, tasks_of(Plan(config), STAGES))
     runner.finish(whole=True)
-    return runner.carry_out(lambda: deliver(runner, facts(config, paper(NAME), receipts)))
+    return runner.carry_out(lambda: write_li2018(runner, facts(config, paper(NAME), receipts)))
 
 
 li2018 = Workflow(

@@ -13,7 +13,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import shi
 from fwclass.study.papers.begin import require_whole
-from fwclass.study.papers.page import deliver
+from fwclass.study.papers.page import write_paper
 from fwclass.study.papers.shi_scenes import scenes
 from fwclass.survey.area_of_interest import Area
 from fwclass.walk.steps import tasks_of, until_report, until_tiles
@@ -48,7 +48,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     def page() -> dict[str, Any]:
         facts = shi.facts(config, printed, report, variants, plan.layout, receipts)
         inputs = PartInputs(runner.store)
-        return deliver(config, runner, plan.layout, report, facts, scenes=scenes(plan.layout, receipts, inputs))
+        return write_paper(config, runner, plan.layout, report, facts, scenes=scenes(plan.layout, receipts, inputs))
 
     return runner.carry_out(page)
 

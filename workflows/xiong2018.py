@@ -13,7 +13,7 @@ from fwclass.graph.stages import check_features
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import xiong
 from fwclass.study.papers.begin import require_whole
-from fwclass.study.papers.page import deliver
+from fwclass.study.papers.page import write_paper
 from fwclass.study.select.thinning import measure_rates
 from fwclass.study.selection import with_selected
 from fwclass.survey.area_of_interest import Area
@@ -49,7 +49,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
 
     def page() -> dict[str, Any]:
         facts = xiong.facts(config, printed, report, choice, thinned, variants, receipts)
-        return deliver(config, runner, plan.layout, report, facts)
+        return write_paper(config, runner, plan.layout, report, facts)
 
     return runner.carry_out(page)
 

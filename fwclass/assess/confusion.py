@@ -17,7 +17,7 @@ def confusion(
     """Counts (classes, classes), rows reference, columns predicted; matrices of tiles add up to the survey's.
 
     Rows without a reference class, and rows whose prediction is none of the classes, are left out;
-    `unclassified` counts the latter.
+    `count_unclassified` counts the latter.
     """
     index, answer = class_index(reference, classes), code_index(predicted, classes)
     both = (index >= 0) & (answer >= 0)
@@ -36,7 +36,7 @@ def confusion_by_square(
     return squares, np.bincount(cell, minlength=len(squares) * classes**2).reshape(len(squares), classes, classes)
 
 
-def unclassified(
+def count_unclassified(
     reference: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: Sequence[ClassDef]
 ) -> NDArray[np.int64]:
     """Per reference class, rows whose prediction is none of the classes; int64 (classes,), additive."""
@@ -55,7 +55,7 @@ def figures(
     - P_c) / (1 - P_c) with P_a = sum d / N and P_c = sum r_i c_i / N^2. For two classes, the first being
     ground, also the errors of He 2023: type I = ground lost, type II = other taken for ground, total.
 
-    Rows that got none of the classes (`unclassified`, int64 (reference classes,)) belong to r_i and N: they are
+    Rows that got none of the classes (`count_unclassified`, int64 (reference classes,)) belong to r_i and N: they are
     wrong in every figure but the user's accuracy. They are listed under ``unclassified`` where there are
     any.
     """

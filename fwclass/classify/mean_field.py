@@ -53,7 +53,7 @@ def shares_of(table: Table, codes: Iterable[int]) -> NDArray[np.uint8]:
     return np.stack([table[n] for n in model_share_columns(codes)], axis=1)
 
 
-def regularized(
+def after_mean_field(
     table: Table, core: NDArray[np.int64], before: NDArray[np.uint8], params: RegularizeParams
 ) -> NDArray[np.float64]:
     """float64 (core rows, classes), the shares after the mean field, or without one `before` as they are.

@@ -21,7 +21,7 @@ def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: 
     What the files do not tell is marked TO DO in it, and said here.
     """
     from fwclass.operate.draft.survey import draft
-    from fwclass.publish.files import check_free, check_other, whole
+    from fwclass.publish.files import check_free, check_other, written_whole
     from fwclass.read.info import files_in
 
     named = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
@@ -34,7 +34,7 @@ def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: 
     if to is None:
         click.echo(draft_of_files.text, nl=False)
     else:
-        with whole(to) as beside:
+        with written_whole(to) as beside:
             beside.write_text(draft_of_files.text, encoding="utf-8")
     for note in draft_of_files.notes:
         click.echo(f"note: {note}", err=True)

@@ -81,13 +81,13 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
     from fwclass.read.info import describe, files_in
     from fwclass.read.info import info as facts_of
     from fwclass.read.info_together import describe_together
-    from fwclass.store.unchanged import unchanged
+    from fwclass.store.unchanged import check_unchanged
 
     facts, faults = [], []
     files = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
     for path in files:
         try:
-            with unchanged(path):
+            with check_unchanged(path):
                 fact = facts_of(path)
             facts.append(fact)
         except FwclassError as fault:

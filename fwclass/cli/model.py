@@ -109,7 +109,7 @@ def _count(config: Any, options: dict[str, Any]) -> int:
 def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> None:
     from fwclass.assess.remarks import judge_chance, judge_folds
     from fwclass.report.labels import judge_labels
-    from fwclass.single_file.model_directory import check_target, deliver
+    from fwclass.single_file.model_directory import check_target, copy_model
     from fwclass.study.left_out import leave_out
     from fwclass.study.training import kept_rows, training
     from fwclass.study.training_text import describe, measured_facts
@@ -120,7 +120,7 @@ def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> No
         result = training(config, runner, options["assess"] and left_out is None) | {"left_out": left_out}
         measured = measured_facts(result)
         rows = kept_rows(config, runner.store, options["keep_rows"]) if options["keep_rows"] else None
-        deliver(runner.store.path("train", "model", "model"), target, options["overwrite"], measured, rows)
+        copy_model(runner.store.path("train", "model", "model"), target, options["overwrite"], measured, rows)
     click.echo(f"{describe(result)}\nmodel       {target}", err=True)
     if options["as_json"]:
         click.echo(json.dumps({**result, "model": str(target)}, indent=1))
@@ -287,7 +287,7 @@ def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
     ONNX: input X, float32 (rows, features) in the order of the metadata entry "features", NaN where a value is
     missing; outputs label (class codes), votes and probabilities. Classes are the same as here for every row.
     """
-    from fwclass.publish.files import whole
+    from fwclass.publish.files import written_whole
     from fwclass.publish.onnx_forest import onnx_forest
     from fwclass.single_file.ground.output import check_places
     from fwclass.store.models import load_forest
@@ -302,6 +302,6 @@ def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
         )
     check_places(model, [out], overwrite)
     content = onnx_forest(load_forest(model))
-    with whole(out) as beside:
+    with written_whole(out) as beside:
         beside.write_bytes(content)
     click.echo(f"{out}: {form}, {out.stat().st_size / 1e6:.1f} MB", err=True)

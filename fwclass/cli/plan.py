@@ -53,7 +53,7 @@ def plan(
     from fwclass.operate.estimate.forecast import make_forecast
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
-    from fwclass.operate.estimate.output import check_free, deliver
+    from fwclass.operate.estimate.output import check_free, write_plan
     from fwclass.operate.estimate.text import describe
     from fwclass.survey.gather import check_areas
     from fwclass.workflows import workflow_of
@@ -89,7 +89,7 @@ def plan(
     forecast = make_forecast(begun, facts, number, room_at(root), stages=chosen.all_stages)
     if count is not None:
         forecast = _dry_run(forecast, count, root, chosen.all_stages)
-    paths = deliver(forecast, root)
+    paths = write_plan(forecast, root)
     written = "\n".join(f"written     {visible(p)}" for p in paths)
     click.echo(f"{describe(forecast)}\n\n{written}", err=as_json)
     if as_json:

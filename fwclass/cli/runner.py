@@ -61,14 +61,14 @@ def open_runner(
     from fwclass.run.progress import Display
     from fwclass.run.runner import Runner
     from fwclass.store.bucket import Remote
-    from fwclass.store.run_location import locked, unmade_again
+    from fwclass.store.run_location import lock_run, unmade_again
 
     location = location.resolve() if isinstance(location, Path) else location
     with (
         unmade_again(location),
         Display() as display,
         notify(partial(display.compiling, "")),
-        locked(location, display.say) as (location, held),
+        lock_run(location, display.say) as (location, held),
     ):
 
         def started() -> Any:

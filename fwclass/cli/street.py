@@ -90,14 +90,14 @@ def info(recordings: tuple[Path, ...], conf: Path | None, settings: tuple[str, .
 def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) -> None:
     """Simulate a drive along a street; a class code for every return (section street_scene)."""
     from fwclass.conf.street import scanner
-    from fwclass.publish.files import check_free, whole
+    from fwclass.publish.files import check_free, written_whole
     from fwclass.street.recording_parquet import write_recording
     from fwclass.street.simulate import simulate_frames
 
     config = _config(conf, settings)
     check_free(out, overwrite)
     frames = simulate_frames(config.street_scene, scanner(config.street.scanner), config.street.mounting)
-    with whole(out) as beside:
+    with written_whole(out) as beside:
         count = write_recording(beside, frames)
     _say(f"recording    {out}: {count} frames, {config.street_scene.length:g} m of street")
 

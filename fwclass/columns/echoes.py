@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.columns.record import NAN, Column, measured, published
+from fwclass.columns.record import NAN, Column, measured_column, published_columns
 
 _COLUMNS = (
     # who an echo is; (strip, pulse, echo_number) is unique and the canonical order
@@ -34,39 +34,43 @@ _COLUMNS = (
     Column("y", "f8", "m", "northing in the survey's CRS, whole millimetres"),
     Column("z", "f8", "m", "height in the survey's CRS, whole millimetres"),
     Column("gps_time", "f8", "s", "time of the pulse as the source gives it", null=NAN),
-    measured("beam_x", "", "unit vector from sensor to target, east", low=-1, high=1),
-    measured("beam_y", "", "unit vector from sensor to target, north", low=-1, high=1),
-    measured("beam_z", "", "unit vector from sensor to target, up (negative)", low=-1, high=1),
+    measured_column("beam_x", "", "unit vector from sensor to target, east", low=-1, high=1),
+    measured_column("beam_y", "", "unit vector from sensor to target, north", low=-1, high=1),
+    measured_column("beam_z", "", "unit vector from sensor to target, up (negative)", low=-1, high=1),
     # what the waveform says
-    measured(
+    measured_column(
         "amplitude",
         "DN",
         "height of the fitted echo above the baseline; a kept return's vendor amplitude [dB] or intensity",
         low=0,
     ),
-    measured(
+    measured_column(
         "amplitude_db",
         "dB",
         "10 log10 of amplitude over the strip's detection limit; vendor's value where read",
         source="RIEGL extra byte `Amplitude`",
     ),
-    measured("width", "ns", "echo width, full width at half maximum", low=0),
-    measured("time", "ns", "time of the echo in its waveform, from the first sample of the pulse's first segment"),
-    measured("energy", "DN ns", "area under the fitted echo, times the segment's relative gain", low=0),
-    measured("amplitude_sigma", "DN", "standard error of amplitude, from the fit's covariance", low=0),
-    measured("width_sigma", "ns", "standard error of width, from the fit's covariance", low=0),
-    measured("range_sigma", "m", "standard error of the echo's place along the beam, from the fit's covariance", low=0),
-    measured(
+    measured_column("width", "ns", "echo width, full width at half maximum", low=0),
+    measured_column(
+        "time", "ns", "time of the echo in its waveform, from the first sample of the pulse's first segment"
+    ),
+    measured_column("energy", "DN ns", "area under the fitted echo, times the segment's relative gain", low=0),
+    measured_column("amplitude_sigma", "DN", "standard error of amplitude, from the fit's covariance", low=0),
+    measured_column("width_sigma", "ns", "standard error of width, from the fit's covariance", low=0),
+    measured_column(
+        "range_sigma", "m", "standard error of the echo's place along the beam, from the fit's covariance", low=0
+    ),
+    measured_column(
         "deviation",
         "",
         "1000 x root mean square residual around the echo over its amplitude; 0 is the system's pulse",
         low=0,
         source="RIEGL extra byte `Deviation`",
     ),
-    measured("beam_range", "m", "distance from the sensor, where the source gives its place", low=0),
-    measured("baseline", "DN", "level of the waveform without echoes"),
-    measured("noise_level", "DN", "standard deviation of the waveform's noise", low=0),
-    measured("misfit", "", "reduced chi-square of the pulse's fit", low=0),
+    measured_column("beam_range", "m", "distance from the sensor, where the source gives its place", low=0),
+    measured_column("baseline", "DN", "level of the waveform without echoes"),
+    measured_column("noise_level", "DN", "standard deviation of the waveform's noise", low=0),
+    measured_column("misfit", "", "reduced chi-square of the pulse's fit", low=0),
     Column(
         "fit_flags",
         "u1",
@@ -88,13 +92,13 @@ _COLUMNS = (
         low=0,
         high=2,
     ),
-    measured(
+    measured_column(
         "water_decay",
         "1/m",
         "how fast light fades in the pulse's water column, to and fro together, a metre along the beam",
         low=0,
     ),
-    measured("water_depth", "m", "how far a bottom lies below the surface of its pulse, vertically", low=0),
+    measured_column("water_depth", "m", "how far a bottom lies below the surface of its pulse, vertically", low=0),
     Column("stacked_pulses", "u1", "", "pulses whose waveforms show the echo together; none alone does"),
     Column("significance", "f4", "", "height of the stacked echo over its standard deviation", low=0),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
@@ -112,12 +116,12 @@ _COLUMNS = (
     # returns, as read
     Column("return_number", "u1", "", "vendor's return number; 0 occurs in faulty files"),
     Column("number_of_returns", "u1", "", "vendor's number of returns of the pulse"),
-    measured("location", "ns", "vendor's return location, from the first sample of the pulse's first segment"),
+    measured_column("location", "ns", "vendor's return location, from the first sample of the pulse's first segment"),
     Column("withheld", "bool", "", "the source flags the return as withheld or synthetic"),
     Column("has_packet", "bool", "", "the return's waveform packet could be read"),
-    measured("vendor_amplitude", "dB", "extra byte `Amplitude` of the source"),
-    measured("vendor_width", "ns", "extra byte `Pulse width` of the source"),
-    measured("vendor_deviation", "", "extra byte `Deviation` of the source"),
+    measured_column("vendor_amplitude", "dB", "extra byte `Amplitude` of the source"),
+    measured_column("vendor_width", "ns", "extra byte `Pulse width` of the source"),
+    measured_column("vendor_deviation", "", "extra byte `Deviation` of the source"),
     # pulses, as read
     Column("anchor_x", "f8", "m", "easting of the pulse's anchor return"),
     Column("anchor_y", "f8", "m", "northing of the pulse's anchor return"),
@@ -136,7 +140,9 @@ _COLUMNS = (
         "segment_start", "f4", "ns", "first sample of the segment after the first sample of the pulse's first segment"
     ),
     Column("anchor_range", "f8", "m", "distance from the sensor to the anchor, where the source gives it", null=NAN),
-    measured("outgoing_start", "ns", "first sample of the recorded outgoing pulse after the pulse's time origin"),
+    measured_column(
+        "outgoing_start", "ns", "first sample of the recorded outgoing pulse after the pulse's time origin"
+    ),
     Column("sample_spacing", "f4", "ns", "time between samples", low=0),
     Column("saturation", "f4", "DN", "highest value that the digitiser can record"),
     Column("gain", "f4", "", "volts a DN of the segment over those of the file's first waveform descriptor", low=0),
@@ -166,4 +172,4 @@ _EXTRA_BYTES: dict[str, tuple[Any, ...]] = {
 }
 """Of LAS: the name there, what is said of it, how it is stored."""
 
-ECHOES = published(_COLUMNS, _EXTRA_BYTES)
+ECHOES = published_columns(_COLUMNS, _EXTRA_BYTES)

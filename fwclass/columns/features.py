@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.columns.record import Column, measured, published
+from fwclass.columns.record import Column, measured_column, published_columns
 
 XIONG, WEINMANN = "Xiong 2018", "Weinmann 2015"
 PV = "Shi 2019, PV"
@@ -17,7 +17,7 @@ SHAPE = "rko"
 
 
 def _feature(name: str, unit: str, meaning: str, scales: str, source: str = "", **more: Any) -> Column:
-    return measured(name, unit, meaning, scales=scales, source=source, **more)
+    return measured_column(name, unit, meaning, scales=scales, source=source, **more)
 
 
 def _share(name: str, meaning: str, scales: str = ALL, source: str = "", **more: Any) -> Column:
@@ -114,4 +114,4 @@ _EXTRA_BYTES: dict[str, tuple[Any, ...]] = {
 }
 """Of LAS: the name there, what is said of it, how it is stored."""
 
-FEATURES = published(_COLUMNS, _EXTRA_BYTES)
+FEATURES = published_columns(_COLUMNS, _EXTRA_BYTES)

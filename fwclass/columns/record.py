@@ -57,13 +57,13 @@ class Column:
     las_scale: float = 1.0
 
 
-def published(columns: Iterable[Column], extra_bytes: Mapping[str, tuple[Any, ...]]) -> tuple[Column, ...]:
+def published_columns(columns: Iterable[Column], extra_bytes: Mapping[str, tuple[Any, ...]]) -> tuple[Column, ...]:
     """`columns`, those of these names as LAS extra bytes: name there, what is said of it, how it is stored."""
     fields = ("las", "las_about", "las_dtype", "las_scale")
     about = {name: dict(zip(fields, of, strict=False)) for name, of in extra_bytes.items()}
     return tuple(replace(column, **about.get(column.name, {})) for column in columns)
 
 
-def measured(name: str, unit: str, meaning: str, **more: Any) -> Column:
+def measured_column(name: str, unit: str, meaning: str, **more: Any) -> Column:
     """A column of what is measured: a 32-bit float, NaN where there is none."""
     return Column(name, "f4", unit, meaning, null=NAN, **more)

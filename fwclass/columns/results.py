@@ -4,37 +4,37 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.columns.record import PER_CODE, Column, measured, published
+from fwclass.columns.record import PER_CODE, Column, measured_column, published_columns
 
 _COLUMNS = (
     # ground
     Column("ground", "bool", "", "the ground filter took the echo for ground"),
     Column("noise", "bool", "", "the ground filter took the echo for no surface: far below its surroundings, or alone"),
-    measured("height_above_ground", "m", "z minus the terrain model under the echo"),
+    measured_column("height_above_ground", "m", "z minus the terrain model under the echo"),
     # thinning
     Column("sampled", "bool", "", "the classifier is asked about the echo; the others follow the nearest such one"),
     # the local surface, for radiometry
-    measured("normal_x", "", "upward unit normal of the neighbourhood, east", low=-1, high=1),
-    measured("normal_y", "", "upward unit normal of the neighbourhood, north", low=-1, high=1),
-    measured("normal_z", "", "upward unit normal of the neighbourhood, up", low=0, high=1),
+    measured_column("normal_x", "", "upward unit normal of the neighbourhood, east", low=-1, high=1),
+    measured_column("normal_y", "", "upward unit normal of the neighbourhood, north", low=-1, high=1),
+    measured_column("normal_z", "", "upward unit normal of the neighbourhood, up", low=0, high=1),
     # radiometry
-    measured("range", "m", "distance from the sensor to the echo", low=0),
-    measured("incidence", "deg", "angle between the beam and the local normal", low=0, high=90),
-    measured(
+    measured_column("range", "m", "distance from the sensor to the echo", low=0),
+    measured_column("incidence", "deg", "angle between the beam and the local normal", low=0, high=90),
+    measured_column(
         "cross_section",
         "m2",
         "backscatter cross-section sigma of the echo",
         low=0,
         source="Wagner 2006, eq. 9; Wagner 2008",
     ),
-    measured(
+    measured_column(
         "backscatter",
         "",
         "backscatter coefficient gamma = sigma / (A_i cos(incidence)); relative where no target calibrates it",
         low=0,
         source="Fan 2013, eq. 3; Wagner 2008",
     ),
-    measured(
+    measured_column(
         "reflectance",
         "dB",
         "10 log10 of the cross-section over that of a white matt surface that faces the beam",
@@ -63,11 +63,13 @@ _COLUMNS = (
     ),
     Column("boundary", "bool", "", "the echo lies where two classes meet, and the second of two layers answers"),
     Column("classification", "u1", "", "class code given by the model"),
-    measured("confidence", "", "share of the class: of the forest's votes, or the model's probability", low=0, high=1),
-    measured(
+    measured_column(
+        "confidence", "", "share of the class: of the forest's votes, or the model's probability", low=0, high=1
+    ),
+    measured_column(
         "entropy", "", "entropy of the shares of all classes over ln(classes): 0 sure, 1 undecided", low=0, high=1
     ),
-    measured(
+    measured_column(
         "probability",
         "",
         "share of a class: of the forest's votes, or the model's probability",
@@ -82,10 +84,10 @@ _COLUMNS = (
     Column("cell_echoes", "u4", "", "echoes of the class in the cell"),
     Column("cell_rated", "u4", "", "those of them that have a confidence"),
     Column("cell_percent", "u4", "%", "sum of these confidences"),
-    measured("cell_top", "m", "greatest height above ground of these echoes"),
+    measured_column("cell_top", "m", "greatest height above ground of these echoes"),
     Column("ring", "u4", "", "number of the corner's ring: 0 the outline, others holes"),
-    measured("object_height", "m", "height above ground"),
-    measured("median_height", "m", "median height above ground"),
+    measured_column("object_height", "m", "height above ground"),
+    measured_column("median_height", "m", "median height above ground"),
     Column("object_area", "f4", "m2", "area in plan"),
     Column("object_echoes", "u4", "", "echoes that it is made of"),
     Column("outline", "u1", "", "1 right-angled, 2 simplified, 3 the outline of the cells"),
@@ -104,4 +106,4 @@ _EXTRA_BYTES: dict[str, tuple[Any, ...]] = {
 }
 """Of LAS: the name there, what is said of it, how it is stored."""
 
-RESULTS = published(_COLUMNS, _EXTRA_BYTES)
+RESULTS = published_columns(_COLUMNS, _EXTRA_BYTES)

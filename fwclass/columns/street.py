@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.columns.record import Column, measured
+from fwclass.columns.record import Column, measured_column
 
 _LI, _DEMANTKE = "Li 2018, 2.2", "Li 2018, eq. 7; Demantke 2011"
 
 
 def _feature(name: str, unit: str, meaning: str, source: str = _LI, **more: Any) -> Column:
-    return measured(f"street_{name}", unit, meaning, scales="r", source=source, **more)
+    return measured_column(f"street_{name}", unit, meaning, scales="r", source=source, **more)
 
 
 STREET = (

@@ -18,7 +18,7 @@ from fwclass.decompose.fitting import fit_waveforms, signal_of
 from fwclass.decompose.params import CopyParams, DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.pulse_sample import of_channel, rows_of
-from fwclass.decompose.sample_parity import estimate_even_pulse, evened
+from fwclass.decompose.sample_parity import estimate_even_pulse, even_gains
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import ERROR_OF_MEDIAN, SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
@@ -50,7 +50,7 @@ def estimate_single_pulse(
     pulse = estimate_even_pulse(waves, params, recorded)
     if fit.recovery == "keep":
         return pulse
-    even = evened(waves, pulse)
+    even = even_gains(waves, pulse)
     copies = {c.key: c.copies for c in (_measure(c, pulse, even, fit, params.copies) for c in pulse.channels)}
     if not any(copies.values()):
         return pulse

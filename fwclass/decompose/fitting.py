@@ -99,7 +99,7 @@ def fit_waveforms(
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts, samples = [], waves.wide
-    for rows, step, channel, order in alike(spacing, lengths, channel_of, channels, pulse):
+    for rows, step, channel, order in rows_by_kind(spacing, lengths, channel_of, channels, pulse):
         noise, own = channel.autoregression.shorter(order) if channel else WHITE, pulse.of(channel)
         look = lookup(own, step, params.narrowest, params.widest, noise)
         widths = widths_of(own, params.narrowest, params.widest)
@@ -154,7 +154,7 @@ def _in_dn(fits: Fits, steps: NDArray[np.float64]) -> Fits:
     )
 
 
-def alike(
+def rows_by_kind(
     spacing: NDArray[np.float64],
     lengths: NDArray[np.int64],
     channel_of: NDArray[np.int64],

@@ -19,7 +19,7 @@ from fwclass.decompose.fitting import fit_waveforms, sample_limits, signal_of
 from fwclass.decompose.floor import at_floor, floor_doubt
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_sample import of_channel, rows_of
-from fwclass.decompose.sample_parity import evened
+from fwclass.decompose.sample_parity import even_gains
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.waveforms import Waveforms
 
@@ -93,16 +93,16 @@ def with_recovery(pulse: SystemPulse, waves: Waveforms, params: DecomposeParams)
     """
     if params.recovery == "keep":
         return pulse
-    waves, _ = without_copies(evened(waves, pulse), pulse, params)
+    waves, _ = without_copies(even_gains(waves, pulse), pulse, params)
     return replace(pulse, channels=tuple(_measure(c, pulse, waves, params) for c in pulse.channels))
 
 
 def recovered(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> tuple[Waveforms, Floats]:
-    """`waves` whose samples have one gain (`evened`), those behind saturated ones brought back to the level, rounded to
-    whole steps, and what variance every sample has beside the noise's for it, and at the digitiser's floor [DN^2],
-    (samples,); `waves` itself where no channel needs either, and an empty array where no sample is doubted. Every
-    waveform is corrected alone."""
-    waves, later = without_copies(evened(waves, pulse), pulse, params)
+    """`waves` whose samples have one gain (`even_gains`), those behind saturated ones brought back to the level,
+    rounded to whole steps, and what variance every sample has beside the noise's for it, and at the digitiser's floor
+    [DN^2], (samples,); `waves` itself where no channel needs either, and an empty array where no sample is
+    doubted. Every waveform is corrected alone."""
+    waves, later = without_copies(even_gains(waves, pulse), pulse, params)
     cut = _summed(floor_doubt(waves, pulse), later)
     if not any(c.recovery > 0.0 for c in pulse.channels):
         return waves, cut

@@ -43,7 +43,7 @@ def estimate_even_pulse(waves: Waveforms, params: PulseParams, recorded: SystemP
     pulse = _with_gains(pulse, gains)
     if not any(c.parity for c in pulse.channels):
         return pulse
-    return _with_gains(estimate_pulse(evened(waves, pulse), params, recorded), gains)
+    return _with_gains(estimate_pulse(even_gains(waves, pulse), params, recorded), gains)
 
 
 def _with_gains(pulse: SystemPulse, gains: Mapping[tuple[Any, ...], tuple[float, float]]) -> SystemPulse:
@@ -51,7 +51,7 @@ def _with_gains(pulse: SystemPulse, gains: Mapping[tuple[Any, ...], tuple[float,
     return replace(pulse, channels=tuple(replace(c, parity=parity, parity_walk=walk) for c, parity, walk in each))
 
 
-def evened(waves: Waveforms, pulse: SystemPulse) -> Waveforms:
+def even_gains(waves: Waveforms, pulse: SystemPulse) -> Waveforms:
     """`waves` whose samples have one gain, rounded to whole steps; `waves` itself where no channel has two. Samples at
     the limit and at 0 stay. Every waveform is corrected alone."""
     channel = channel_rows(pulse.channels, waves.pulses)

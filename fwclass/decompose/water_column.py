@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.autoregression import WHITE
-from fwclass.decompose.fitting import Fits, alike, channels_of, kind_of, pulses_of, sample_limits, signal_of
+from fwclass.decompose.fitting import Fits, channels_of, kind_of, pulses_of, rows_by_kind, sample_limits, signal_of
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.pulse_fit import WEAK
 from fwclass.decompose.system_pulse import Channel, SystemPulse
@@ -181,7 +181,7 @@ def _answers(
     starts_of = np.searchsorted(fits.row, np.arange(n + 1))
     signal, limits, lengths = signal_of(fits, waves, pulse, params), sample_limits(waves, pulse), np.diff(waves.offsets)
     up = waves.pulses["step_z"] <= 0.0
-    for rows, step, special, order in alike(spacing, lengths, channel_of, channels, pulse):
+    for rows, step, special, order in rows_by_kind(spacing, lengths, channel_of, channels, pulse):
         noise = special.autoregression.shorter(order) if special else WHITE
         kind = kind_of(noise, special.growth if special else 0.0)
         mine = rows[(fits.count[rows] > 0) & ~up[rows]]

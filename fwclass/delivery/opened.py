@@ -18,7 +18,7 @@ from fwclass.formats.geoparquet import header as geoparquet_header
 from fwclass.schema import IDENTITY
 from fwclass.store.atomic import read_json
 from fwclass.store.bucket import Remote
-from fwclass.store.delivered import REPORT, TILES, held
+from fwclass.store.delivered import REPORT, TILES, check_shape
 from fwclass.store.digests import digest_now
 from fwclass.store.directory import CURRENT, MANIFEST
 from fwclass.store.generations import Generation, Generations, Manifest, manifest_files
@@ -168,7 +168,7 @@ class Delivery:
     def report(self) -> dict[str, Any]:
         """``report.json``: accuracy, counts, inputs, settings."""
         path = self.file("report.json")
-        return dict(held(read_json(path), REPORT, path))
+        return dict(check_shape(read_json(path), REPORT, path))
 
     @cached_property
     def classes(self) -> list[dict[str, Any]]:
@@ -196,7 +196,7 @@ class Delivery:
         """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax), ``height`` (mean z [m])."""
         listed = self.file(CATALOGUE)
         listed = listed if listed.is_file() else self._part("laz") / listed.name
-        catalogue = held(read_json(listed), TILES, listed)
+        catalogue = check_shape(read_json(listed), TILES, listed)
         return [
             {
                 "tile": item["id"],

@@ -60,7 +60,7 @@ def echoes_in(delivery: Delivery, places: Polygons) -> dict[str, NDArray[Any]]:
     return {n: np.concatenate([p[n] for p in parts]) if parts else np.empty(0) for n in COLUMNS}
 
 
-def away(delivery: Delivery, places: Polygons) -> int:
+def count_places_away(delivery: Delivery, places: Polygons) -> int:
     """How many places lie where no tile has echoes, by their extents."""
     low_x, low_y, high_x, high_y = (v / 1000 for v in places.bounds)
     near = np.zeros(places.parts, bool)

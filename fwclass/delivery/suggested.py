@@ -14,7 +14,7 @@ from fwclass.delivery.checkout import read_note
 from fwclass.delivery.collect import codes_that_stand, run_of
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.delivery.places import COLUMNS, away, echoes_in, no_echo, read_places
+from fwclass.delivery.places import COLUMNS, count_places_away, echoes_in, no_echo, read_places
 from fwclass.delivery.worklist import check_geopackage
 from fwclass.errors import InputError, several
 from fwclass.formats.echo_labels import TAKEN_BACK, EchoLabels
@@ -145,7 +145,7 @@ def confirm(run: RunLocation, path: Path, who: str, time: int) -> Confirmed:
     if not _classified(delivery, rows).any():
         raise no_echo(path, places, delivery)
     confirmed = _confirm(delivery, rows, places.parts, who, time)
-    return replace(confirmed, away=away(delivery, places), crossing=int(crossing_parts(places).sum()))
+    return replace(confirmed, away=count_places_away(delivery, places), crossing=int(crossing_parts(places).sum()))
 
 
 def confirm_tiles(directory: Path, run: Path | None, who: str, time: int) -> Confirmed:

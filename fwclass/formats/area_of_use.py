@@ -40,7 +40,7 @@ def place_faults(crs: Any, low: Sequence[float], high: Sequence[float], header: 
     Returns a sentence for places outside of the area that the system is used in, one for heights where no
     land is; none of numbers that are NaN, and of a system without such an area.
     """
-    faults = [outside_of_area(crs, low, high) or stretched(crs, low, high)]
+    faults = [outside_of_area(crs, low, high) or stretched_words(crs, low, high)]
     unit = _metres_of_height(crs, header)
     lowest, highest = low[2] * unit, high[2] * unit
     if lowest < LAND[0] or highest > LAND[1]:
@@ -56,7 +56,7 @@ def elsewhere(crs: Any, low: Sequence[float], high: Sequence[float], header: Rec
     says holds for all."""
     unit = _metres_of_height(crs, header)
     return (
-        bool(outside_of_area(crs, low, high) or stretched(crs, low, high))
+        bool(outside_of_area(crs, low, high) or stretched_words(crs, low, high))
         or high[2] * unit < LAND[0]
         or low[2] * unit > LAND[1]
     )
@@ -70,15 +70,16 @@ def place_facts(
     own: Any = None,
     of_file: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """``remarks`` (`place_faults`, `overruled`, `doubtful_system`) and ``elsewhere``, as `report.facts.judge_place`
-    takes them; `own`: the system that the file names, where a user names `crs`; `of_file`: the faults of its header."""
+    """``remarks`` (`place_faults`, `overruled_words`, `doubtful_system`) and ``elsewhere``, as
+    `report.facts.judge_place` takes them; `own`: the system that the file names, where a user names `crs`; `of_file`:
+    the faults of its header."""
     faults, away = place_faults(crs, low, high, header), elsewhere(crs, low, high, header)
-    worse = "" if away else overruled(crs, own, low, high)
+    worse = "" if away else overruled_words(crs, own, low, high)
     doubt = doubtful_system(of_file) if crs is own else ""
     return {"remarks": [text for text in (worse, doubt) if text] + faults, "elsewhere": away or bool(worse)}
 
 
-def overruled(crs: Any, own: Any, low: Sequence[float], high: Sequence[float]) -> str:
+def overruled_words(crs: Any, own: Any, low: Sequence[float], high: Sequence[float]) -> str:
     """The sentence for a box that lies further outside of the area of `crs`, which a user names, than of that of its
     file's `own` system; "" for none."""
     if own is None or crs is own:
@@ -164,7 +165,7 @@ def _five(low: Sequence[float], high: Sequence[float]) -> tuple[list[float], lis
     return [west, west, east, east, middle[0]], [south, north, south, north, middle[1]]
 
 
-def stretched(crs: Any, low: Sequence[float], high: Sequence[float]) -> str:
+def stretched_words(crs: Any, low: Sequence[float], high: Sequence[float]) -> str:
     """The sentence for a system whose lengths are off those on the ground by more than `STRETCHED` in the middle and in
     all corners of a box, as those of Web Mercator are away from the equator; "" for none.
 

@@ -109,14 +109,14 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
             if paths:
                 faults.append(f"the CRS record names files, as {visible(paths[0])}: the shift by them is left out")
             crs, false = without_false_codes(crs)
-            faults += told_codes(false)
+            faults += code_faults(false)
             return _in_degrees(crs, faults)
         except CRSError as fault:
             faults.append(f"the CRS record is not used: {visible(str(fault))}")
     return None
 
 
-def told_codes(false: Sequence[tuple[str, str]]) -> list[str]:
+def code_faults(false: Sequence[tuple[str, str]]) -> list[str]:
     """Faults of codes that `without_false_codes` has left out."""
     return [_TOLD[kind].format(visible(text)) for kind, text in false]
 

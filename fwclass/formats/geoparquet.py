@@ -12,7 +12,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError, first_line
-from fwclass.formats.crs import told_codes
+from fwclass.formats.crs import code_faults
 from fwclass.formats.epsg import without_false_codes
 from fwclass.formats.grid_files import without_paths
 from fwclass.formats.parquet_footer import SPARE, check_unpacked
@@ -169,7 +169,7 @@ def _crs(path: Path, own: dict[str, Any]) -> tuple[CRS | None, tuple[str, ...]]:
         if without_paths(crs)[1]:
             raise _foreign(path, "a coordinate system that names a file by its path")
         crs, false = without_false_codes(crs)
-        return crs, tuple(told_codes(false))
+        return crs, tuple(code_faults(false))
     except (CRSError, TypeError) as fault:
         raise _foreign(path, "a coordinate system that cannot be understood") from fault
 

@@ -37,7 +37,7 @@ class Footer:
 
 
 @contextmanager
-def undamaged(path: Path, expected: str) -> Iterator[None]:
+def check_undamaged(path: Path, expected: str) -> Iterator[None]:
     """`InputError` where Arrow refuses the file."""
     try:
         yield

@@ -17,7 +17,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import visible
-from fwclass.formats.crs import TWO_SYSTEMS, crs_of_wkt, told_codes
+from fwclass.formats.crs import TWO_SYSTEMS, code_faults, crs_of_wkt
 from fwclass.formats.epsg import another, without_false_codes
 from fwclass.formats.polygon_magic import HEAD, names_of_systems
 from fwclass.formats.sqlite_files import open_sqlite
@@ -41,11 +41,11 @@ def system_named(path: Path, layer: str, answer: str | None) -> tuple[CRS | None
     try:
         crs, false = without_false_codes(words)
         if false:
-            return crs, tuple(told_codes(false))
+            return crs, tuple(code_faults(false))
         for code in sorted(codes | ({answer} if answer and answer.startswith("EPSG:") else set())):
             other = _system(code)
             if other is not None and another(crs, other):
-                return crs, tuple(told_codes([("another", f"{crs.name} by its words and {other.name} by {code}")]))
+                return crs, tuple(code_faults([("another", f"{crs.name} by its words and {other.name} by {code}")]))
     except (CRSError, ProjError, RecursionError):  # words of which PROJ makes no other system, nor numbers
         return known, ()
     return known or crs, ()

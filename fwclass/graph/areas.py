@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.graph.stage import Plan
 from fwclass.grid import Box, Tile
-from fwclass.label.corrections import apart
+from fwclass.label.corrections import far_from_labels
 from fwclass.schema import Table
 
 IDENTITY_AND_PLACE = ("strip", "pulse", "echo_number", "x", "y")
@@ -33,7 +33,7 @@ def rows_to_test(
     every correction that the model was `taught`."""
     near = within(table, tuple(b.grown(gap) for b in train))
     rows = ~near & (within(table, test) if test else np.ones(table.rows, bool))
-    return rows if taught is None else apart(table["x"], table["y"], taught, gap, rows)
+    return rows if taught is None else far_from_labels(table["x"], table["y"], taught, gap, rows)
 
 
 def training_tiles(plan: Plan) -> list[Tile]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.assess.blocks import BlockCounts
-from fwclass.assess.confusion import confusion, figures, unclassified
+from fwclass.assess.confusion import confusion, count_unclassified, figures
 from fwclass.assess.distribution import Histograms, pack, summary
 from fwclass.assess.intervals import intervals
 from fwclass.assess.remarks import pure_share
@@ -74,7 +74,7 @@ def count_tile(
     left_out = int((class_index(table["reference"], classes) >= 0)[stay].sum())
     table = table.take(~stay)
     matrix = confusion(table["reference"], table["classification"], classes)
-    lost = unclassified(table["reference"], table["classification"], classes)
+    lost = count_unclassified(table["reference"], table["classification"], classes)
     places, counts = pack(table.select(names), table["reference"], classes)
     blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
     arrays = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}

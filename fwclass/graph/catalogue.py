@@ -19,7 +19,7 @@ from fwclass.graph.stage import Names, Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.graph.vectors import vector_layers
 from fwclass.grid import Box, TileGrid
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.qgis import write_project
 from fwclass.publish.qgis_layers import OVERVIEW, cloud_styles, layer_groups
@@ -86,7 +86,7 @@ def _present(facts: Mapping[str, Any], names: Mapping[str, str]) -> dict[int, st
 
 def _write_style(here: StageInputs, names: Mapping[int, str]) -> None:
     """Classes in the house's colours, for who opens the list of tiles alone."""
-    with whole(here.directory / "laz" / "survey.qml") as beside:
+    with written_whole(here.directory / "laz" / "survey.qml") as beside:
         beside.write_bytes(style_file(cloud_styles(names)["classes"], "pointcloud"))
 
 

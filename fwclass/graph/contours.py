@@ -24,7 +24,7 @@ from fwclass.grid import Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.contour_file import Contours, write_contours
 from fwclass.publish.contour_style import contour_style
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.qgis_layers import CONTOURS
 from fwclass.publish.qgis_style import style_file
 from fwclass.run.part import Name
@@ -93,7 +93,7 @@ def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) 
         level, depression = lines.level[long_enough], lines.depression[long_enough]
         batches = _batches(laid, counts, level, depression, params)
         write_contours(here.directory / CONTOURS, batches, crs_of_wkt(crs))
-    with whole(here.directory / Path(CONTOURS).with_suffix(".qml")) as beside:
+    with written_whole(here.directory / Path(CONTOURS).with_suffix(".qml")) as beside:
         beside.write_bytes(style_file(contour_style(), "vector"))
     coarse = [k for k in blocks if here.inputs.meta(CONTOUR_BLOCKS.name, k)["every"] > 1]
     return {"lines": int(long_enough.sum()), "vertices": int(counts.sum()), "remarks": _of_coarse(coarse, params)}

@@ -92,10 +92,10 @@ def _shown(here: StageInputs, last_returns: bool) -> Iterator[Points]:
 def parameters_at(here: StageInputs, ground: GroundParams) -> GroundParams:
     """The parameters for a block, of the first part that `parts_for` names; `ground` where they are not chosen."""
     keys = here.parts(AUTO)
-    return settled(here.inputs.meta(AUTO, keys[0]), ground) if keys else ground
+    return settled_ground(here.inputs.meta(AUTO, keys[0]), ground) if keys else ground
 
 
-def settled(meta: Mapping[str, Any], ground: GroundParams) -> GroundParams:
+def settled_ground(meta: Mapping[str, Any], ground: GroundParams) -> GroundParams:
     """`ground` with the parameters that a receipt of the stage tells."""
     chosen = meta["parameters"]
     params = ground.model_copy(update={name: chosen[name] for name in ("method", "max_building_size")})

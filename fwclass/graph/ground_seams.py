@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.graph.breaklines import BREAKLINES, breaklines_needed
 from fwclass.graph.ground import STACK, knots_in, stacked_ground, surroundings, terrain_blocks
-from fwclass.graph.ground_auto import AUTO, adapts, settled, square_edge, squares
+from fwclass.graph.ground_auto import AUTO, adapts, settled_ground, square_edge, squares
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import Result, StageInputs
@@ -97,7 +97,7 @@ def _regions(here: StageInputs, ground: GroundParams, square: float | None) -> R
     if square is None:
         return [(EVERYWHERE, ground)]
     grid = TileGrid(square)
-    return [(grid.tile(key).box, settled(here.inputs.meta(AUTO, key), ground)) for key in here.parts(AUTO)]
+    return [(grid.tile(key).box, settled_ground(here.inputs.meta(AUTO, key), ground)) for key in here.parts(AUTO)]
 
 
 def _box(x: NDArray[np.float64], y: NDArray[np.float64]) -> Box:

@@ -24,11 +24,11 @@ def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()
         if name in silent:
             continue
         plain = _plain(value, silent)
-        result = disjoint(result, plain if name == "params" else {name: plain})
+        result = merge_disjoint(result, plain if name == "params" else {name: plain})
     return result
 
 
-def disjoint(values: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
+def merge_disjoint(values: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
     """Both together; `TypeError` where one would hide a value of the other from the key."""
     both = values.keys() & others.keys()
     if both:

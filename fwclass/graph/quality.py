@@ -25,7 +25,7 @@ from fwclass.graph.stage import Stage
 from fwclass.graph.stage_work import Result, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
@@ -236,7 +236,7 @@ def _pictures(counted: Mosaic, differences: _Differences, box: Box, publish: Pub
 
 def _style(path: Path, spread: Spread, unit: str) -> None:
     low, high = spread.shown()
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         beside.write_bytes(style_file(ramp_raster_style(MANY, low, high, unit), "raster"))
 
 

@@ -23,8 +23,8 @@ from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.ground.terrain.terrain import NO_TERRAIN
 from fwclass.publish.class_raster import NO_CONFIDENCE, class_rasters
-from fwclass.publish.cog import STRIPE, cog, rounded
-from fwclass.publish.files import whole
+from fwclass.publish.cog import STRIPE, cog, round_to_bits
+from fwclass.publish.files import written_whole
 from fwclass.publish.palette import colours
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import style_file
@@ -78,7 +78,7 @@ def deliver_rasters(
     for name in STYLED:
         if not (target / f"{name}.tif").exists():
             continue
-        with whole(target / f"{name}.qml") as beside:
+        with written_whole(target / f"{name}.qml") as beside:
             beside.write_bytes(style_file(raster_style(name, ranges, called), "raster"))
     return {**cell_counts, "ranges": ranges}
 
@@ -166,7 +166,7 @@ def _terrain_rasters(
                 "slope": slope(wide, window.cell),
                 "roughness": heights["roughness"],
             }
-            rasters |= {name: rounded(rasters[name], bits) for name, bits in STEPS.items()}
+            rasters |= {name: round_to_bits(rasters[name], bits) for name, bits in STEPS.items()}
             for name, raster in rasters.items():
                 put[name](stripe, raster)
                 spreads[name].add(raster)

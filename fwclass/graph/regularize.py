@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from fwclass.classify.exempt import Exempt
 from fwclass.classify.lines import LINES, count_settled, settle_lines
-from fwclass.classify.mean_field import REGULARIZE, answers, model_share_columns, regularized, shares_of, whole_columns
+from fwclass.classify.mean_field import (
+    REGULARIZE,
+    after_mean_field,
+    answers,
+    model_share_columns,
+    shares_of,
+    whole_columns,
+)
 from fwclass.classify.params import LineParams, RegularizeParams
 from fwclass.classify.stage import CLASSIFY
 from fwclass.graph.areas import has_reference, within
@@ -56,7 +63,7 @@ def regularize_tile(
     sparse = 0
     for rows, chunk in here.chunks():
         own = shares_of(chunk.table, codes)
-        shares = regularized(chunk.table, chunk.core, own, params)
+        shares = after_mean_field(chunk.table, chunk.core, own, params)
         before.append(written_as[shares.argmax(axis=1)])
         if lines:
             for code in lines.codes:

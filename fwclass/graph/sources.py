@@ -19,7 +19,7 @@ from fwclass.decompose.pulse_sample import join_samples, outgoing_of, sample_pul
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.recovery import recovered, with_recovery
-from fwclass.decompose.sample_parity import evened
+from fwclass.decompose.sample_parity import even_gains
 from fwclass.decompose.signal_noise import with_misfit, with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, LINK_COLUMNS, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
@@ -195,7 +195,7 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
         noise = quiet_noise(level, pulse, fit)
-        bright = bright_widths(evened(sample, pulse), params, pulse.channels)
+        bright = bright_widths(even_gains(sample, pulse), params, pulse.channels)
         returns = (inputs.table("read", part, "xyz", RETURNS) for part in parts)
         envelope = Envelope.of(returns, fit.envelope_cell)
         ends = {n: v if np.isfinite(v) else None for n, v in (("bottom", envelope.bottom), ("top", envelope.top))}

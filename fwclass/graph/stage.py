@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from fwclass.conf import Config
 from fwclass.errors import FwclassError
-from fwclass.graph.key_values import disjoint, plain_values
+from fwclass.graph.key_values import merge_disjoint, plain_values
 from fwclass.graph.stage_work import Result, StageInputs, Work
 from fwclass.grid import Box, Tile
 from fwclass.run.part import Name, Task
@@ -223,7 +223,7 @@ class _Maker:
         self.reads, self.own = names_under(stage.reads, plan), names_under(stage.own, plan)
         self.of_reads, self.of_own = self._stages(self.reads), self._stages(self.own)
         self.arguments = stage.arguments(plan)
-        self.params = disjoint(
+        self.params = merge_disjoint(
             plain_values(self.arguments, stage.silent), plain_values(stage.keyed(plan), stage.silent)
         )
         self.writes = stage.columns(plan)
@@ -251,7 +251,7 @@ class _Maker:
                 )
         needs = tuple(dict.fromkeys((*read, *mine, *more_needs)))
         more = stage.each(plan, part)
-        params = disjoint(self.params, plain_values(more, stage.silent))
+        params = merge_disjoint(self.params, plain_values(more, stage.silent))
         location, external = stage.source(plan, part) or (None, ())
         here = partial(
             StageInputs,

@@ -200,7 +200,7 @@ def implausible(
     return recording_faults(counts, params, left_out, (rows, what), stream or {})
 
 
-def untested(recording: Recording | None, counts: Mapping[str, Any]) -> list[str]:
+def untested_words(recording: Recording | None, counts: Mapping[str, Any]) -> list[str]:
     """That nothing tells whether a trajectory's places are metres, a sentence; none where something does. `counts` of
     `Track.counts`."""
     facts = counts["sound"]

@@ -49,7 +49,7 @@ def match_labels(echoes: Table, labels: Table, reach: float) -> tuple[NDArray[np
     return rows[near], own[near]
 
 
-def apart(
+def far_from_labels(
     x: NDArray[np.float64], y: NDArray[np.float64], labels: Table, gap: float, among: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """bool (rows,): further than `gap` [m] from every label, along x or along y, as a box grown by it; of the rows

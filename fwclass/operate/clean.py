@@ -10,7 +10,7 @@ from fwclass.errors import ConfigError
 from fwclass.graph.stages import STAGES
 from fwclass.operate.sizes import sizes_of
 from fwclass.run.logs import remove_logs
-from fwclass.store.run_location import RunLocation, locked, open_store
+from fwclass.store.run_location import RunLocation, lock_run, open_store
 
 Keep = Literal["delivery", "deliveries", "latest"]
 
@@ -19,7 +19,7 @@ def make_lean(location: RunLocation, tell: Callable[[str], None]) -> tuple[int, 
     """Remove the files of parts of bulky stages (`Stage.bulky`), and keep what is known of them; how many parts that
     are, and the bytes."""
     bulky = {stage.name for stage in STAGES if stage.bulky}
-    with locked(location, tell) as (own, _):
+    with lock_run(location, tell) as (own, _):
         store = open_store(own)
         before = sizes_of(own, None).total
         count = store.empty(name for name in store.parts() if name[0] in bulky)
@@ -54,7 +54,7 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
     `ConfigError`: only what was delivered is to stay, and the current delivery is not whole. `LockedError`: a run is
     under way. `StoreError`: links of the run directory lead elsewhere, or something else stands in their place.
     """
-    with locked(location, tell) as (own, _):
+    with lock_run(location, tell) as (own, _):
         store = open_store(own)
         store.generations.check_links()
         current = store.generations.current()

@@ -225,9 +225,9 @@ def record_run(location: RunLocation, request: Request, only: str | None = None)
         yield entry
     except BaseException as fault:
         if isinstance(fault, (Unreachable, KeyboardInterrupt)):
-            from fwclass.store.run_location import hurried
+            from fwclass.store.run_location import without_retries
 
-            entry.location = hurried(location)
+            entry.location = without_retries(location)
         entry.end(*_ending(fault))
         raise
     entry.end(DONE, WORDS[DONE])

@@ -19,7 +19,7 @@ from fwclass.errors import InputError, StoreError, full_or
 from fwclass.formats.epsg import without_old_codes
 from fwclass.grid import Window
 from fwclass.isolation import away_from
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.palette import RGB, colours
 from fwclass.publish.params import PublishParams
 
@@ -98,7 +98,7 @@ def cog(
         colormap = colours({"name": name, "code": code} for code, name in known.items())
     raw_profile = _raw_profile(dtype, window, crs, nodata, unit)
     cog_profile = _cog_profile(dtype, params, codes, smooth)
-    with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache << 20):
+    with written_whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache << 20):
         raw = beside.with_name(f"{beside.name}.raw")
         try:
             with rasterio.open(raw, "w", **raw_profile) as file:
@@ -221,7 +221,7 @@ def _predictor(dtype: np.dtype) -> str:
     return "FLOATING_POINT" if dtype.kind == "f" else "STANDARD"
 
 
-def rounded(raster: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
+def round_to_bits(raster: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
     """`raster` in whole steps of 2^-bits, whose last bits are 0 and compress; NaN stays."""
     return np.ldexp(np.rint(np.ldexp(raster, bits)), -bits).astype(np.float32)
 
@@ -241,5 +241,5 @@ def _write_names(path: Path, names: Mapping[int, str]) -> None:
         '<PAMDataset>\n  <PAMRasterBand band="1">\n    <CategoryNames>\n'
         f"{rows}\n    </CategoryNames>\n  </PAMRasterBand>\n</PAMDataset>\n"
     )
-    with whole(path.with_name(path.name + ".aux.xml")) as beside:
+    with written_whole(path.with_name(path.name + ".aux.xml")) as beside:
         beside.write_text(text, encoding="utf-8")

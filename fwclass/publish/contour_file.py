@@ -12,7 +12,7 @@ import pyproj
 from numpy.typing import NDArray
 
 from fwclass.formats.gdal import write_shapes
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.laz import wkt
 
 LAYER = "contours"
@@ -43,7 +43,7 @@ class Contours:
 def write_contours(path: Path, batches: Iterable[Contours], crs: pyproj.CRS | None) -> None:
     """Write a GeoPackage with one layer of lines, batch by batch; at least one, which may be empty."""
     system = wkt(crs) if crs is not None else None
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         beside.unlink(missing_ok=True)
         for some in batches:
             fields = {"elevation": some.elevation, "index_contour": some.index, "depression": some.depression}

@@ -15,7 +15,7 @@ from fwclass.cost import counted
 from fwclass.formats.copc import Cube, write_copc
 from fwclass.formats.extra_bytes import extra_bytes, pack_columns, published_columns
 from fwclass.formats.laz_writer import record
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.laz import (
     NEEDED,
     PER_METRE,
@@ -83,7 +83,7 @@ def write_tile_copc(
     rows = np.concatenate([rows, pack_columns(extras, table)], axis=1) if extras else rows
     records = [*header_records(extras, crs), class_lookup(names)]
     block = header_block(extras, points, offset, standard_time)
-    with whole(path) as beside, beside.open("w+b") as file:
+    with written_whole(path) as beside, beside.open("w+b") as file:
         cube = _cube(tree, offset, points["gps_time"])
         size = write_copc(file, block, records, rows, tree.order, tree.keys, tree.counts, cube)
     return {

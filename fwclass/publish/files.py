@@ -22,8 +22,8 @@ _standing: dict[Path, tuple[int, ...] | None] = {}
 def check_free(path: Path, overwrite: bool) -> None:
     """`ConfigError` where `path` is no file, or one that must not be replaced.
 
-    From here on `whole` replaces nothing there but what stands there now: two commands with one output are not both
-    done in silence.
+    From here on `written_whole` replaces nothing there but what stands there now: two commands with one output are not
+    both done in silence.
     """
     if path.is_dir() or (path.exists() and not path.is_file()):
         raise ConfigError("the output is not a file", where=path, do="choose another name")
@@ -98,7 +98,7 @@ def sweep(path: Path) -> None:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def written_whole(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to; it becomes `path` when the block ends well, else it is removed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     sweep(path)
@@ -114,7 +114,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 def write_page(path: Path, text: str) -> int:
     """Write a page of text, the same bytes on any system; its size [bytes]."""
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
         return beside.stat().st_size
 

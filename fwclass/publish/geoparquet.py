@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fwclass.cost import counted
 from fwclass.formats.arrow import arrow_array, file_to_write, repeats
 from fwclass.lazy_module import LazyModule
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.schema import PLACE, Column, Table, column, require
@@ -93,7 +93,7 @@ def write_geoparquet_parts(
     fields += [pa.field("geometry", pa.binary(), nullable=False), pa.field("bbox", _box_type(), nullable=False)]
     more = {b"fwclass": json.dumps(about, sort_keys=True).encode()} if about else {}
     schema, rows = pa.schema(fields, metadata={b"geo": _geo(bounds, crs), **more}), 0
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         footers: list[pq.FileMetaData] = []
         with (
             file_to_write(beside, size) as file,
@@ -134,7 +134,7 @@ def write_shape_parquet(
     about = [pa.field(n, a.type, metadata={"unit": units[n]} if n in units else None) for n, a in arrays.items()]
     ends = (tuple(low.min(axis=0).tolist()), tuple(high.max(axis=0).tolist())) if len(boxes) else None
     schema = pa.schema(about, metadata={b"geo": _geo(ends, crs, kind)})
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         pq.write_table(
             pa.Table.from_arrays(list(arrays.values()), schema=schema),
             beside,

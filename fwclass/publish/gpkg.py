@@ -11,7 +11,7 @@ import pyproj
 from numpy.typing import NDArray
 
 from fwclass.formats.gdal import write_shapes
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.laz import wkt
 
 
@@ -34,7 +34,7 @@ def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> d
 
     Returns a dict with ``path, layers, bytes``.
     """
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         beside.unlink(missing_ok=True)
         for layer in layers:
             system = wkt(crs) if crs is not None else None

@@ -17,7 +17,7 @@ from fwclass.formats.extra_bytes import ExtraByte, descriptor, extra_bytes, extr
 from fwclass.formats.las_bytes import EXTRA_BYTES, HEADER_SIZE, POINT_SIZE, WKT
 from fwclass.formats.laz_writer import assemble, point_writer, record
 from fwclass.grid import millimetres
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Table, require
 from fwclass.units import QUANTUM
@@ -82,7 +82,7 @@ def write_tile_laz(
     head = assemble(header_block(extras, points, offset, standard_time), header_records(extras, crs))
     rows = points.view(np.uint8).reshape(len(points), POINT6.itemsize)
     rows = np.concatenate([rows, pack_columns(extras, table)], axis=1) if extras else rows
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         with beside.open("w+b") as file:
             writer = point_writer(path, file, head)
             for first in range(0, len(rows), params.chunk_points):

@@ -18,7 +18,7 @@ from fwclass.formats.las_bytes import (
     read_extended,
 )
 from fwclass.formats.las_header import EVLR_HEADER, PACKET_ENDINGS, Record, packet_endings
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 
 WAVE_FORMATS = (4, 5, 9, 10)
 
@@ -90,7 +90,7 @@ def publish_packets(head: LasHead, packets: Packets, output: Path) -> tuple[str,
     """Put the packets beside `output`; what was done, and the path if something is there."""
     target = output.with_suffix(packets.sidecar.suffix.lower() if packets.sidecar is not None else PACKET_ENDINGS[0])
     if packets.internal:
-        with head.path.open("rb") as source, whole(target) as beside, beside.open("wb") as file:
+        with head.path.open("rb") as source, written_whole(target) as beside, beside.open("wb") as file:
             copy_bytes(source, file, packets.start, packets.length)
             file.flush()
             _compare(head.path, packets.start, packets.length, beside)
@@ -99,7 +99,9 @@ def publish_packets(head: LasHead, packets: Packets, output: Path) -> tuple[str,
         return ("missing" if head.point_format in WAVE_FORMATS else "none"), None
     if target.exists() and target.samefile(packets.sidecar):
         return "copied", target  # the output lies beside its source, under its name
-    with whole(target) as beside:  # never a link: a delivery that is edited must not change the client's raw data
+    with written_whole(
+        target
+    ) as beside:  # never a link: a delivery that is edited must not change the client's raw data
         shutil.copyfile(packets.sidecar, beside)
         _compare(packets.sidecar, 0, packets.sidecar.stat().st_size, beside)
     return "copied", target

@@ -11,7 +11,7 @@ from xml.etree import ElementTree as Xml
 
 import pyproj
 
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.qgis_style import VERSION, document, plain_text
 
 PROVIDERS = {"raster": "gdal", "vector": "ogr", "pointcloud": "vpc", "copc": "copc"}
@@ -66,7 +66,7 @@ def write_project(
     if crs is not None:  # without it QGIS does not look at the project's CRS
         enabled = Xml.SubElement(Xml.SubElement(settings, "SpatialRefSys"), "ProjectionsEnabled", {"type": "int"})
         enabled.text = "1"
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), document(root), zipfile.ZIP_DEFLATED)
         size = beside.stat().st_size

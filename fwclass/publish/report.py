@@ -112,7 +112,9 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    env.filters.update(number=number, parted=parted, percent=percent, quantity=quantity, seconds=seconds, width=width)
+    env.filters.update(
+        number=number, parted=split_remark, percent=percent, quantity=quantity, seconds=seconds, width=width
+    )
     env.filters.update(sentence=sentence)
     return env
 
@@ -332,7 +334,7 @@ def _link(path: str) -> str:
     return "./" + quote(path.replace("\\", "/")) if inside else ""
 
 
-def parted(text: str) -> tuple[str, str]:
+def split_remark(text: str) -> tuple[str, str]:
     """What a remark means, and what whoever makes the next run can do, "" for nothing.
 
     A clause that names an option, a command or a setting is of the second kind, with all that follows, and so is such a

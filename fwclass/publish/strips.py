@@ -32,7 +32,7 @@ from fwclass.formats.las_bytes import (
 )
 from fwclass.formats.las_header import Record
 from fwclass.formats.laz_writer import assemble, point_writer
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.publish.heights import Heights, store_heights, with_heights
 from fwclass.publish.packets import Packets, find_packets, is_copied, publish_packets
 from fwclass.publish.params import PublishParams
@@ -86,7 +86,7 @@ def write_strip_laz(
     heights = None if z is None else store_heights(head, z)
     head = head if heights is None else with_heights(head, heights)
     chunk = chunk_rows(params.chunk_points, head.point_size + extra_size(extras))
-    with whole(output) as beside:
+    with written_whole(output) as beside:
         with beside.open("w+b") as file:
             changed = _copy(head, file, output, classes, extras, extra or {}, packets, chunk, heights)
         verify(head, beside, classes, extras, extra or {}, packets, chunk, heights)

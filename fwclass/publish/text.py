@@ -10,7 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import csv
 
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 
 
 def write_text(
@@ -27,7 +27,7 @@ def write_text(
     comma = path.suffix.lower() == ".csv"
     delimiter = "," if comma else "\t" if path.suffix.lower() == ".tsv" else " "
     options = csv.WriteOptions(delimiter=delimiter, quoting_style="none", quoting_header="none")
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         csv.write_csv(table, beside, options)
         size = beside.stat().st_size
     return {"path": str(path), "points": len(x), "bytes": size}

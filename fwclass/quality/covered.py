@@ -38,7 +38,7 @@ class CoveredArea:
             squares.add(stripe, occupied)
 
     def plain(self) -> list[dict[str, Any]]:
-        """For a receipt; `joined` makes it again."""
+        """For a receipt; `join_areas` makes it again."""
         return [squares.plain() for squares in self._squares]
 
     @classmethod

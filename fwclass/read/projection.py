@@ -56,7 +56,7 @@ def metres_of(source: Source) -> tuple[float, float, float]:
     return flat, flat, height_unit(source.crs)
 
 
-def brought(source: Source, xyz: tuple[Floats, ...]) -> tuple[Floats, ...]:
+def project_places(source: Source, xyz: tuple[Floats, ...]) -> tuple[Floats, ...]:
     """Coordinates x, y, z (n,) of `source` in the system that it is read in."""
     if source.target is None:
         return xyz
@@ -70,7 +70,7 @@ def box_brought(source: Source, bounds: tuple[float, ...]) -> tuple[float, ...]:
     if source.target is None:
         return bounds
     sides = [np.linspace(bounds[k], bounds[k + 3], EDGE_POINTS) for k in range(3)]
-    there = brought(source, tuple(axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")))
+    there = project_places(source, tuple(axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")))
     return (*(float(axis.min()) for axis in there), *(float(axis.max()) for axis in there))
 
 

@@ -28,7 +28,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
-from fwclass.formats.crs import told_codes
+from fwclass.formats.crs import code_faults
 from fwclass.formats.epsg import without_false_codes
 from fwclass.formats.grid_files import names_file, without_paths
 from fwclass.read.beam_source import SPACINGS, SPEEDS, BeamRows, Ragged
@@ -107,7 +107,7 @@ class Settings:
             if paths:
                 raise CRSError(f"it names the file {paths[0]}")
             crs, false = without_false_codes(crs)
-            faults += told_codes(false)
+            faults += code_faults(false)
         except CRSError:
             raise InputError(
                 "this is not a coordinate system",

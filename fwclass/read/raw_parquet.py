@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer, undamaged
+from fwclass.formats.parquet_numbers import check_numbers, check_undamaged, numbers_of, read_footer
 from fwclass.lazy_module import LazyModule
 from fwclass.read.beam_source import LONGEST, BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
@@ -92,7 +92,7 @@ class ParquetLayout(Layout):
         if not groups:
             return
         first = self.groups[groups[0]]
-        with undamaged(self.path, EXPECTED), pq.ParquetFile(self.path) as file:
+        with check_undamaged(self.path, EXPECTED), pq.ParquetFile(self.path) as file:
             batches = file.iter_batches(BLOCK, row_groups=list(groups), columns=self.columns, use_threads=False)
             for batch in batches:
                 numbers = {n: numbers_of(batch.column(n)) for n in self.columns if n not in LISTS}
@@ -103,7 +103,7 @@ class ParquetLayout(Layout):
 
 def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
     """Look at schema and counts; `InputError` for what is no table of waveforms, or counts more than it can hold."""
-    with undamaged(path, EXPECTED):
+    with check_undamaged(path, EXPECTED):
         footer = read_footer(path)
     settings, names = Settings.of(footer.metadata, path), list(footer.schema.names)
     check_columns(names, settings, path)
@@ -115,7 +115,7 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
 
 def _direction(path: Path, columns: tuple[str, ...], settings: Settings) -> str:
     names = [n for n in ("dx", "dy", "dz", "spacing_ns") if n in columns]
-    with undamaged(path, EXPECTED), pq.ParquetFile(path) as file:
+    with check_undamaged(path, EXPECTED), pq.ParquetFile(path) as file:
         batch = next(file.iter_batches(BLOCK, columns=names, use_threads=False), None)
         if batch is None:
             return kind_of_direction(np.empty((0, 3)), np.empty(0), path)

@@ -16,7 +16,7 @@ from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.projection import brought, is_brought, project_waveforms
+from fwclass.read.projection import is_brought, project_places, project_waveforms
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
@@ -104,7 +104,7 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None, projec
     with PointReader(source) as reader:
         points = reader.read(min(first, last), last)
     placed = replace(source, target=project_to if is_brought(source.crs) else None)
-    x, y, z = brought(placed, coordinates(source, points))
+    x, y, z = project_places(placed, coordinates(source, points))
     return Table(
         {
             "x": x,

@@ -22,7 +22,7 @@ from fwclass.errors import InputError
 from fwclass.formats.last_line import check_last_line
 from fwclass.paths import open_regular
 from fwclass.read.text_kernels import tidy
-from fwclass.read.text_layout import NULLS, SHOWN, Layout, decoded, is_number, layout_of, refusal, shown, words_of
+from fwclass.read.text_layout import NULLS, SHOWN, Layout, decoded, is_number, layout_of, line_start, refusal, words_of
 
 SUFFIXES = (".txt", ".xyz", ".csv", ".asc", ".tsv")
 """Names of text files end so."""
@@ -177,7 +177,7 @@ def _explain(path: Path, body: bytes, layout: Layout, reason: str) -> InputError
                 path,
                 "a line has another number of columns",
                 f"{count}, as in line {layout.first}",
-                f"{len(words)}: {shown(content)}",
+                f"{len(words)}: {line_start(content)}",
                 "mend or remove the line",
                 number,
             )
@@ -187,7 +187,7 @@ def _explain(path: Path, body: bytes, layout: Layout, reason: str) -> InputError
                     path,
                     "this is no number",
                     f"a number as {column}",
-                    shown(word.encode()),
+                    line_start(word.encode()),
                     "mend or remove the line",
                     number,
                 )

@@ -67,7 +67,7 @@ def layout_of(path: Path, data: bytes, ignored: Collection[str] = ()) -> Layout:
                 path,
                 "this line is neither numbers nor a header",
                 _lacking(words, decimal, names),
-                shown(content),
+                line_start(content),
                 "mend or remove the line",
                 number,
             )
@@ -182,6 +182,6 @@ def refusal(path: Path, what: str, expected: object, got: object, do: str, line:
     return InputError(what, where=where, expected=expected, got=got, do=do)
 
 
-def shown(line: bytes) -> str:
+def line_start(line: bytes) -> str:
     """The start of a line, for a message."""
     return repr(decoded(line)[:SHOWN])

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from fwclass.decompose.params import PlausibilityParams
 from fwclass.errors import first_few, refuse_named, refuse_unsound, several, visible
-from fwclass.formats.area_of_use import away_from_area, elsewhere, outside_of_area, overruled, place_faults
+from fwclass.formats.area_of_use import away_from_area, elsewhere, outside_of_area, overruled_words, place_faults
 from fwclass.formats.crs import crs_of_wkt
 from fwclass.graph.sources import strip_of
 from fwclass.read.return_counts import join_counts
@@ -75,7 +75,7 @@ def file_places(
 ) -> dict[str, Any]:
     """``remarks`` on where files lie, and what of it is not sound: files that lie ``elsewhere`` than their system is
     used, or have more than `params.max_implausible` of their echoes there, that survey.crs puts further away than the
-    system that they name (``overruled``), that are ``alone`` far from many others; each what `judge_file_places`
+    system that they name (``overruled_words``), that are ``alone`` far from many others; each what `judge_file_places`
     refuses, or "". What is said of a survey whose whole extent lies elsewhere (`place_facts`) is not said of its files
     again.
 
@@ -91,7 +91,7 @@ def file_places(
     near = [k for k in files if k not in away]
     named = {s.number: survey.overruled.get(s.path.name) for s in survey.strips}
     own = {k: crs_of_wkt(named[k]) for k in near}
-    odd = {k: overruled(system, own[k], *bounds[k]) for k in near}
+    odd = {k: overruled_words(system, own[k], *bounds[k]) for k in near}
     every = (f([b[k] for b in bounds.values()], axis=0).tolist() for k, f in enumerate((np.min, np.max)))
     all_away = bool(away) and elsewhere(system, *every)
     apart, alone = _apart({files[k]: bounds[k] for k in near}, params)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.assess.blocks import BlockCounts
-from fwclass.assess.confusion import confusion, figures, unclassified
+from fwclass.assess.confusion import confusion, count_unclassified, figures
 from fwclass.assess.objects import ObjectCells, cells_across, count_objects, object_classes, object_figures
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.grid import quantise
@@ -25,7 +25,7 @@ from fwclass.single_file import likeness
 from fwclass.single_file.likeness import SAID_FROM, Likeness
 from fwclass.single_file.pairing import pairs
 from fwclass.store.atomic import file_digest
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 
 GROUND = (ClassDef("ground", 2, (2,)), ClassDef("other", 1, (1, *range(3, 256))))
 """Ground against everything else, as ground filters are judged (He 2023)."""
@@ -96,13 +96,13 @@ def assess_files(
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
     pairs_of_files = _pairs_of_files(reference, prediction)
-    with unchanged(*(path for pair in pairs_of_files for path in pair)):
+    with check_unchanged(*(path for pair in pairs_of_files for path in pair)):
         some = [_codes_of_pair(*pair) for pair in pairs_of_files]
     wanted, answered, x, y = (np.concatenate([pair[k] for pair in some]) for k in range(4))
     alike, given = [pair[4] for pair in some], answered
     classes, answered = _classes(wanted, answered, codes, ground)
     names = [c.name for c in classes]
-    plain = figures(confusion(wanted, answered, classes), names, unclassified(wanted, answered, classes))
+    plain = figures(confusion(wanted, answered, classes), names, count_unclassified(wanted, answered, classes))
     left_out = _left_out(wanted, classes)
     return {
         **plain,

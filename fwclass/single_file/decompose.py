@@ -43,7 +43,7 @@ from fwclass.schema import Table
 from fwclass.single_file.strip import strip_of
 from fwclass.single_file.tiles import FileConfig, FileTiles, with_noise_flags
 from fwclass.stage import Chunk
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 from fwclass.survey.systems import given_crs
 from fwclass.waveforms import IMPLAUSIBLE
 
@@ -87,7 +87,7 @@ def decompose_file(
     """
     refuse_existing(output, overwrite)
     params = _params(settings)
-    with unchanged(source, trajectory):
+    with check_unchanged(source, trajectory):
         opened = open_source(source)
         if is_brought(opened.crs):
             crs = crs or params["read"].project_to

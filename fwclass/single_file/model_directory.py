@@ -40,13 +40,13 @@ def check_target(target: Path, overwrite: bool) -> None:
 
 
 def write_model(model: Model, target: Path, overwrite: bool, rows: ModelRows | None = None) -> None:
-    """Write a model that lies nowhere yet to `target`, as `deliver` does."""
+    """Write a model that lies nowhere yet to `target`, as `copy_model` does."""
     with temporary_directory("model") as place:
         save_model(place / "model", model)
-        deliver(place / "model", target, overwrite, None, rows)
+        copy_model(place / "model", target, overwrite, None, rows)
 
 
-def deliver(
+def copy_model(
     source: Path,
     target: Path,
     overwrite: bool,

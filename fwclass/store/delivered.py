@@ -75,7 +75,7 @@ TILES: Shape = {
 """Of ``laz/survey.vpc``, which names files: none of them lies elsewhere."""
 
 
-def held(value: Any, shape: Shape, path: Path) -> Any:
+def check_shape(value: Any, shape: Shape, path: Path) -> Any:
     """`value` as it is; `InputError` where no run has written it."""
     wrong = misfit(value, shape)
     if wrong is None:

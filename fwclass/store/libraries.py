@@ -44,7 +44,7 @@ _KNOWN: dict[str, Mapping[str, str]] = {}
 
 
 @cache
-def installed() -> Mapping[str, str]:
+def installed_versions() -> Mapping[str, str]:
     """Versions of Python and of all libraries by name, of this environment; "none" for one that is not there."""
     versions = {"python": platform.python_version()}
     folders = {}
@@ -94,8 +94,8 @@ def source_digest() -> str:
 
 @cache
 def fingerprint() -> Mapping[str, str]:
-    """`installed`, and what tells this program's own code (`OWN`): what a part is made with here."""
-    return {"fwclass": fwclass.__version__, "source": source_digest(), **installed()}
+    """`installed_versions`, and what tells this program's own code (`OWN`): what a part is made with here."""
+    return {"fwclass": fwclass.__version__, "source": source_digest(), **installed_versions()}
 
 
 def fingerprint_under(digest: str, read: Callable[[], Any]) -> Mapping[str, str] | None:
@@ -121,4 +121,4 @@ def stale_by(then: Mapping[str, str] | None) -> list[str]:
         return []
     if not then:
         return ["what it was made with is not recorded any more: a file of store/libraries is gone or damaged"]
-    return changes({n: v for n, v in then.items() if n not in OWN}, installed())
+    return changes({n: v for n, v in then.items() if n not in OWN}, installed_versions())

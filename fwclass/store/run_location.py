@@ -32,7 +32,7 @@ def address_of(location: RunLocation) -> Path | Url:
     return location.url if isinstance(location, Remote) else location
 
 
-def hurried(location: RunLocation) -> RunLocation:
+def without_retries(location: RunLocation) -> RunLocation:
     """The same place for what shall not wait: a request that fails is not tried for long."""
     if not isinstance(location, Remote):
         return location
@@ -50,7 +50,7 @@ def held_by(location: RunLocation, lock: Lock = WRITER) -> Mapping[str, Any] | N
 
 
 @contextmanager
-def locked(
+def lock_run(
     location: RunLocation, tell: Callable[[str], None], lock: Lock = WRITER
 ) -> Iterator[tuple[RunLocation, Callable[[], None]]]:
     """Hold the run: where parts are to be committed now, and what raises `StoreError` once the lock is lost."""
@@ -66,7 +66,7 @@ def locked(
 def confirm(location: RunLocation, lock: Lock) -> None:
     """`LostRace` where `lock` is another's by now: object storage is asked, because who has slept does not know yet.
 
-    `location`: the one that `locked` gave. A kernel's lock is never taken over.
+    `location`: the one that `lock_run` gave. A kernel's lock is never taken over.
     """
     if isinstance(location, Remote):
         check_token(location.objects, location.token, lock)
@@ -81,7 +81,7 @@ def read_note(location: RunLocation, name: str) -> Any:
 def write_note(location: RunLocation, name: str, value: Any, lock: Lock) -> None:
     """Replace plain data at the run's root, for who holds `lock`; `OSError` or `StoreError` where it fails.
 
-    On object storage, where a lock may be lost unnoticed, `LostRace` when it is (`location` is what `locked` gave).
+    On object storage, where a lock may be lost unnoticed, `LostRace` when it is (`location` is what `lock_run` gave).
     """
     confirm(location, lock)
     files_at(location).put(name, to_json(value))

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fwclass.cost import since, spent
+from fwclass.cost import cost_so_far, since
 from fwclass.errors import StoreError
 from fwclass.memory import peak_mib
 from fwclass.store.arrays import PARQUET, ZARR
@@ -205,7 +205,7 @@ class Store:
                 where=self.where,
                 do="fwclass simulate CONF --out DIR, copy DIR to object storage, and set survey.directory to it",
             )
-        began, before = time.perf_counter(), spent()
+        began, before = time.perf_counter(), cost_so_far()
         old = self._lookup.receipt((stage, part))
         with self._files.making(stage, part) as (directory, check):
             meta = checked_meta(stage, work(directory))

@@ -23,18 +23,18 @@ Work = Callable[..., dict[str, Any]]
 
 
 def of_unchanged(work: Callable[[J, Callable[[str], None]], dict[str, Any]]) -> Work:
-    """`work` on ``job.source``, which it reads several times, while that is `unchanged`."""
+    """`work` on ``job.source``, which it reads several times, while that stays as it is (`check_unchanged`)."""
 
     @wraps(work)
     def watched(job: J, *tell: Callable[[str], None]) -> dict[str, Any]:
-        with unchanged(job.source):
+        with check_unchanged(job.source):
             return work(job, *tell)
 
     return watched
 
 
 @contextmanager
-def unchanged(*paths: Path | None) -> Iterator[None]:
+def check_unchanged(*paths: Path | None) -> Iterator[None]:
     """`InputError` at the end where one of `paths`, or a file that is read with it (its waveforms, the parts of a
     Shapefile, the files of a directory), is another one by then, as its size and times tell: points of one would have
     been paired with answers for the other. None is nothing to watch."""

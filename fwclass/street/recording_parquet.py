@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_numbers import check_numbers, numbers_of, read_footer, undamaged
+from fwclass.formats.parquet_numbers import check_numbers, check_undamaged, numbers_of, read_footer
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import (
     COLUMNS,
@@ -41,7 +41,7 @@ class ParquetRecording:
 
     def __init__(self, path: Path, scan: Scan) -> None:
         self.path = path
-        with undamaged(path, EXPECTED):
+        with check_undamaged(path, EXPECTED):
             footer = read_footer(path)
         self._names = list(footer.schema.names)
         check_columns(self._names, path)
@@ -61,7 +61,10 @@ class ParquetRecording:
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
         at = 0
-        with undamaged(self.path, EXPECTED), pq.ParquetFile(self.path, pre_buffer=False) as file:  # a buffer keeps all
+        with (
+            check_undamaged(self.path, EXPECTED),
+            pq.ParquetFile(self.path, pre_buffer=False) as file,
+        ):  # a buffer keeps all
             for batch in file.iter_batches(BLOCK, columns=self._names, use_threads=False):
                 numbers = {n: numbers_of(batch.column(n)) for n in self._names if n in NUMBERS}
                 for row in range(batch.num_rows):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fwclass.assess.blocks import BlockCounts
-from fwclass.assess.confusion import confusion, unclassified
+from fwclass.assess.confusion import confusion, count_unclassified
 from fwclass.model import ClassDef
 
 CLASSES = (ClassDef("ground", 2, (2,)), ClassDef("vegetation", 5, (3, 4, 5)), ClassDef("building", 6, (6,)))
@@ -21,7 +21,7 @@ def test_blocks_add_up_to_the_whole():
     x, y, truth, answer = echoes()
     made = BlockCounts.of(x, y, truth, answer, CLASSES, 25.0)
     assert (made.counts[:, :, :3].sum(axis=0) == confusion(truth, answer, CLASSES)).all()
-    assert (made.counts[:, :, 3].sum(axis=0) == unclassified(truth, answer, CLASSES)).all()
+    assert (made.counts[:, :, 3].sum(axis=0) == count_unclassified(truth, answer, CLASSES)).all()
 
 
 def test_a_block_holds_its_own_echoes():

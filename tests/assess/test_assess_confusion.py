@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fwclass import conf
-from fwclass.assess.confusion import confusion, describe, figures, unclassified
+from fwclass.assess.confusion import confusion, count_unclassified, describe, figures
 from fwclass.assess.params import AssessParams
 from fwclass.assess.stage import judge
 from fwclass.errors import QualityError
@@ -106,7 +106,7 @@ def test_rows_without_reference_are_left_out():
 
 def test_rows_without_a_class_count_as_wrong():
     reference, predicted = np.full(10, 2, np.uint8), np.array([2] * 6 + [5] * 2 + [0] * 2, np.uint8)
-    matrix, lost = (f(reference, predicted, CLASSES) for f in (confusion, unclassified))
+    matrix, lost = (f(reference, predicted, CLASSES) for f in (confusion, count_unclassified))
     assert lost.tolist() == [2, 0, 0]
     made = figures(matrix, NAMES, lost)
     assert made["overall_accuracy"] == made["producers_accuracy"][0] == made["iou"][0] == 0.6

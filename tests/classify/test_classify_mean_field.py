@@ -5,10 +5,10 @@ import pytest
 
 from fwclass import conf
 from fwclass.classify.mean_field import (
+    after_mean_field,
     agreed_shares,
     answers,
     model_share_columns,
-    regularized,
     shares_of,
     whole_columns,
 )
@@ -124,8 +124,8 @@ def test_one_among_others_takes_their_class_and_is_as_sure():
         dict(zip("xyz", (place / 1000.0).T, strict=True)) | dict(zip(model_share_columns(CODES), shares.T, strict=True))
     )
     own = shares_of(table, CODES)
-    answered = answers(regularized(table, np.arange(9), own, params(strength=0.5)), CODES, True)
+    answered = answers(after_mean_field(table, np.arange(9), own, params(strength=0.5)), CODES, True)
     assert (answered["classification"] == 2).all()
     np.testing.assert_array_equal(answered["confidence"], answered["probability_2"])
-    weak = answers(regularized(table, np.arange(9), own, params(strength=0.001)), CODES, False)
+    weak = answers(after_mean_field(table, np.arange(9), own, params(strength=0.001)), CODES, False)
     assert weak["classification"][4] == 5

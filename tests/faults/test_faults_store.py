@@ -27,7 +27,7 @@ from fwclass.run.runner import Runner
 from fwclass.store import remote_file
 from fwclass.store.atomic import staged
 from fwclass.store.lock import writer
-from fwclass.store.run_location import locked
+from fwclass.store.run_location import lock_run
 from fwclass.store.run_store import Store
 from fwclass.survey.file_digests import Digests
 from fwclass.workflows import WORKFLOWS
@@ -206,7 +206,7 @@ def test_a_second_run_finds_its_store_removed_at_the_next_part(tmp_path):
     """Removed and made again by others: the first may neither go on nor deliver."""
     with (
         pytest.raises(StoreError, match="another store in its place"),
-        locked(tmp_path, lambda text: None) as (_, held),
+        lock_run(tmp_path, lambda text: None) as (_, held),
     ):
         held()
         shutil.rmtree(tmp_path / "store")
@@ -222,7 +222,7 @@ def test_a_store_that_is_removed_at_the_very_end_is_not_delivered(survey, copy, 
     with (
         pytest.raises(StoreError, match=r"removed while|is gone"),
         Display() as display,
-        locked(copy, display.say) as (own, held),
+        lock_run(copy, display.say) as (own, held),
     ):
         runner = Runner(own, Loop(), display, held=held)
         WORKFLOWS["classification"](config, runner, None)

@@ -7,7 +7,7 @@ import pytest
 
 from fwclass.errors import InputError
 from fwclass.ground.blocks import blocks_of
-from fwclass.ground.methods.cloth import fallen, without_holes
+from fwclass.ground.methods.cloth import drop_cloth, without_holes
 from fwclass.ground.methods.csf import csf
 from fwclass.ground.methods.params import CsfParams
 
@@ -85,7 +85,7 @@ def test_a_lower_rigidness_hangs_deeper():
     """A roof too wide for the cloth to stay flat: over its middle each softer cloth lies nearer to it."""
     heights = np.full((128, 128), -300_000.0)
     heights[24:104, 24:104] -= 20_000.0
-    stiff = [fallen(heights, 60, r, 500, 0.65, slope_smooth=False)[64, 64] for r in (3, 2, 1)]
+    stiff = [drop_cloth(heights, 60, r, 500, 0.65, slope_smooth=False)[64, 64] for r in (3, 2, 1)]
     assert -300_000.0 > stiff[0] > stiff[1] + 50.0 > stiff[2] + 100.0
 
 

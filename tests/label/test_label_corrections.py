@@ -13,7 +13,7 @@ import pytest
 from fwclass.errors import ConfigError, InputError, StoreError
 from fwclass.formats.echo_labels import EchoLabels, echo_labels_bytes, read_echo_labels
 from fwclass.grid import Box
-from fwclass.label.corrections import apart, last_of_each, match_labels, outside, reference_codes
+from fwclass.label.corrections import far_from_labels, last_of_each, match_labels, outside, reference_codes
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 from fwclass.store.bucket import Remote
@@ -64,9 +64,9 @@ def test_what_lies_near_a_label_is_not_tested():
     among[:2] = True
     far = np.maximum(np.abs(x[:, None] - labels["x"]), np.abs(y[:, None] - labels["y"]))
     expected = among & (np.rint(1000 * far) > 3000).all(axis=1)
-    np.testing.assert_array_equal(apart(x, y, labels, 3.0, among), expected)
+    np.testing.assert_array_equal(far_from_labels(x, y, labels, 3.0, among), expected)
     assert not expected[0] and expected[1]
-    np.testing.assert_array_equal(apart(x, y, labels, 0.0, among), among)
+    np.testing.assert_array_equal(far_from_labels(x, y, labels, 0.0, among), among)
     assert outside(labels, [Box(0, 0, 20, 20)]).tolist() == [False, True, True, True]
 
 

@@ -13,14 +13,14 @@ from modelmaker import models
 
 from fwclass.errors import ConfigError
 from fwclass.operate.draft import survey
-from fwclass.publish.files import check_free, whole
+from fwclass.publish.files import check_free, written_whole
 from fwclass.single_file import model_directory
 
 
 def test_what_another_command_writes_meanwhile_is_not_replaced(tmp_path: Path) -> None:
     target = tmp_path / "out.laz"
     check_free(target, False)
-    with pytest.raises(ConfigError, match="another command has written the output"), whole(target) as beside:
+    with pytest.raises(ConfigError, match="another command has written the output"), written_whole(target) as beside:
         beside.write_text("mine")
         target.write_text("theirs")
     assert target.read_text() == "theirs" and [p.name for p in tmp_path.iterdir()] == ["out.laz"]
@@ -33,10 +33,10 @@ def test_with_overwrite_only_what_stood_there_is_replaced(tmp_path: Path) -> Non
         check_free(target, False)
     check_free(target, True)
     for text in ("first", "second"):
-        with whole(target) as beside:
+        with written_whole(target) as beside:
             beside.write_text(text)
         assert target.read_text() == text
-    with pytest.raises(ConfigError, match="another command"), whole(target) as beside:
+    with pytest.raises(ConfigError, match="another command"), written_whole(target) as beside:
         beside.write_text("third")
         target.unlink()
         target.write_text("theirs")
@@ -79,6 +79,6 @@ def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr("os.link", refuse)
     check_free(tmp_path / "out.laz", False)
-    with whole(tmp_path / "out.laz") as beside:
+    with written_whole(tmp_path / "out.laz") as beside:
         beside.write_text("mine")
     assert (tmp_path / "out.laz").read_text() == "mine"

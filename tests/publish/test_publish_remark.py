@@ -3,7 +3,7 @@
 import pytest
 
 from fwclass.assess.remarks import Extent, remarks
-from fwclass.publish.report import names_of, parted, render_report, sentence
+from fwclass.publish.report import names_of, render_report, sentence, split_remark
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ from fwclass.publish.report import names_of, parted, render_report, sentence
     ],
 )
 def test_a_remark_is_parted_from_what_to_set(text, said, advice):
-    assert parted(text) == (said, advice)
+    assert split_remark(text) == (said, advice)
 
 
 def test_remarks_stand_on_a_page_as_sentences():
@@ -98,7 +98,7 @@ def test_no_remark_on_an_accuracy_speaks_of_settings_first(base, tmp_path):
     told = [remarks({**figures, "blocks": 4}, extent, params)[0], *remarks(figures, extent, params)]
     assert len(told) == 6
     for text in told:
-        said = parted(text)[0]
+        said = split_remark(text)[0]
         assert "--set" not in said and "assess." not in said and "survey." not in said and len(said) > 40, said
     render_report({"remarks": told}, {}, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()

@@ -15,7 +15,7 @@ from fwclass.memory import peak_mib
 from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import SourceFacts, SurveyFacts
 from fwclass.operate.estimate.limits import Room
-from fwclass.operate.estimate.output import deliver
+from fwclass.operate.estimate.output import write_plan
 from fwclass.workflows import workflow_of
 
 begin = workflow_of("classification").begin
@@ -47,7 +47,7 @@ def main(directory: Path) -> None:
     config = conf.load("city-1200m", settings)
     facts = SurveyFacts(headers(), (), CRS.from_epsg(25832).to_wkt(), None)
     plan = make_forecast(begin(config), facts, 64, Room(64 * 16_000.0, 1e15))
-    paths = deliver(plan, directory)
+    paths = write_plan(plan, directory)
     told = {
         "cpu_seconds": time.process_time(),
         "seconds": time.perf_counter() - began,

@@ -18,7 +18,7 @@ from distributed.comm import CommClosedError
 
 from fwclass import compiling
 from fwclass.errors import FwclassError
-from fwclass.memory import resident
+from fwclass.memory import resident_bytes
 from fwclass.run.cluster import Cluster
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Task
@@ -120,7 +120,7 @@ kept = []
 
 def keeps(inputs, directory):
     """Leave the worker with 87 % of its memory, as a library's caches or memory in pieces do."""
-    kept.append(np.ones(max(0, int(0.87 * LIMIT_GIB * 2**30) - resident()), np.uint8))
+    kept.append(np.ones(max(0, int(0.87 * LIMIT_GIB * 2**30) - resident_bytes()), np.uint8))
     time.sleep(1.0)
     return {}
 

@@ -21,7 +21,7 @@ from fwclass.operate.estimate.text import describe
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
-from fwclass.store.run_location import locked
+from fwclass.store.run_location import lock_run
 from fwclass.walk import steps as of_walk
 from fwclass.workflows import WORKFLOWS, workflow_of
 
@@ -82,7 +82,7 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def walked(survey: Path, root: Path, *settings: str):
     config = conf.load(survey / "S.yaml", (*SETTINGS, *settings))
-    with Display() as display, locked(root, display.say) as (own, held):
+    with Display() as display, lock_run(root, display.say) as (own, held):
         runner = Runner(own, Loop(), display, held=held)
         report = WORKFLOWS["classification"](config, runner, None)
         made = runner.publish(config.run.keep_generations)
@@ -119,7 +119,7 @@ def test_places_that_share_a_tile_are_one(tmp_path, size, expected):
     write(tmp_path / "a.las", *clouds)
     (tmp_path / "S.yaml").write_text(SURVEY)
     config = conf.load(tmp_path / "S.yaml", (*SETTINGS, f"tile.size={size}"))
-    with Display() as display, locked(tmp_path / "run", display.say) as (own, held):
+    with Display() as display, lock_run(tmp_path / "run", display.say) as (own, held):
         runner = Runner(own, Loop(), display, held=held)
         layout = of_walk.until_tiles(of_walk.plan_with_features(config), runner).layout
     several = sites(layout)

@@ -23,7 +23,7 @@ from fwclass.ground.methods.noise import noise
 from fwclass.schema import Table
 from fwclass.single_file.features.file import FeaturesJob, features_file
 from fwclass.single_file.features.listing import describe
-from fwclass.single_file.features.names import sorted_settings, wanted
+from fwclass.single_file.features.names import requested_features, sorted_settings
 from fwclass.stage import Chunk
 
 NAMES = ("height_above_ground", "echo_number", "zc", "planarity_r100", "height_std_k20", "count_g200", "egi_c100")
@@ -251,7 +251,13 @@ def test_a_set_file_of_ones_own(tmp_path):
     path.write_text("features: [zc]\neach:\n  - {bases: [planarity, height_std], scales: [r60, k20]}\n")
     named, settings = sorted_settings([str(path), "features.cell_x=10"])
     assert settings == ("features.cell_x=10",)
-    assert wanted(named, None).names == ("zc", "planarity_r60", "height_std_r60", "planarity_k20", "height_std_k20")
+    assert requested_features(named, None).names == (
+        "zc",
+        "planarity_r60",
+        "height_std_r60",
+        "planarity_k20",
+        "height_std_k20",
+    )
 
 
 @pytest.mark.slow

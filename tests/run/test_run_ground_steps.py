@@ -56,7 +56,7 @@ def test_compiling_is_named_and_timed(monkeypatch, terminal):
         assert steps.line == "filter smrf"
     shown = file.getvalue()
     assert compiling.ONCE in shown if terminal else shown == f"filter smrf ({compiling.ONCE})\n"
-    assert compiling.spent() >= 0.5
+    assert compiling.compile_seconds() >= 0.5
 
 
 def test_a_file_tells_its_steps(tmp_path):

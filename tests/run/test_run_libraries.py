@@ -54,7 +54,7 @@ def here(monkeypatch, versions, source="0123456789abcdef") -> None:
     whole = {"fwclass": "0.1.0", "source": source, **versions}
     for module in (libraries, told, run_store):
         monkeypatch.setattr(module, "fingerprint", lambda: whole)
-    monkeypatch.setattr(libraries, "installed", lambda: versions)
+    monkeypatch.setattr(libraries, "installed_versions", lambda: versions)
 
 
 def made(root, **settings) -> list[str]:

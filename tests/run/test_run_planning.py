@@ -25,7 +25,7 @@ from fwclass.operate.estimate.forecast import make_forecast
 from fwclass.operate.estimate.headers import facts_of, sample_points, survey_facts
 from fwclass.operate.estimate.limits import Room, limits, refuse, room_at
 from fwclass.operate.estimate.measured import WHOLE, measure_costs
-from fwclass.operate.estimate.output import deliver
+from fwclass.operate.estimate.output import write_plan
 from fwclass.operate.estimate.spread import Spread
 from fwclass.read.source import las_of, open_source
 from fwclass.store.run_store import Store
@@ -66,7 +66,7 @@ def test_echoes_fewer_than_tiles_lie_in_as_many_as_chance_gives_them(number: int
     begun = workflow_of("ground").begin(conf.load(survey, classifies=False))
     plan = make_forecast(begun, survey_facts(begun.config, tmp_path), 1, room_at(tmp_path))
     assert min(choice.tiles for choice in plan.choices) > 0
-    assert all(path.exists() for path in deliver(plan, tmp_path / "plan"))
+    assert all(path.exists() for path in write_plan(plan, tmp_path / "plan"))
 
 
 def test_echoes_lie_in_the_tiles_where_uniform_points_would() -> None:
@@ -294,7 +294,7 @@ def test_what_cannot_fit_is_refused_with_the_numbers(walked, survey, room, setti
 
 def test_polygons_are_the_tiles_and_their_halos(walked, tmp_path: Path) -> None:
     plan, _, _ = walked
-    gpkg, png, numbers = deliver(plan, tmp_path)
+    gpkg, png, numbers = write_plan(plan, tmp_path)
     assert sorted(name for name, _ in pyogrio.list_layers(gpkg)) == ["blocks", "halos", "tiles"]
     tiles, halos = pyogrio.read_dataframe(gpkg, layer="tiles"), pyogrio.read_dataframe(gpkg, layer="halos")
     assert len(tiles) == len(halos) == plan.tiles.number and tiles.crs.to_epsg() == 25832

@@ -20,7 +20,7 @@ from fwclass.conf import section
 from fwclass.errors import InputError
 from fwclass.read.source import open_source
 from fwclass.read.stage import index_source, read_span
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 
 CHANGED = "changed while"
 
@@ -81,16 +81,16 @@ def test_samples_beside_a_file_that_change_are_told(
 def test_samples_that_come_while_a_file_is_read_are_told(tmp_path: Path) -> None:
     source = strip(tmp_path, ".wdp")
     (tmp_path / "a.wdp").rename(tmp_path / "later")
-    with pytest.raises(Exception, match=CHANGED), unchanged(source):
+    with pytest.raises(Exception, match=CHANGED), check_unchanged(source):
         (tmp_path / "later").rename(tmp_path / "a.wdp")
 
 
 def test_what_breaks_in_a_file_that_changed_is_told_as_its_change(tmp_path: Path) -> None:
     source = strip(tmp_path, ".wdp")
-    with pytest.raises(Exception, match=CHANGED), unchanged(source):
+    with pytest.raises(Exception, match=CHANGED), check_unchanged(source):
         source.write_bytes(b"")
         raise IndexError
-    with pytest.raises(IndexError), unchanged(source):
+    with pytest.raises(IndexError), check_unchanged(source):
         raise IndexError
 
 

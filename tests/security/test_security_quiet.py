@@ -18,7 +18,7 @@ from commandline import process
 from fwclass.errors import InputError
 from fwclass.formats import geoparquet
 from fwclass.publish import files
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.read.packet_references import References
 from fwclass.read.polygons import open_polygons, values_of
 
@@ -97,7 +97,7 @@ def test_what_a_killed_command_left_goes_with_the_next(tmp_path: Path) -> None:
     ]
     for name in (*dead, *kept):
         (tmp_path / name).touch()
-    with whole(tmp_path / "dtm.tif") as beside:
+    with written_whole(tmp_path / "dtm.tif") as beside:
         beside.write_text("x")
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["dtm.tif", *kept[1:]])
 
@@ -117,6 +117,6 @@ def test_a_command_that_was_killed_leaves_nothing_that_the_next_does_not_remove(
     for _ in range(2):
         subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a.tif")], timeout=60)
         assert len(list(tmp_path.iterdir())) == 2
-    with whole(tmp_path / "a.tif") as beside:
+    with written_whole(tmp_path / "a.tif") as beside:
         beside.write_text("x")
     assert [p.name for p in tmp_path.iterdir()] == ["a.tif"]

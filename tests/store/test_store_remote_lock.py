@@ -18,7 +18,7 @@ from fwclass.store.lock import WRITER
 from fwclass.store.objects import Objects
 from fwclass.store.refusals import LostRace
 from fwclass.store.remote_lock import lock_key, remote_holder, remote_writer
-from fwclass.store.run_location import locked, unmade_again
+from fwclass.store.run_location import lock_run, unmade_again
 
 LOCK = lock_key(WRITER)
 HOLDER = """
@@ -156,7 +156,7 @@ def test_no_run_is_made_in_what_another_has_in_a_bucket(s3: Server, place: str) 
     """The other one sweeps what it did not put there."""
     run, free = s3.url(), s3.url()
     s3.write(run / "store/run.json", b"{}")
-    for enter in (lambda there: locked(there, quiet), unmade_again):
+    for enter in (lambda there: lock_run(there, quiet), unmade_again):
         with pytest.raises(ConfigError, match="what another run has made"), enter(Remote(run / place, quick())):
             pass
         with enter(Remote(free / place, quick())):

@@ -22,7 +22,7 @@ from fwclass.run.runner import Runner
 from fwclass.schema import IDENTITY
 from fwclass.store.bucket import Remote
 from fwclass.store.corrections import read_corrections
-from fwclass.store.run_location import locked
+from fwclass.store.run_location import lock_run
 from fwclass.store.url import Url
 from fwclass.view.scene import ECHOES
 from fwclass.view.selection import Selection
@@ -47,7 +47,7 @@ def far(s3: Server, run: Path, tmp_path_factory: pytest.TempPathFactory) -> Iter
         words = (*SETTINGS, f"survey.directory={survey}", "tile.size=40")
         features = "survey.features=[zc, echo_number, amplitude, width, echo_ratio_r100]"
         config = conf.load("demo", (*words, features))
-        with Display() as display, locked(Remote(place, quick()), display.say) as (own, held):
+        with Display() as display, lock_run(Remote(place, quick()), display.say) as (own, held):
             runner = Runner(own, Loop(), display, held=held)
             workflow_of("classification")(config, runner, None)
             runner.publish(config.run.keep_generations)

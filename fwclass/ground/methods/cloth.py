@@ -121,7 +121,7 @@ def _nearest_around(heights, distance, value, reach):  # type: ignore[no-untyped
     return out
 
 
-def fallen(
+def drop_cloth(
     heights: NDArray[np.float64], radius: int, rigidness: int, iterations: int, time_step: float, slope_smooth: bool
 ) -> NDArray[np.float64]:
     """Heights [mm] of a cloth that has fallen on `heights`, of the same shape; both edges are multiples of `TILE`.

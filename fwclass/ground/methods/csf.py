@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
-from fwclass.ground.methods.cloth import START, TILE, fallen, nearest_heights, without_holes
+from fwclass.ground.methods.cloth import START, TILE, drop_cloth, nearest_heights, without_holes
 from fwclass.ground.methods.params import CsfParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.lattice import window_over
@@ -38,7 +38,7 @@ def csf(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], 
     up -= up.min()
     across, along = millimetres(x) - window.col * cell, millimetres(y) - window.row * cell
     heights = without_holes(nearest_heights(across, along, up, cell, *window.shape))
-    cloth = fallen(
+    cloth = drop_cloth(
         heights,
         max(1, round(START / params.cloth_resolution)),
         params.rigidness,

@@ -18,10 +18,10 @@ from fwclass.graph.assess import BLOCKS
 from fwclass.operate.assess_runs import compare, counts_in
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
 from fwclass.operate.difference.rasters import DIFFERS, raster_changes
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.schema import MOVED
 from fwclass.store.atomic import read_json
-from fwclass.store.delivered import REPORT, held
+from fwclass.store.delivered import REPORT, check_shape
 from fwclass.store.digests import digest_now
 from fwclass.store.generations import Generation
 from fwclass.store.run_store import Store
@@ -131,7 +131,7 @@ def _delivery(run: Path, number: int | None) -> ComparedDelivery:
                 got="others",
                 do="run the survey again with --verify: what is damaged is made anew",
             )
-    return ComparedDelivery(run, chosen, held(read_json(report), REPORT, report))
+    return ComparedDelivery(run, chosen, check_shape(read_json(report), REPORT, report))
 
 
 def difference(first: ComparedDelivery, second: ComparedDelivery) -> tuple[dict[str, Any], ClassChanges]:
@@ -258,7 +258,7 @@ def write_places(path: Path, changes: ClassChanges, crs: str | None) -> None:
     """Every place with changed echoes as a GeoPackage, layer ``places``: how many ``changed`` in each; `crs` as WKT."""
     places = changes.places()
     fields = {"changed": np.array([n for _, n in places], np.int64)}
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         write_shapes(beside, "places", box_wkb([box for box, _ in places]), fields, crs)
 
 

@@ -20,7 +20,7 @@ from fwclass.read.info import info
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.polygons import is_polygon_file
-from fwclass.read.projection import box_brought, brought, is_brought
+from fwclass.read.projection import box_brought, is_brought, project_places
 from fwclass.read.source import Source, is_beam_file, open_source
 from fwclass.survey.gather import refuse_unusable
 from fwclass.survey.systems import with_heights
@@ -127,7 +127,7 @@ def _count_places(source: Source, holdings: Holdings) -> None:
         return
     with PointReader(source) as reader:
         for _, points in reader.blocks():
-            x, y, _ = brought(source, coordinates(source, points))
+            x, y, _ = project_places(source, coordinates(source, points))
             codes = np.asarray(points["classification"], np.uint8)
             holdings.places.add(x, y, codes)
             holdings.codes.update(dict(enumerate(np.bincount(codes).tolist())))

@@ -14,7 +14,7 @@ from fwclass.graph.stage import Plan
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
-from fwclass.read.projection import box_brought, brought
+from fwclass.read.projection import box_brought, project_places
 from fwclass.read.source import BeamSource, PulseSource, Source, open_source
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -187,7 +187,7 @@ def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
     with PointReader(source) as reader:
         for first in range(0, source.n_points, CLOUD_ROWS):
             points = reader.read(first, min(source.n_points, first + CLOUD_ROWS))
-            x, y, _ = brought(source, coordinates(source, points))
+            x, y, _ = project_places(source, coordinates(source, points))
             tiles, inverse = np.unique(np.stack(grid.indices(x, y), axis=1), axis=0, return_inverse=True)
             order = np.argsort(inverse.reshape(-1), kind="stable")
             starts = np.flatnonzero(np.r_[True, np.diff(inverse.reshape(-1)[order]) > 0])
@@ -206,7 +206,7 @@ def sample_points(source: LasSource, points: int, facts: SourceFacts | None = No
     first = max(0, (source.n_points - points) // 2)
     with PointReader(source) as reader:
         read = reader.read(first, min(source.n_points, first + points))
-    x, y, _ = brought(source, coordinates(source, read))
+    x, y, _ = project_places(source, coordinates(source, read))
     even = source.n_points / max(1.0, sum(b.area for b, _ in (facts or facts_of(source)).where))
     edge = math.sqrt(PER_CELL / even)
     _, counts = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)

@@ -35,7 +35,7 @@ def check_free(root: Path, overwrite: bool) -> None:
         )
 
 
-def deliver(forecast: Forecast, root: Path) -> tuple[Path, ...]:
+def write_plan(forecast: Forecast, root: Path) -> tuple[Path, ...]:
     """Write the polygons, the picture and the numbers; each appears whole. Return their paths."""
     target = below(root, f"plan/{NAMES[0]}").parent
     paths = tuple(target / n for n in NAMES)

@@ -26,7 +26,7 @@ from fwclass.operate.schedule.ticks import Cron, Interval, Now, Ticks, now
 from fwclass.store import history
 from fwclass.store.lock import SCHEDULE
 from fwclass.store.refusals import LostRace
-from fwclass.store.run_location import RunLocation, address_of, confirm, held_by, hurried, locked
+from fwclass.store.run_location import RunLocation, address_of, confirm, held_by, lock_run, without_retries
 
 
 def as_typed(seconds: float | None) -> str | None:
@@ -86,7 +86,7 @@ class Schedule:
                 expected="the token for the webhook",
                 do="set it where the schedule is started, or leave the key out",
             )
-        with locked(self.location, self._say, SCHEDULE) as (location, self._held), self.signals:
+        with lock_run(self.location, self._say, SCHEDULE) as (location, self._held), self.signals:
             params = self.config.schedule
             self._state = ScheduleState(location, rules(self.config), params.heartbeat, params.look, self._say)
             self._state.resume()
@@ -124,7 +124,7 @@ class Schedule:
         try:
             self._held()
             if asked:
-                confirm(hurried(self._state.location), SCHEDULE)
+                confirm(without_retries(self._state.location), SCHEDULE)
         except LostRace:
             raise
         except StoreError:

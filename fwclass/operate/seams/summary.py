@@ -15,7 +15,7 @@ from fwclass.grid import Box
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.measure import BlockShiftEffect
 from fwclass.operate.seams.shifted_squares import ShiftedSquare
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.store.url import Url
 
 NAMED = 5
@@ -156,7 +156,7 @@ def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
             fields["part"].append(square.tile.key)
             fields["differ"].append(wrong)
     listed = [{"stage": s.stage, **e} for s in result.bounded for e in s.examples]
-    with whole(path) as beside:
+    with written_whole(path) as beside:
         write_shapes(beside, "strips", box_wkb(bands), fields, crs)
         if listed:
             located = point_wkb(*(np.array([e[axis] for e in listed], np.float64) for axis in "xy"))

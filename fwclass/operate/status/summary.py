@@ -68,7 +68,7 @@ def as_data(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
         "fault": None if status.fault is None else str(status.fault),
         "stages": [{"stage": stage, **counts} for stage, counts in _counts(status.states).items()],
         "parts": parts,
-        "not_in_plan": others(status, request),
+        "not_in_plan": surplus_parts(status, request),
         "libraries": {"here": dict(fingerprint()), "parts": by_libraries(status.libraries, status.store)},
     }
 
@@ -91,7 +91,7 @@ def _counts(states: Mapping[Name, PartState]) -> dict[str, dict[str, int]]:
     return counts
 
 
-def others(status: RunStatus, request: Request) -> dict[str, int]:
+def surplus_parts(status: RunStatus, request: Request) -> dict[str, int]:
     """How many parts by stage the store holds that the plan does not name; none are counted for chosen tiles."""
     if request.wanted is not None:
         return {}
@@ -123,7 +123,7 @@ def as_text(status: RunStatus, request: Request, writer: Mapping[str, Any] | Non
         return "\n".join([rows[0], "", stands, *came, *broken])
     rows += ["", *(_every(status) if every else _grouped(status))]
     rows += _failed(status, request)
-    surplus = others(status, request)
+    surplus = surplus_parts(status, request)
     if status.ends is not None and status.fault is None:
         kept = f"; {sum(surplus.values()):,} of the store are taken where nothing of theirs changed" if surplus else ""
         rows.append(f"which other parts there are is known once those are made ({status.ends}){kept}")

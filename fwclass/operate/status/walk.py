@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.grid import Box, TileGrid
-from fwclass.operate.status.why import Reason, new_files, reasons, same, waiting
+from fwclass.operate.status.why import Reason, new_files, reasons, same_reason, waiting
 from fwclass.run.local import Loop
 from fwclass.run.part import Name, Outcome, Task, emptied, holds, input_digests
 from fwclass.run.progress import Display
@@ -139,7 +139,7 @@ class StatusWalk(Runner):
         if failure is not None and failure.key == key:
             return PartState(*task.name, "failed", message=failure.message)
         receipt = self.store.receipt(*task.name)
-        before = [] if failure is None else [same("it failed before, from other inputs or parameters")]
+        before = [] if failure is None else [same_reason("it failed before, from other inputs or parameters")]
         if receipt is None:
             return PartState(*task.name, "missing", tuple(waiting(late) + new_files(task) + before))
         why = come if key and come else come + reasons(task, receipt, self.store, self._waits)

@@ -32,7 +32,7 @@ class Reason:
     waits: bool = False
 
 
-def same(text: str) -> Reason:
+def same_reason(text: str) -> Reason:
     """A reason that reads the same for one part and for many."""
     return Reason(text, text)
 
@@ -40,15 +40,15 @@ def same(text: str) -> Reason:
 def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
     """Why `receipt` does not do for `task`; `waits` are parts that are not done now, with their status."""
     why = _of_version(task, receipt)
-    why += [] if task.any_libraries else [same(text) for text in stale_by(store.provenance.libraries(receipt))]
+    why += [] if task.any_libraries else [same_reason(text) for text in stale_by(store.provenance.libraries(receipt))]
     why += _of_params(task, receipt, store)
     why += _of_files(task, receipt)
     why += _of_parts(task, receipt, store, waits)
     if not why:
         why = _of_outputs(receipt, store)
     if not why and receipt.version is None:
-        why = [same("made by an earlier version of fwclass, whose receipts do not tell parameters")]
-    return why or [same("its key is another one")]
+        why = [same_reason("made by an earlier version of fwclass, whose receipts do not tell parameters")]
+    return why or [same_reason("its key is another one")]
 
 
 def new_files(task: Task) -> list[Reason]:
@@ -75,7 +75,7 @@ def _about(stage: str, parts: list[str], text: str, waits: bool = False) -> Reas
 def _of_version(task: Task, receipt: Receipt) -> list[Reason]:
     if receipt.version is None or receipt.version == task.version:
         return []
-    return [same(f"the code of {task.stage} changed: version {receipt.version} to {task.version}")]
+    return [same_reason(f"the code of {task.stage} changed: version {receipt.version} to {task.version}")]
 
 
 def _of_params(task: Task, receipt: Receipt, store: Store) -> list[Reason]:
@@ -83,9 +83,9 @@ def _of_params(task: Task, receipt: Receipt, store: Store) -> list[Reason]:
         return []
     then = store.provenance.params(receipt)
     if then is None:
-        return [] if task.params is None else [same("its parameters are not recorded any more")]
+        return [] if task.params is None else [same_reason("its parameters are not recorded any more")]
     now = json.loads(json.dumps(task.params))  # tuples and keys as they become in a file
-    return [same(f"parameter {text}") for text in differences(then, now)]
+    return [same_reason(f"parameter {text}") for text in differences(then, now)]
 
 
 def differences(then: Any, now: Any, name: str = "") -> list[str]:
@@ -127,9 +127,9 @@ def _of_files(task: Task, receipt: Receipt) -> list[Reason]:
     """Files read from outside; their names, unlike those of parts, have no slash."""
     then = {n: d for n, d in receipt.inputs.items() if "/" not in n}
     now = {file.name: file.digest for file in task.external}
-    why = [same(f"input {n} changed") for n in now if n in then and then[n] != now[n]]
-    why += [same(f"input {n} is new") for n in now if n not in then]
-    return why + [same(f"input {n} is no longer read") for n in then if n not in now]
+    why = [same_reason(f"input {n} changed") for n in now if n in then and then[n] != now[n]]
+    why += [same_reason(f"input {n} is new") for n in now if n not in then]
+    return why + [same_reason(f"input {n} is no longer read") for n in then if n not in now]
 
 
 def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
@@ -181,7 +181,7 @@ def _files_below(name: Name, store: Store, steps: int = 4) -> set[str]:
 
 def _of_outputs(receipt: Receipt, store: Store) -> list[Reason]:
     if receipt.emptied:
-        return [same("its files were removed to save room (run.keep_intermediate: lean)")]
+        return [same_reason("its files were removed to save room (run.keep_intermediate: lean)")]
     why = []
     for name, facts in receipt.outputs.items():
         size = store.size_of(receipt, name)

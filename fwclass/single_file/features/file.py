@@ -33,7 +33,7 @@ from fwclass.single_file.features.echoes import (
     with_noise,
     with_radiometry,
 )
-from fwclass.single_file.features.names import FeatureList, wanted
+from fwclass.single_file.features.names import FeatureList, requested_features
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.tiles import FileConfig, FileTiles, Tell, quiet
 from fwclass.store.unchanged import of_unchanged
@@ -76,12 +76,12 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     started = time.perf_counter()
     _check_output(job)
     conf.check_settings(job.settings, SECTIONS)
-    features = wanted(job.named, job.listed)
+    features = requested_features(job.named, job.listed)
     params: FeaturesParams = conf.section("features", job.settings)
     publish = conf.section("publish", job.settings)
     _check_reach(features, params)
     tell("reading")
-    before = compiling.spent()
+    before = compiling.compile_seconds()
     echoes = _echoes(job, features, tell)
     features, left_out = available(features, echoes.table, job.source, job.skip_missing)
     table = _sort(echoes.table)
@@ -106,7 +106,10 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         "judged": echoes.judged,
         "notes": [*echoes.notes, *([crowd.text(params)] if crowd else [])],
         "bytes": written["bytes"],
-        "seconds": {"compiling": round(compiling.spent() - before, 3), "all": round(time.perf_counter() - started, 3)},
+        "seconds": {
+            "compiling": round(compiling.compile_seconds() - before, 3),
+            "all": round(time.perf_counter() - started, 3),
+        },
     }
 
 

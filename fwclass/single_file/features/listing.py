@@ -9,14 +9,14 @@ from fwclass.columns import COLUMNS, FEATURES, SCALES, Column
 from fwclass.conf.sets import feature_set, shipped_sets
 from fwclass.errors import first_few, visible
 from fwclass.schema import column
-from fwclass.single_file.features.names import ENDS, measured, wanted
+from fwclass.single_file.features.names import ENDS, measured_names, requested_features
 
 
 def everything() -> dict[str, Any]:
     """All features, columns of echoes that count as features, kinds of neighbourhood, and sets; plain data."""
     return {
         "features": [_facts(c.name, c) for c in FEATURES],
-        "measured": [_facts(name, COLUMNS[name]) for name in measured()],
+        "measured": [_facts(name, COLUMNS[name]) for name in measured_names()],
         "scales": [{"letter": k, "meaning": about, "example": ENDS[k]} for k, about in SCALES.items()],
         "sets": [_set_facts(name) for name in shipped_sets()],
     }
@@ -24,7 +24,7 @@ def everything() -> dict[str, Any]:
 
 def of_set(name: str, where: str = "--list") -> dict[str, Any]:
     """The features of one set, each with formula, unit and source; plain data. `where` names the option in errors."""
-    return {**_set_facts(name, where), "features": [_facts(n, column(n)) for n in wanted(name, None).names]}
+    return {**_set_facts(name, where), "features": [_facts(n, column(n)) for n in requested_features(name, None).names]}
 
 
 def _facts(name: str, record: Column) -> dict[str, Any]:

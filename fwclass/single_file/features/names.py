@@ -58,7 +58,7 @@ def sorted_settings(words: Iterable[str]) -> tuple[str | None, tuple[str, ...]]:
     return (sets[0] if sets else None), tuple(w for w in words if "=" in w)
 
 
-def wanted(named: str | None, listed: str | None) -> FeatureList:
+def requested_features(named: str | None, listed: str | None) -> FeatureList:
     """The features of a set (name or file) or of a list ``a,b,c``; without both the set `DEFAULT`.
 
     `ConfigError`: no such set, both, a name that is no feature.
@@ -107,6 +107,6 @@ def check_name(name: str, where: str) -> None:
     )
 
 
-def measured() -> tuple[str, ...]:
+def measured_names() -> tuple[str, ...]:
     """Columns of echoes that a list may name, as they are shown."""
     return tuple(n for n in MEASURED if n not in FLAG_BITS and not n.startswith("beam_"))

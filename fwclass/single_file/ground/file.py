@@ -87,13 +87,13 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     if job.rasters:
         check_extent(cloud, shown, terrain.cell, publish.cog_block)
     measured: dict[str, Any] = {}
-    compiled = compiling.spent()
+    compiled = compiling.compile_seconds()
     if job.adapt is not None:
         params, measured = job.adapt(cloud, require_shown(cloud, shown), params)
         params = with_assignments(params, job.assignments)
-    at, before = time.perf_counter(), compiling.spent()
+    at, before = time.perf_counter(), compiling.compile_seconds()
     flags, facts = flags_and_facts(cloud, shown, params, tell)
-    filtering = time.perf_counter() - at - (compiling.spent() - before)
+    filtering = time.perf_counter() - at - (compiling.compile_seconds() - before)
     classes = classes_of(cloud, flags, job.keep_classes)
     if job.rasters:
         tell("terrain")
@@ -129,7 +129,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "notes": _notes(cloud, shown, flags, stray, [*written.get("notes", ()), *odd]),
         "seconds": {
             "filter": round(filtering, 3),
-            "compiling": round(compiling.spent() - compiled, 3),
+            "compiling": round(compiling.compile_seconds() - compiled, 3),
             "all": round(time.perf_counter() - started, 3),
         },
     }

@@ -16,7 +16,7 @@ from fwclass.graph.ground_trial import FilterTrial, halves, ranges_of, search_ha
 from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.search import Setting, most_runs
 from fwclass.ground.tuning_params import GroundSearchParams, Values
-from fwclass.publish.files import check_free, whole
+from fwclass.publish.files import check_free, written_whole
 from fwclass.publish.parameter_curves import draw_curves
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
@@ -135,7 +135,7 @@ def _write(out: Path, result: dict[str, Any]) -> None:
     best = result["best"]["parameters"]
     picture = draw_curves(result["curves"], best, result["method"], result["held_out"]["kappa"])
     for name, text in (("kappa.png", picture), ("ground.yaml", result["yaml"].encode())):
-        with whole(out / name) as beside:
+        with written_whole(out / name) as beside:
             beside.write_bytes(text)
     write_json(out / "search.json", result)
 

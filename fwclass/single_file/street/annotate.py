@@ -10,9 +10,9 @@ import numpy as np
 
 from fwclass.errors import InputError
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
-from fwclass.publish.files import check_free, whole
+from fwclass.publish.files import check_free, written_whole
 from fwclass.publish.street_pictures import draw_slice
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 from fwclass.street.annotation import HEAD, Box, Labeller, annotated_end, overlaps, read_boxes
 from fwclass.street.frames import Frame
 from fwclass.street.params import StreetParams
@@ -53,7 +53,7 @@ def annotate(
         check_free(out, overwrite)
     begun = not file.exists()
     if begun:
-        with whole(file) as beside:
+        with written_whole(file) as beside:
             beside.write_text(",".join(HEAD) + "\n")
     boxes = read_boxes(file)
     track = Track(params)
@@ -82,11 +82,11 @@ def annotate(
     none = InputError("no frame of the recording can be used", where=source, do="fwclass street info")
     read_from = (source, *trajectory.files)
     if out is None:
-        with unchanged(*read_from):
+        with check_unchanged(*read_from):
             for _ in labelled():
                 pass
     else:
-        with whole(out) as beside, unchanged(*read_from):
+        with written_whole(out) as beside, check_unchanged(*read_from):
             if not write_recording(beside, labelled()):
                 raise none
     if not places:
@@ -140,7 +140,7 @@ def _pictures(
         place = f"{begin:09.2f}" if abs(begin) < FAR else f"{begin:g}"
         name = "next.png" if (begin, end) == ahead else f"slice-{place}.png"
         title = f"{begin:g} to {end:g} m" + (": to be annotated" if (begin, end) == ahead else "")
-        with whole(preview / name) as beside:
+        with written_whole(preview / name) as beside:
             beside.write_bytes(draw_slice(y[few], z[few], codes[few], inside, title))
         paths.append(str(preview / name))
     return paths

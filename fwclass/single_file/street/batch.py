@@ -19,15 +19,21 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stage_work import StageInputs
 from fwclass.graph.street import crown_accuracy, model_remarks, params_of
 from fwclass.graph.street_answers import Answering, halo
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
+from fwclass.graph.street_recordings import (
+    NO_TRAJECTORY,
+    TrajectoryFiles,
+    implausible,
+    open_on_trajectory,
+    untested_words,
+)
 from fwclass.model import Model
-from fwclass.publish.files import whole
+from fwclass.publish.files import written_whole
 from fwclass.report.drift import drift
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, require_all
 from fwclass.single_file.street.output import finish
 from fwclass.store.models import load_model, load_same, model_digest
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 from fwclass.street.answers import ANSWERS, END, Writer, read_answers
 from fwclass.street.frames import Geometry, Placed, Scan
 from fwclass.street.params import StreetParams
@@ -61,7 +67,7 @@ def check(work: Work) -> None:
 
 def read(here: StageInputs, work: Work) -> Mapping[str, Any]:
     """Take the frames of the recording one after the other and keep those that are used, as flat files."""
-    with unchanged(work.recording, *work.trajectory.files):
+    with check_unchanged(work.recording, *work.trajectory.files):
         return _read(work, here.directory)
 
 
@@ -100,7 +106,7 @@ def _read(work: Work, directory: Path) -> Mapping[str, Any]:
         "scan": [used.beams, used.first, used.step, used.range_min, used.range_max],
         "counts": track.counts(),
         "implausible": implausible(recording, track.counts(), work.params),
-        "untested": untested(recording, track.counts()),
+        "untested": untested_words(recording, track.counts()),
     }
 
 
@@ -182,7 +188,7 @@ def classify(work: Work, target: Path, runner: Runner, config: Config) -> dict[s
     tasks = list(answer_chunk.tasks(plan))
     receipts = require_all(runner, tasks)
     geometry = Geometry.of(_scan(meta), work.params.mounting)
-    with whole(target / ANSWERS) as beside, beside.open("wb") as file:
+    with written_whole(target / ANSWERS) as beside, beside.open("wb") as file:
         file.write(Writer(geometry.scan.beams, geometry.tilted).head)
         for task in tasks:
             with runner.store.path(CHUNK, task.part, PART).open("rb") as part:

@@ -9,8 +9,14 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
-from fwclass.store.unchanged import unchanged
+from fwclass.graph.street_recordings import (
+    NO_TRAJECTORY,
+    TrajectoryFiles,
+    implausible,
+    open_on_trajectory,
+    untested_words,
+)
+from fwclass.store.unchanged import check_unchanged
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
 from fwclass.street.track import Track
@@ -21,7 +27,7 @@ def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJ
 
     A recording that ends in damage is told up to there.
     """
-    with unchanged(path, *trajectory.files):
+    with check_unchanged(path, *trajectory.files):
         return _facts(path, params, trajectory)
 
 
@@ -72,7 +78,7 @@ def _facts(path: Path, params: StreetParams, trajectory: TrajectoryFiles) -> dic
     }
     return {
         **summary,
-        "remarks": [*remarks, *_remarks(summary, params), *untested(recording, summary)],
+        "remarks": [*remarks, *_remarks(summary, params), *untested_words(recording, summary)],
         "implausible": implausible(recording, summary, params),
     }
 

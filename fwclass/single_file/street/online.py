@@ -22,14 +22,20 @@ from fwclass.conf.street import scanner
 from fwclass.errors import FwclassError, InputError
 from fwclass.graph.street import model_remarks, params_of
 from fwclass.graph.street_answers import Answering
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, implausible, open_on_trajectory, untested
+from fwclass.graph.street_recordings import (
+    NO_TRAJECTORY,
+    TrajectoryFiles,
+    implausible,
+    open_on_trajectory,
+    untested_words,
+)
 from fwclass.model import Model
 from fwclass.report.drift import drift
 from fwclass.single_file.street.output import CSV, HEAD, finish, working_in
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 from fwclass.street.answers import ANSWERS, END, Answer, Writer
 from fwclass.street.frames import Frame, Geometry, Recording, Scan
 from fwclass.street.params import StreetParams
@@ -171,7 +177,7 @@ def _answer(
         broken: InputError | None = None
         read_from = () if recording is None else (Path(job.source), *job.trajectory.files)
         try:
-            with unchanged(*read_from):
+            with check_unchanged(*read_from):
                 for frame, there in frames:
                     delivered = False
                     for one in loop.take(frame):
@@ -191,7 +197,7 @@ def _answer(
     summary = _summary(loop, latency, late, faults, params)
     outside = loop.answering.outside if loop.answering is not None else None
     drifted = drift(model.card, [outside.counts()] if outside is not None else [])
-    remarks += [*(drifted or {}).get("remarks", []), *seen_again(files.again), *untested(recording, summary)]
+    remarks += [*(drifted or {}).get("remarks", []), *seen_again(files.again), *untested_words(recording, summary)]
     summary |= {
         "drift": drifted,
         "implausible": implausible(recording, summary, params, summary["stream"]),

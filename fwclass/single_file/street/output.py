@@ -12,7 +12,7 @@ from tempfile import TemporaryFile
 from typing import Any
 
 from fwclass.errors import ConfigError
-from fwclass.publish.files import sweep, whole
+from fwclass.publish.files import sweep, written_whole
 from fwclass.publish.street_pictures import draw_prescription
 from fwclass.street.answers import ANSWERS
 from fwclass.street.prescription import Segment
@@ -78,17 +78,17 @@ def finish(target: Path, segments: Iterable[Segment] | None, summary: dict[str, 
     `segments`: those of the CSV file, None where it is there already.
     """
     if segments is not None:
-        with whole(target / CSV) as beside, beside.open("w") as file:
+        with written_whole(target / CSV) as beside, beside.open("w") as file:
             file.write(HEAD)
             file.writelines(s.line() + "\n" for s in segments)
     held = read_segments(target)
-    with whole(target / MAP) as beside:
+    with written_whole(target / MAP) as beside:
         write_map(beside, held)
     picture = draw_prescription(held)
-    with whole(target / PICTURE) as beside:
+    with written_whole(target / PICTURE) as beside:
         beside.write_bytes(picture)
     summary = {**summary, "segments": len(held)}
-    with whole(target / SUMMARY) as beside:
+    with written_whole(target / SUMMARY) as beside:
         beside.write_text(json.dumps(summary, indent=1) + "\n")
     return summary
 

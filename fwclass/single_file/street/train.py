@@ -26,9 +26,9 @@ from fwclass.graph.street import (
     sample_of,
 )
 from fwclass.graph.street_recordings import TrajectoryFiles
-from fwclass.single_file.model_directory import check_target, deliver
+from fwclass.single_file.model_directory import check_target, copy_model
 from fwclass.store.models import save_model
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 from fwclass.street.ring import feature_names
 from fwclass.temporary import temporary_directory
 
@@ -49,14 +49,14 @@ def train(
     def tell(path: Path, faults: list[str]) -> None:
         odd.update({path.name: faults} if faults else {})
 
-    with unchanged(*paths, *way.files):
+    with check_unchanged(*paths, *way.files):
         rows = counted(rows_of(paths, params, way, tell), codes)
         sample = sample_of(rows, names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
     model = fit_model(sample, params, config.train, config.compare, classes)
     with temporary_directory("street", target.parent) as beside:
         save_model(beside / "model", model)
-        deliver(beside / "model", target, overwrite)
+        copy_model(beside / "model", target, overwrite)
     summary: dict[str, Any] = {"model": str(target), "card": dict(model.card), "accuracy": None, "remarks": []}
     summary["implausible"] = [f"{name}: {fault}" for name, faults in odd.items() for fault in faults]
     share, text = codes_of_no_class(codes, classes)
@@ -65,7 +65,7 @@ def train(
     if assess:
         say("assessing    the returns that did not train")
         try:
-            with unchanged(*paths, *way.files):
+            with check_unchanged(*paths, *way.files):
                 accuracy = judge_answers(
                     answered_rows(paths, params, model, way), as_answered, split, classes, config.assess.block
                 )

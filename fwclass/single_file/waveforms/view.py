@@ -19,7 +19,7 @@ from fwclass.decompose.recorded_pulse import recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.sources import StripSpan
-from fwclass.publish.files import check_free, whole
+from fwclass.publish.files import check_free, written_whole
 from fwclass.publish.waveform_pictures import draw_waveforms
 from fwclass.read.params import ReadParams
 from fwclass.read.source import open_source
@@ -31,7 +31,7 @@ from fwclass.report.pulse_picture import receiver_picture
 from fwclass.single_file.strip import FileStrip, strip_of
 from fwclass.single_file.waveforms.pictured import Shown, echo_facts, pulse_picture
 from fwclass.single_file.waveforms.shown import WaveformView, see
-from fwclass.store.unchanged import unchanged
+from fwclass.store.unchanged import check_unchanged
 
 STRONGEST = 20
 """Echoes without a vendor return that are listed."""
@@ -74,7 +74,7 @@ def look(
         _refuse(picture, pulses, overwrite)
     read: ReadParams = conf.section("read", settings)
     params: DecomposeParams = conf.section("decompose", settings)
-    with unchanged(path):
+    with check_unchanged(path):
         source = open_source(path)
         if not source.has_waves:
             raise InputError(
@@ -102,7 +102,7 @@ def look(
         (beside_it, receiver_picture(pulse, recorded, places, path.name)),
     )
     for place, picture_bytes in drawn:
-        with whole(place) as beside:
+        with written_whole(place) as beside:
             beside.write_bytes(picture_bytes)
     shape = {"shape": pulse.shape, "fwhm_ns": pulse.fwhm, "shape_error": pulse.shape_error, "echoes": pulse.echoes}
     return _plain(

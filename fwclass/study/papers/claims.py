@@ -47,7 +47,7 @@ def points(value: float, digits: int = 1) -> str:
     return f"{100 * value:+.{digits}f}".replace("-", "−")
 
 
-def spanned(difference: Mapping[str, Any], key: str = "overall_accuracy") -> str:
+def difference_words(difference: Mapping[str, Any], key: str = "overall_accuracy") -> str:
     """A difference in points with its interval."""
     one = difference[key]
     if one["low"] is None:

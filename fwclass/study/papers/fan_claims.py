@@ -6,7 +6,18 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from fwclass.schema import base_of
-from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Facts, Verdict, of_gain, percent, points, spanned, verdict
+from fwclass.study.papers.claims import (
+    FAILS,
+    HOLDS,
+    OPEN,
+    Facts,
+    Verdict,
+    difference_words,
+    of_gain,
+    percent,
+    points,
+    verdict,
+)
 
 WORDS = {
     "zc": "Zc",
@@ -38,12 +49,12 @@ def _forest_over_svm(facts: Facts) -> Verdict:
     text = f"{percent(forest['overall_accuracy'])} against {percent(svm['overall_accuracy'])} (RBF)"
     if one["low"] is None:
         return text, OPEN, "too few blocks for an interval"
-    same = spanned(facts["differences"]["forest-fewer/rbf-svm"])
+    same = difference_words(facts["differences"]["forest-fewer/rbf-svm"])
     rows = f"on the SVM's {svm['rows']:,} training rows: {same}"
     printed = facts["printed"]
     claimed = (printed["splits"]["3"]["overall"] - printed["svm"]["overall"]) / 100
     chance = "no difference beyond chance: " if one["low"] <= 0 <= one["high"] else "difference "
-    return text, of_gain(one, claimed), f"{chance}{spanned(difference)}, {difference['blocks']} blocks; {rows}"
+    return text, of_gain(one, claimed), f"{chance}{difference_words(difference)}, {difference['blocks']} blocks; {rows}"
 
 
 def _split(facts: Facts) -> Verdict:

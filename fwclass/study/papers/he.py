@@ -124,7 +124,7 @@ def _means(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {**means, "speed": sum(r["points"] for r in results) / max(seconds, 1e-9)}
 
 
-def deliver(config: Config, runner: Runner, samples: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
+def write_he2023(config: Config, runner: Runner, samples: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
     """Write ``he2023.json``, ``he2023.html`` and ``report.json``; the report."""
     inputs = PartInputs(runner.store)
     write_json(runner.pending / "he2023.json", dict(facts))

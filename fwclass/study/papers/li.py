@@ -103,7 +103,7 @@ def facts(config: Config, printed: Mapping[str, Any], receipts: Receipts) -> dic
     return {**gathered, "claims": judge_claims(printed["claims"], CLAIMS, gathered)}
 
 
-def deliver(runner: Runner, facts: Mapping[str, Any]) -> dict[str, Any]:
+def write_li2018(runner: Runner, facts: Mapping[str, Any]) -> dict[str, Any]:
     """Write ``li2018.json``, ``li2018.html`` and ``report.json``; the report."""
     inputs = PartInputs(runner.store)
     grids = {base: inputs.arrays(SINGLE, base, GRIDS)[0] for base in BASES}

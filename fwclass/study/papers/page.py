@@ -18,7 +18,7 @@ from fwclass.store.atomic import write_json
 from fwclass.survey.layout import Layout
 
 
-def deliver(
+def write_paper(
     config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any], facts: Mapping[str, Any], **shown: Any
 ) -> dict[str, Any]:
     """Write ``<paper>.json`` and ``<paper>.html`` beside the report; the report's dict, with the page as an output.

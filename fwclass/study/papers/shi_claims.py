@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fwclass.classes import GROUND
-from fwclass.study.papers.claims import FAILS, HOLDS, OPEN, Facts, Verdict, of_gain, percent, points, spanned, verdict
+from fwclass.study.papers.claims import (
+    FAILS,
+    HOLDS,
+    OPEN,
+    Facts,
+    Verdict,
+    difference_words,
+    of_gain,
+    percent,
+    points,
+    verdict,
+)
 
 NEAR = 0.01
 """Two accuracies are called much the same up to this difference."""
@@ -22,7 +33,7 @@ def _gain(pair: str, claimed: float) -> Callable[[Facts], Verdict]:
         text = f"{points(one['value'])} points ({both[0]} to {both[1]} overall)"
         if one["low"] is None:
             return text, OPEN, "too few blocks for an interval"
-        return text, of_gain(one, claimed), spanned(difference)
+        return text, of_gain(one, claimed), difference_words(difference)
 
     return claim
 
@@ -39,7 +50,7 @@ def _ground_filter(facts: Facts) -> Verdict:
     of_class = [percent(v) for v in of_class]
     text = f"IoU {percent(iou[0])} to {percent(iou[1])}, producer's accuracy {of_class[0]} to {of_class[1]}"
     gain = difference["iou"][k]
-    why = f"{spanned({'iou': gain}, 'iou')}, overall {spanned(difference)}; both without heights"
+    why = f"{difference_words({'iou': gain}, 'iou')}, overall {difference_words(difference)}; both without heights"
     if gain["low"] is None:
         return text, OPEN, f"too few blocks for an interval: {why}"
     return text, of_gain(gain, 0.0), why
@@ -61,7 +72,7 @@ def _heights(facts: Facts) -> Verdict:
 def _selection(facts: Facts) -> Verdict:
     difference = facts["differences"]["svm/svm_all"]
     one = difference["overall_accuracy"]
-    why = f"{spanned(difference)}; up to {100 * NEAR:g} point counts as the same"
+    why = f"{difference_words(difference)}; up to {100 * NEAR:g} point counts as the same"
     return f"{points(one['value'])} points overall", verdict(one["value"] >= -NEAR), why
 
 
@@ -91,7 +102,8 @@ def _boundary(name: str) -> Callable[[Facts], Verdict]:
             return "–", OPEN, f"no test echo at a boundary is {name}"
         gain = (facts["layers"]["class_gains"] or {})[name]
         text = f"IoU {percent(iou[0])} to {percent(iou[1])}"
-        why = f"{spanned({'iou': gain}, 'iou')}; producer's accuracy {percent(of_class[0])} to {percent(of_class[1])}"
+        accuracy = f"producer's accuracy {percent(of_class[0])} to {percent(of_class[1])}"
+        why = f"{difference_words({'iou': gain}, 'iou')}; {accuracy}"
         if gain["low"] is None:
             return text, OPEN, f"too few blocks for an interval: {why}"
         return text, of_gain(gain, printed_gain(facts, name)), why

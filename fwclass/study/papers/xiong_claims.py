@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fwclass.study.papers.claims import OPEN, Facts, Verdict, of_gain, percent, points, spanned, verdict
+from fwclass.study.papers.claims import OPEN, Facts, Verdict, difference_words, of_gain, percent, points, verdict
 
 NEAR = 0.01
 """Two accuracies are called much the same up to this difference."""
@@ -42,7 +42,7 @@ def _gain(pair: str, up: bool = True) -> Callable[[Facts], Verdict]:
         if one["low"] is None:
             return text, OPEN, "too few blocks for an interval"
         sure = one["low"] > 0 or one["high"] < 0
-        why = f"{spanned(difference)}" + ("" if sure else ": no difference beyond chance")
+        why = f"{difference_words(difference)}" + ("" if sure else ": no difference beyond chance")
         if not up:
             return text, verdict(abs(one["value"]) < NEAR), why
         printed = facts["printed"]["strategies"]

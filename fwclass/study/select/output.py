@@ -12,7 +12,7 @@ from fwclass.errors import ConfigError
 from fwclass.features.names import is_feature
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import providers
-from fwclass.publish.files import check_free, whole
+from fwclass.publish.files import check_free, written_whole
 from fwclass.publish.selection_curves import draw_selection
 from fwclass.store.atomic import write_json
 from fwclass.study.select import result
@@ -53,7 +53,7 @@ def write(selection: Mapping[str, Any], path: Path) -> None:
         text = result.scales_file(selection) if selection["method"] == "scales" else result.set_file(selection)
         drawn = draw_selection(result.curve_of(selection), selection["front"], selection["chosen"], title)
     for place, data in ((picture, drawn), (path, text.encode())):
-        with whole(place) as beside:
+        with written_whole(place) as beside:
             beside.write_bytes(data)
     write_json(numbers, dict(selection))
 
