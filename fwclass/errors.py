@@ -238,7 +238,7 @@ def _disk(where: str) -> str:
 
 
 _UNFINISHED = re.compile(r"(^|/)\.([^/]+)\.(?:[0-9a-f]{32}|\w+-\d+\.part(?:\.[^/.]+)?)(?=/|$)")
-"""A file under the name that it has until it is whole (`publish.files.whole`, `store.atomic`)."""
+"""A file under the name that it has until it is whole (`publish.files.written_whole`, `store.atomic`)."""
 
 
 def memory_error(fault: MemoryError) -> FwclassError:

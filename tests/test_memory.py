@@ -48,8 +48,8 @@ def test_a_large_process_gives_back_and_a_small_one_keeps():
     text = (
         "import numpy as np\nfrom fwclass import memory\nmemory.keep_freed()\n"
         "def hold():\n    return len([np.ones(1 << 20) for _ in range(50)])\n"  # 400 MiB
-        "hold()\nbefore = memory.resident()\nmemory.give_back(None)\nsmall = memory.resident()\n"
-        "memory.give_back(512 << 20)\nprint(before, small, memory.resident())\n"
+        "hold()\nbefore = memory.resident_bytes()\nmemory.give_back(None)\nsmall = memory.resident_bytes()\n"
+        "memory.give_back(512 << 20)\nprint(before, small, memory.resident_bytes())\n"
     )
     plain = {n: v for n, v in os.environ.items() if not n.startswith("MALLOC_")}
     done = subprocess.run([sys.executable, "-c", text], env=plain, capture_output=True, text=True, check=True)

@@ -105,8 +105,8 @@ def test_what_a_killed_command_left_goes_with_the_next(tmp_path: Path) -> None:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from fwclass.publish.files import whole
-with whole(Path(sys.argv[1])) as beside:
+from fwclass.publish.files import written_whole
+with written_whole(Path(sys.argv[1])) as beside:
     beside.write_text("half")
     beside.with_name(beside.name + ".raw").write_text("raw")
     os.kill(os.getpid(), signal.SIGKILL)

@@ -332,8 +332,8 @@ def test_what_does_not_fit_on_the_disk_is_not_there_in_part(tmp_path):
 
 def test_what_a_killed_command_has_left_is_swept(tmp_path):
     """A file that was not whole yet was something else, beside which nothing may be written."""
-    dies = "import os, pathlib, sys; from fwclass.publish.files import whole\n"
-    dies += "with whole(pathlib.Path(sys.argv[1])) as beside: beside.touch(); os._exit(9)"
+    dies = "import os, pathlib, sys; from fwclass.publish.files import written_whole\n"
+    dies += "with written_whole(pathlib.Path(sys.argv[1])) as beside: beside.touch(); os._exit(9)"
     subprocess.run([sys.executable, "-c", dies, tmp_path / "o" / "summary.json"], check=False)
     assert len(list((tmp_path / "o").iterdir())) == 1
     with working_in(tmp_path / "o", True):
