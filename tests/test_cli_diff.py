@@ -100,7 +100,9 @@ def test_two_generations(runs):
     assert "LOST        overall accuracy, mean IoU\n" in describe(found), "what chance explains was lost, too"
     assert "by chance   kappa: lower, and their intervals hold 0" in describe(found)
     found["accuracy"]["tested"][1] -= 40
-    assert "tested echoes, not the same ones" in describe(found)
+    words = describe(found)
+    assert "tested echoes, not the same ones" in words and "LOST" not in words, "of other echoes, too"
+    assert "lower       overall accuracy, mean IoU: other echoes were tested" in words
     assert found["labels"] == {}
     assert found["quality"] == {}, "of the same echoes"
     found["quality"] = {"density.area": [14_700.0, 15_000.0], "check_points.all.rmse": [0.0512, None]}

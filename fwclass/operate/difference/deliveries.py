@@ -317,9 +317,13 @@ def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
     worse = [k for k in FIGURES if None not in accuracy[k] and accuracy[k][1] < accuracy[k][0]]
     paired = accuracy["paired"] or {}
     chance = [k for k in worse if ((paired.get(k) or {}).get("interval") or (0.0, -1.0))[1] >= 0.0]
-    for head, some in (("LOST", [k for k in worse if k not in chance]), ("by chance", chance)):
+    lost = [k for k in worse if k not in chance]
+    for head, some, more in (
+        ("LOST", [] if before != after else lost, ""),
+        ("lower", lost if before != after else [], ": other echoes were tested, so that this need be no loss"),
+        ("by chance", chance, ": lower, and their intervals hold 0"),
+    ):
         if some:
-            more = ": lower, and their intervals hold 0" if some is chance else ""
             yield f"{head:<12}{', '.join(_called(w) for w in some)}{more}"
     if accuracy["paired"] is not None:
         level = 100 * accuracy["paired"]["level"]
