@@ -10,6 +10,7 @@ from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 from pyproj.exceptions import CRSError
 
+from fwclass.formats import epsg
 from fwclass.formats.epsg import projected_named, without_false_codes
 
 SPELLINGS = ("WKT1_GDAL", "WKT1_ESRI", "WKT2_2015", "WKT2_2019")
@@ -93,3 +94,14 @@ def test_axes_and_heights_that_a_code_adds_are_no_other_place(own: int, code: in
 def test_names() -> None:
     assert projected_named("WGS 84 / UTM zone 33N").to_epsg() == 32633
     assert projected_named("UTM zone 33") is None and projected_named("WGS 84") is None
+
+
+def test_names_are_listed_once_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every text of a file's GeoTIFF keys had PROJ list all systems, a tenth of a second each."""
+    listed = []
+    monkeypatch.setattr(epsg, "query_crs_info", lambda *words: listed.append(words) or query_crs_info(*words))
+    for cache in (epsg.projected_named, epsg._projected_codes):
+        cache.cache_clear()
+    assert epsg.projected_named("RGF93 v1 / Lambert-93") == CRS.from_epsg(2154)
+    assert epsg.projected_named("RGF93 v1") is None and epsg.projected_named("unknown") is None
+    assert len(listed) == 1
