@@ -45,6 +45,13 @@ def with_a_stuck_bit(columns: dict) -> dict:
     return columns | {"samples": [s | 8 for s in columns["samples"]]}
 
 
+def begun_late(columns: dict) -> dict:
+    """Every third record begins two to three samples behind its echo's peak."""
+    late = np.where(np.arange(len(columns["begin_ns"])) % 3, 0, 28)
+    samples = [s[k : len(s) - 28 + k] for s, k in zip(columns["samples"], late, strict=True)]
+    return columns | {"samples": samples, "begin_ns": columns["begin_ns"] + late}
+
+
 def in_picoseconds(columns: dict) -> dict:
     return columns | {"begin_ns": 1000 * columns["begin_ns"]}
 
@@ -67,6 +74,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str]:
             "waveforms have every sample twice",
         ),
         (with_a_stuck_bit, "have a bit that never changes, though higher", "waveforms have a bit that never changes"),
+        (begun_late, "begin behind the peak of an echo, which is lost", "waveforms begin behind the peak of an echo"),
         (in_picoseconds, "where no land is: are times in nanoseconds", "echoes are implausible"),
     ],
 )

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.channel_rows import channel_rows
+from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.units import SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
 
-COUNTS = ("waveforms", "blank", "downward", "floored", "swapped", "doubled", "stuck")
-"""What `odd_waveforms` counts."""
+COUNTS = ("waveforms", "blank", "downward", "floored", "swapped", "doubled", "stuck", "late")
+"""What `odd_waveforms` counts, and `late_waveforms`."""
+
+HIGH, FALLS = 8.0, 2
+"""Deviations that a first sample stands above the level, and samples behind that are lower, where a record begins
+behind an echo's peak."""
 
 FLOORED = 0.25
 """Share of a waveform's samples at 0 from which on its noise cannot be told; of a level two deviations above 0.02."""
@@ -41,7 +49,7 @@ def odd_waveforms(waves: Waveforms) -> dict[str, int]:
     never changes between such as do (``stuck``)."""
     rows = np.flatnonzero(np.diff(waves.offsets) > 0)
     if len(rows) == 0:
-        return dict.fromkeys(COUNTS, 0)
+        return dict.fromkeys(COUNTS[:-1], 0)
     samples, first = waves.samples[: waves.offsets[-1]], waves.offsets[rows]
     length = np.diff(waves.offsets)[rows]
     highest, lowest = (f.reduceat(samples, first).astype(np.float64) for f in (np.maximum, np.minimum))
@@ -63,6 +71,21 @@ def odd_waveforms(waves: Waveforms) -> dict[str, int]:
         "stuck": _stuck(samples, first, length, highest - lowest) & stored,
     }
     return {"waveforms": waveforms, "blank": blank} | {k: len(np.unique(pulses[v])) for k, v in odd.items()}
+
+
+def late_waveforms(waves: Waveforms, pulse: SystemPulse, echoes: Mapping[str, NDArray]) -> int:
+    """How many pulses' records begin behind the peak of an echo that is lost: the first sample is `HIGH` deviations
+    above the channel's level, from there they fall, and none of `echoes` (``pulse``, ``time`` [ns]) lies within a pulse
+    width."""
+    _, first = np.unique(waves.pulses["pulse"], return_index=True)
+    first = first[np.diff(waves.offsets)[first] > FALLS]
+    level = np.array([c.baseline + HIGH * max(c.noise, c.baseline_sd) for c in pulse.channels] + [np.inf])
+    limit = level[channel_rows(pulse.channels, waves.pulses)][first]
+    start = waves.offsets[first, None] + np.arange(FALLS + 1)
+    values = waves.samples[start].astype(np.float64) if len(first) else np.empty((0, FALLS + 1))
+    high = (values[:, 0] > limit) & (np.diff(values, axis=1) < 0.0).all(axis=1)
+    near = echoes["pulse"][echoes["time"] <= pulse.fwhm]
+    return int((high & ~np.isin(waves.pulses["pulse"][first], near)).sum())
 
 
 def _swapped(samples: NDArray, first: NDArray[np.int64]) -> NDArray[np.bool_]:

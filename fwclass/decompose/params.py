@@ -219,6 +219,7 @@ class PlausibilityParams(Params):
     max_swapped : share of the waveforms whose samples are smooth with their two bytes exchanged alone.
     max_doubled : share of the waveforms all of whose samples are there twice.
     max_stuck : share of the waveforms with a bit that never changes between such as do.
+    max_late : share of the waveforms that begin behind the peak of an echo, which is lost.
     max_recurring : share of the waveforms with echoes that have one no scene makes: always as long behind the highest
         one and as high beside it, or always at one place of the record and as high.
     max_uneven : share of the echoes that the length of their beam vector moves.
@@ -251,6 +252,7 @@ class PlausibilityParams(Params):
     max_swapped: float = Field(ge=0.0, le=1.0)
     max_doubled: float = Field(ge=0.0, le=1.0)
     max_stuck: float = Field(ge=0.0, le=1.0)
+    max_late: float = Field(ge=0.0, le=1.0)
     max_recurring: float = Field(ge=0.0, le=1.0)
     max_uneven: float = Field(ge=0.0, le=1.0)
     max_unlike: float = Field(ge=0.0, le=1.0)

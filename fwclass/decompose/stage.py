@@ -11,7 +11,7 @@ from fwclass.decompose.belonging import belonging
 from fwclass.decompose.fitted_echoes import SATURATED
 from fwclass.decompose.fitting import fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
-from fwclass.decompose.odd_samples import odd_waveforms
+from fwclass.decompose.odd_samples import late_waveforms, odd_waveforms
 from fwclass.decompose.params import BathymetryParams, DecomposeParams
 from fwclass.decompose.placement import AS_STORED, Placement
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
@@ -89,7 +89,8 @@ def decompose(
     measured = (own["origin"] == FITTED) & (own["fit_flags"] & (SATURATED | VENDOR_KEPT) == 0)
     lone = returns_without_echo(waves, table, links, params)
     odd = odd_waveforms(waves) | belonging(waves, own, measured)
-    return table, links, {**judged, "returns_without_echo": lone, **odd}
+    late = late_waveforms(waves, pulse, table.take(table["origin"] == FITTED))
+    return table, links, {**judged, "returns_without_echo": lone, **odd, "late": late}
 
 
 def _judge(
@@ -262,4 +263,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=23)
 PLACES = Computation(name="places", version=16)
-DECOMPOSE = Computation(name="decompose", version=20, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=21, writes=ECHO_COLUMNS)

@@ -47,6 +47,8 @@ TWICE = "export one of both, with twice the sample spacing: as they are, a pulse
 
 BITS = "digitiser or converter lose it, and steps of noise and pulses are taken for echoes; export the samples again"
 
+LATE = "what begins behind its peak is not found: export records from some samples before the first echo on"
+
 MIXED = (
     "packets are those of other returns, or intensities no measure of strength; export points and waveforms together"
 )
@@ -62,7 +64,7 @@ UNITS = (
 
 SHARES = {
     "poor": "fitted",
-    **dict.fromkeys(("blank", "downward", "floored", "swapped", "doubled", "stuck"), "waveforms"),
+    **dict.fromkeys(("blank", "downward", "floored", "swapped", "doubled", "stuck", "late"), "waveforms"),
     "unlike": "compared",
     "misplaced": "paired",
 }
@@ -134,6 +136,7 @@ def judge_plausibility(strips: Iterable[Mapping[str, Any]], params: Plausibility
         ("swapped", "swapped", "waveforms have their samples' bytes exchanged", SWAP),
         ("doubled", "doubled", "waveforms have every sample twice", TWICE),
         ("stuck", "stuck", "waveforms have a bit that never changes", BITS),
+        ("late", "late", "waveforms begin behind the peak of an echo", LATE),
         ("poor", "poor", "fitted echoes fit poorly", SHAPES),
         ("recurring", "recurring", "waveforms have an echo that no scene makes", ADVICE),
         ("implausible", "implausible", "echoes are implausible", LOOK),

@@ -9,7 +9,7 @@ from fwclass.assess.remarks import percent_words
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.quiet import NONE
 from fwclass.report.place_remarks import place_remarks
-from fwclass.report.plausibility import BITS, FLOOR, LENGTHS, MIXED, SHARES, SWAP, TURN, TWICE, UNITS
+from fwclass.report.plausibility import BITS, FLOOR, LATE, LENGTHS, MIXED, SHARES, SWAP, TURN, TWICE, UNITS
 from fwclass.report.pulse_remarks import names_of, pulse_remarks
 from fwclass.report.recurring import recurring_remarks
 from fwclass.units import LAND
@@ -125,6 +125,7 @@ def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
         ("floored", TOLD_FROM, "waveforms", f"have more than a quarter of their samples at 0: {FLOOR}"),
         ("swapped", RARE, "waveforms", f"are smooth only with the two bytes of every sample exchanged: {SWAP}"),
         ("doubled", DAMAGED, "waveforms", f"have every sample twice: {TWICE}"),
+        ("late", DAMAGED, "waveforms", f"begin behind the peak of an echo, which is lost: {LATE}"),
         ("stuck", DAMAGED, "waveforms", f"have a bit that never changes, though higher and lower ones do: {BITS}"),
     ):
         lines += _above(strips, kind, bound, what, words)
