@@ -42,6 +42,12 @@ PILE = 20, 4, 5.0
 SWINGING = 1.5
 """From this ratio on what lies below the level is no noise; real receivers have 0.4 to 0.9 (Q680i, Leica, GeoLas)."""
 
+PARTS, OF_PART = 8, 50
+"""Parts along a strip whose noise is compared, and waveforms of each that are looked at, up to twice as many."""
+
+QUANTILES, APART = (0.05, 0.25), 0.9704
+"""Two of a waveform's samples, and how many deviations they are apart in a normal distribution."""
+
 TRIM = 0.025
 """Share of the values on either side that is left out, or put onto the outermost inside."""
 
@@ -147,6 +153,27 @@ def rough_levels(waves: Waveforms, group: NDArray[np.int64]) -> tuple[Floats, Fl
             below, usual = float(np.median(spread[rows])), _usual_departure(waves, level, rows)
             noise[group == k] = max(usual if below > SWINGING * usual else below, ROUNDING)
     return level, noise
+
+
+def noise_drift(waves: Waveforms) -> list[tuple[float, float]]:
+    """(median number of the pulse, noise [DN]) of `PARTS` parts along the strip, of the commonest channel's waveforms;
+    empty of fewer than `OF_PART` in a part.
+
+    Mean distance of two low quantiles of a waveform's samples, as of normal ones: plants may fill most of a record.
+    """
+    _, group = channel_groups(waves)
+    known, length = group >= 0, np.diff(waves.offsets)
+    usual = np.bincount(group[known]).argmax() if known.any() else -1
+    rows = np.flatnonzero(known & (group == usual) & (length > 0))
+    if len(rows) < PARTS * OF_PART:
+        return []
+    parts = []
+    for part in np.array_split(rows[np.argsort(waves.pulses["pulse"][rows], kind="stable")], PARTS):
+        some = part[:: len(part) // OF_PART]
+        each = [np.quantile(waves.samples[waves.offsets[k] : waves.offsets[k + 1]], QUANTILES) for k in some]
+        noise = float((np.diff(each, axis=1) / APART).mean())
+        parts.append((float(np.median(waves.pulses["pulse"][part])), max(noise, ROUNDING)))
+    return parts
 
 
 def _usual_departure(waves: Waveforms, level: Floats, rows: NDArray[np.bool_]) -> float:

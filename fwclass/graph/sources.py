@@ -14,6 +14,7 @@ from fwclass.decompose.params import BathymetryParams, DecomposeParams, PulsePar
 from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
 from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
+from fwclass.decompose.pulse_channels import noise_drift
 from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.pulse_sample import join_samples, outgoing_of, sample_pulses, with_signal
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
@@ -207,9 +208,8 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         "channels": channel_pulses(pulse, recorded, fit),
         "widths": width_walk(bright, params) if sampled else [],
         "drift": width_drift(bright, params) if sampled else [],
-        "sampled": sampled,
-        "unsettled": unsettled,
-        **noise.facts,
+        "noise_drift": noise_drift(sample) if sampled else [],
+        **{"sampled": sampled, "unsettled": unsettled, **noise.facts},
     }
 
 

@@ -74,7 +74,7 @@ SHARES = {
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What the receipt of a strip's pulse says of its noise, of every channel's pulse (`channel_pulses`), and how
     wide echoes are at every height and along the strip (`width_walk`, `width_drift`)."""
-    walks = {name: meta.get(name, []) for name in ("widths", "drift")}
+    walks = {name: meta.get(name, []) for name in ("widths", "drift", "noise_drift")}
     return {
         **{name: meta.get(name, value) for name, value in UNKNOWN.noise.facts.items()},
         "channels": meta["channels"],

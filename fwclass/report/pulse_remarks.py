@@ -14,6 +14,10 @@ NAMED = 3
 """Strips of a remark that are named."""
 
 
+LOUDER = 3.0
+"""Times that a part of a strip is noisier than another from which it is told."""
+
+
 def _recovery_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     some = [(s, c) for s in strips for c in s.get("channels", ()) if c.get("recovery", 0.0) > 0.0]
     if not some:
@@ -81,7 +85,7 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"recorded outgoing pulses{channel_words(worst)}: look at info --waveforms, and fix it by pulse.width, "
             f"a Gaussian's ({names_of(strips_once(s for s, _ in some))})"
         )
-    lines += _drift_remarks(strips)
+    lines += [*_drift_remarks(strips), *_noise_drift_remarks(strips)]
     lines += _receiver_remarks(strips)
     lines += [*_recovery_remarks(strips), *_copy_remarks(strips)]
     lines += _parity_remarks(strips)
@@ -107,8 +111,21 @@ def _drift_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def _noise_drift_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    some = [(s, _extremes(s["noise_drift"])) for s in strips if s.get("noise_drift")]
+    some = [(s, ends) for s, ends in some if ends[1][1] >= LOUDER * ends[0][1]]
+    if not some:
+        return []
+    (quiet, least), (loud, most) = max((ends for _, ends in some), key=lambda ends: ends[1][1] / ends[0][1])
+    return [
+        f"the noise is {most / least:.1f} times as large about pulse {loud:,.0f} ({most:.2g} DN) as about pulse "
+        f"{quiet:,.0f}: where heights are, too, gains or numbers of bits change along the strip, and neither heights "
+        f"nor energies compare; cut the file there ({names_of([s for s, _ in some])})"
+    ]
+
+
 def _extremes(drift: Sequence[Sequence[float]]) -> list[tuple[float, float]]:
-    """(number of the pulse, width [ns]) of the narrowest and the widest class of echoes."""
+    """(number of the pulse, value) where it is least and most."""
     by_width = sorted(((number, width) for number, width in drift), key=lambda one: one[1])
     return [by_width[0], by_width[-1]]
 

@@ -125,7 +125,7 @@ _PULSE = {
             **dict.fromkeys(("sample_spacing", "saturation", "recorded_fwhm", "misfit?"), FIGURE),
         }
     ],
-    **{key: [(NUMBER, NUMBER)] for key in ("widths?", "drift?")},
+    **{key: [(NUMBER, NUMBER)] for key in ("widths?", "drift?", "noise_drift?")},
     **dict.fromkeys(("sampled", "quiet_samples", "noise_order", "noise_period?"), COUNT),
     **dict.fromkeys(("noise", "lag1"), FIGURE),
     **dict.fromkeys(("inflation", "noise_growth", "noise_periodic?", "noise_still?", "unsettled?"), NUMBER),

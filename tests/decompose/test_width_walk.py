@@ -11,6 +11,7 @@ import wavemaker as wm
 
 from fwclass import conf
 from fwclass.decompose.params import PulseParams
+from fwclass.decompose.pulse_channels import noise_drift
 from fwclass.decompose.pulse_sample import join_samples, rows_of
 from fwclass.decompose.system_pulse import disagree
 from fwclass.decompose.width_walk import bright_widths, width_drift, width_walk
@@ -55,6 +56,19 @@ def test_expanded_samples_are_told_whatever_channel_they_are_of(params: PulsePar
     assert "do not grow in proportion to the light" in line
     order = np.random.default_rng(2).permutation(waves.pulses.rows)
     assert width_walk(bright_widths(rows_of(waves, order), params), params) == walk
+
+
+@pytest.mark.parametrize(("bits", "wooded", "said"), [(8, False, False), (12, False, True), (8, True, False)])
+def test_samples_of_more_bits_in_a_part_of_the_strip_are_told(bits: int, wooded: bool, said: bool) -> None:
+    """Of 8 and 12 bits heights are 16 times apart, and fits are as good; plants make noise of no other number."""
+    rng = np.random.default_rng(4)
+    quiet = rng.normal(12.0, 1.0, (800, 80))
+    if wooded:
+        quiet[400:760, 10:60] += rng.uniform(10.0, 60.0, (360, 50))
+    quiet[400:] *= 2.0 ** (bits - 8)
+    drift = noise_drift(wm.waves_of(list(np.rint(quiet).astype(np.uint16)), saturation=65535.0))
+    lines = pulse_remarks([{"name": "s", "channels": [], "noise_drift": drift}])
+    assert [("gains or numbers of bits change along the strip" in line) for line in lines] == [True] * said
 
 
 @pytest.mark.parametrize("last", [4.2, 6.0])
