@@ -96,6 +96,18 @@ def test_repetitions_in_any_order_and_number() -> None:
     assert sum(n for _, _, n in counted) == 2000 - len({r[:4] for r in rows})
 
 
+def test_echoes_of_the_same_samples_are_one_measured_twice() -> None:
+    """Copies of a packet are placed each by its own return, some millimetres apart."""
+    nan = np.nan
+    rows = [(1.0, 2, 3, 7, 5), (1.004, 2, 3, 7, 5), (2.0, 2, 3, 7, 5), (3.0, 2, 3, 8, 5), (4.0, 2, 3, 7, 5)]
+    fit = {"amplitude": [30.0, 30.0, 20.0, 30.0, 30.0], "width": [4.0] * 5, "misfit": [1.1, 1.1, 1.1, 1.1, nan]}
+    fitted = table(rows).with_columns({n: np.array(v, np.float32) for n, v in fit.items()})
+    assert repeats(fitted) == [[5, 5, 1]] and repeats(table(rows)) == []
+    twice = table([rows[0], rows[0]]).with_columns({n: np.array(v[:2], np.float32) for n, v in fit.items()})
+    assert repeats(twice) == [[5, 5, 1]]
+    assert repeats(fitted.with_columns({"gps_time": np.full(5, nan)})) == []
+
+
 DAYS = 3 * 86_400 + 5_000.0
 """s of the week."""
 
