@@ -48,7 +48,7 @@ MOST_ORDER = 12
 FEWEST_LAGS = 4
 """Samples apart, at least, that tell where the noise has forgotten itself."""
 
-NONE = 0.98
+NOISELESS = 0.98
 """Share of one value among a channel's quiet samples from which they show no noise: noise of 0.21 steps, or less."""
 
 GAIN_TOLERANCE, WORTH, SURE = 0.1, 0.02, 3.0
@@ -70,7 +70,7 @@ class QuietNoise:
     periodic : share of the variance that comes back every `period` samples, as a disturbance does that is picked up;
         of the channel where it is most.
     still : least share over all channels of the quiet samples that have their channel's commonest value. Channels with
-        `NONE` or more have no noise to measure, rounding alone counts, and the other numbers are not of them.
+        `NOISELESS` or more have no noise to measure, rounding alone counts, and the other numbers are not of them.
     """
 
     lag1: float | None
@@ -119,7 +119,7 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
     worst, tone, still = QuietNoise(None, 1.0, 0), (0.0, 0), list[float]()
     for _, channel, part in _channels(waves, pulse, params):
         still.append(part.still)
-        if part.still >= NONE:
+        if part.still >= NOISELESS:
             continue
         differences = _differences(part.value, part.quiet, part.row)
         correlation, samples = _correlation(differences), int(part.quiet.sum())
@@ -147,7 +147,7 @@ def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: Decompos
     )
     channels = {c.key: c for c in pulse.channels}
     for rows, channel, part in _channels(waves, pulse, certain):
-        if part.still >= NONE:  # what is left is the flanks of pulses, which correlate as they will
+        if part.still >= NOISELESS:  # what is left is the flanks of pulses, which correlate as they will
             continue
         correlation, samples = correlations(part.value, part.quiet, part.row)
         noise = choose_order(correlation, samples, _template(pulse.of(channel), channel.sample_spacing))

@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.assess.remarks import percent_words
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.quiet import NONE
+from fwclass.decompose.quiet import NOISELESS
 from fwclass.report.place_remarks import place_remarks
 from fwclass.report.plausibility import BITS, FLOOR, LATE, LENGTHS, MIXED, SHARES, SWAP, TURN, TWICE, UNITS
 from fwclass.report.pulse_remarks import names_of, pulse_remarks
@@ -135,7 +135,7 @@ def _sample_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
 def _noise_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
     """Of noise that is none, is correlated, comes back, or is not known under echoes."""
     lines = []
-    if some := [s for s in strips if s.get("noise_still", 0.0) >= NONE]:
+    if some := [s for s in strips if s.get("noise_still", 0.0) >= NOISELESS]:
         lines.append(
             f"the samples have no noise ({percent_words(min(s['noise_still'] for s in some))} of the quiet ones are "
             f"one value), as simulated ones: {ROUNDED} ({names_of(some)})"

@@ -70,12 +70,12 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     walking = [s for s in strips if _walks(s)]
     known = [(s, c) for s in strips if s not in walking for c in s.get("channels", ())]
     lines = []
-    if walking:
-        (low, wide), (high, narrow) = _walk_ends(walking[0])
+    if steady := [s for s in walking if not _drifts(s)]:  # of two pulses one may be the brighter
+        (low, wide), (high, narrow) = _walk_ends(steady[0])
         lines.append(
             f"echoes are {wide:.2f} ns wide at {low:.0f} DN and {narrow:.2f} ns at {high:.0f} DN, where flat targets "
             "have one width: samples do not grow in proportion to the light, by the receiver or a table that they went "
-            f"through; heights and energies of bright echoes do not compare with others' ({names_of(walking)})"
+            f"through; heights and energies of bright echoes do not compare with others' ({names_of(steady)})"
         )
     some = [(s, c) for s, c in known if not c["outgoing"] and disagree(c["fwhm"], c["recorded_fwhm"])]
     if some:
@@ -99,15 +99,20 @@ def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
+def _drifts(strip: Mapping[str, Any]) -> bool:
+    """Whether the width of a strip's echoes is another in a part of it."""
+    return bool(strip.get("drift")) and disagree(*(w for _, w in _extremes(strip["drift"])))
+
+
 def _drift_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
-    some = [s for s in strips if s.get("drift") and disagree(*(w for _, w in _extremes(s["drift"])))]
+    some = [s for s in strips if _drifts(s)]
     if not some:
         return []
     (first, early), (last, late) = sorted(_extremes(some[0]["drift"]))
     return [
         f"echoes are {early:.2f} ns wide about pulse {first:,.0f} and {late:.2f} ns about pulse {last:,.0f}, where "
-        "flat targets have one width: laser or receiver change along the strip, and one pulse for all of it makes "
-        f"false echoes; cut the file into parts of one width ({names_of(some)})"
+        "flat targets have one width: laser or receiver change along the strip, or two take turns, and one pulse "
+        f"for all of it makes false echoes; cut the file into parts of one width ({names_of(some)})"
     ]
 
 

@@ -86,6 +86,9 @@ def test_a_pulse_that_widens_along_the_strip_is_told(params: PulseParams, last: 
         assert width == pytest.approx(4.0 + (last - 4.0) * number / 4000, rel=0.08)
     lines = pulse_remarks([{"name": "s", "channels": [], "widths": [], "drift": drift}])
     assert len(lines) == (last > 5.0) and all("change along the strip" in line for line in lines), lines
+    walk = [(30.0, 5.0), (200.0, 4.0)]  # as where the wider pulse is the weaker one
+    both = pulse_remarks([{"name": "s", "channels": [], "widths": walk, "drift": drift}])
+    assert len(both) == 1 and ("in proportion" in both[0]) == (last <= 5.0), both
     order = np.random.default_rng(2).permutation(waves.pulses.rows)
     assert width_drift(bright_widths(rows_of(waves, order), params), params) == drift
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fwclass.decompose.quiet import NONE
+from fwclass.decompose.quiet import NOISELESS
 from fwclass.report.plausibility_remarks import PERIODIC, ROUNDED
 from fwclass.report.pulse_remarks import descriptor_words
 
@@ -16,7 +16,7 @@ def describe(report: dict[str, Any]) -> str:
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
     if report["noise"]["lag1"] is not None:
         lines.append(f"noise        {_noise_words(report['noise'])}")
-    elif report["noise"]["noise_still"] >= NONE:
+    elif report["noise"]["noise_still"] >= NOISELESS:
         lines.append(f"noise        none: {ROUNDED}")
     lines += [f"further      {text}" for text in further_words(report["noise"]["channels"])]
     steps = sorted({c["step"] for c in report["noise"]["channels"] if c["step"] > 1.0})
@@ -85,7 +85,7 @@ def _echo_words(echo: dict[str, Any], compared: bool) -> str:
     else:
         by_noise = echo["noise_chance"]
         chance = "" if by_noise is None else f", noise makes one so high with {by_noise:.2g}"
-        back = f"NONE OF THE VENDOR'S{chance}" if echo["missed"] else "none in the file" if compared else ""
+        back = f"NOISELESS OF THE VENDOR'S{chance}" if echo["missed"] else "none in the file" if compared else ""
     return " ".join(cells) + "  " + "; ".join(t for t in (back, ", ".join(echo["flags"])) if t)
 
 
