@@ -53,6 +53,7 @@ from fwclass.read.params import ReadParams  # noqa: E402
 from fwclass.read.source import open_source  # noqa: E402
 from fwclass.read.stage import index_source, read_span  # noqa: E402
 from fwclass.single_file.decompose import decompose_file  # noqa: E402
+from fwclass.units import METRES_PER_NS  # noqa: E402
 
 BASE = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())
 PARAMS = DecomposeParams(**BASE["decompose"])
@@ -607,6 +608,68 @@ def water(scale: float) -> list[Figure]:
     return out
 
 
+def vendor_singles(_: float) -> list[Figure]:
+    """The Q680i's single returns beside our echoes, none of which is pulled onto its return (../shared/data/waveform).
+
+    The file lacks the phase of the digitiser's clock; its beat with GPS time tells it. Near where that wraps, from one
+    sample to the next, the nearer of both counts.
+    """
+    path = ROOT.parent / "shared" / "data" / "waveform" / "riegl_q680i.las"
+    if not path.exists():
+        return []
+    source, read = open_source(path), ReadParams(**BASE["read"])
+    (span,) = index_source(source, read)
+    waves = read_span(source, span, read)
+    fits, pulses, returns = fit_waveforms(waves, PARAMS, asked(waves)), waves.pulses, waves.returns
+    numbers, record = np.unique(pulses["pulse"], return_index=True)
+    at, of = fits.time + pulses["segment_start"][fits.row], pulses["pulse"][fits.row]
+    alone = np.bincount(returns["pulse"], minlength=len(numbers))[returns["pulse"]] == 1
+    rows = np.flatnonzero(alone & (returns["number_of_returns"] == 1) & np.isin(returns["pulse"], of))
+    pulse = returns["pulse"][rows]
+    away = [at[of == k] - where for k, where in zip(pulse, returns["location"][rows].astype(float), strict=True)]
+    single = np.array([len(a) == 1 for a in away])
+    nearest = np.array([a[np.abs(a).argmin()] for a in away])
+    phase = _clock_phase(nearest, pulses["gps_time"][record[np.searchsorted(numbers, pulse)]], single)
+    places = np.stack([phase, phase + np.where(phase > 0.0, -1.0, 1.0)], axis=1)
+    wraps = np.abs(phase) > 0.5 - WRAP
+    off = np.array([np.abs(a[:, None] - p[: 1 + w]).min() for a, p, w in zip(away, places, wraps, strict=True)])
+    out = []
+    for name, some in (("all", np.ones(len(off), bool)), ("with one echo", single), ("with several echoes", ~single)):
+        for metres in (0.05, 0.15):
+            wish = ">= 0.985" if metres == 0.05 and name != "with several echoes" else ""
+            hits = off[some] <= metres / METRES_PER_NS
+            out.append(share("Q680i, unshifted", f"singles {name}, within {metres:g} m", hits, wish, f"of {len(hits)}"))
+    return out
+
+
+BEAT = 13_077.0
+"""Hz, of the Q680i's digitiser with the clock of its GPS times, to 15."""
+WRAP = 0.15
+"""ns about a phase of half a sample in which it may be the next sample's: three times its scatter."""
+
+
+def _clock_phase(offset: NDArray, gps_time: NDArray, single: NDArray) -> NDArray:
+    """Phase of the digitiser's clock [samples of 1 ns], -0.5 to 0.5: a sawtooth of one frequency, with a start and the
+    drift that medians of 60 `single` neighbours' offsets show."""
+
+    def turned(value: NDArray) -> NDArray:
+        return (value + 0.5) % 1.0 - 0.5
+
+    t = gps_time - gps_time.min()
+    steps = np.arange(BEAT - 15.0, BEAT + 15.0, 0.1)
+
+    def mean_of(frequency: float) -> complex:
+        return complex(np.exp(2j * np.pi * (offset - frequency * t)[single]).mean())
+
+    frequency = max([*steps, *-steps], key=lambda f: abs(mean_of(f)))
+    start = np.angle(mean_of(frequency)) / (2.0 * np.pi)
+    rest = turned(offset - frequency * t - start)
+    known = np.flatnonzero(single)[np.argsort(t[single], kind="stable")]
+    place = np.searchsorted(t[known], t)
+    drift = np.array([np.median(rest[known[max(k - 30, 0) : k + 30]]) for k in place])
+    return turned(frequency * t + start + drift)
+
+
 GROUPS = (
     speed,
     completeness,
@@ -620,6 +683,7 @@ GROUPS = (
     stacking,
     stacked_planes,
     water,
+    vendor_singles,
 )
 
 
