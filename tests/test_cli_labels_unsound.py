@@ -130,3 +130,7 @@ def test_plants_that_are_called_buildings_end_with_4(town, tmp_path: Path) -> No
     assert ended.returncode == 4 and "classes are exchanged" in ended.stderr, ended.stderr
     assert "pulses pass through plants, not through roofs" in ended.stderr
     assert run(configured(town[0], "source"), tmp_path / "right").returncode == 0
+    for name, code in (("run", 4), ("right", 0)):
+        model = ("--model", tmp_path / name / "model")
+        ended = fwclass("classify", town[0] / "a.las", tmp_path / f"{name}.laz", *model)
+        assert ended.returncode == code and ("classes are exchanged" in ended.stderr) == (code == 4), ended.stderr

@@ -49,8 +49,8 @@ def tile_facts(table: Table) -> dict[str, Any]:
     return {
         "points": table.rows,
         "bounds": [int(a.min()) / PER_METRE for a in axes] + [int(a.max()) / PER_METRE for a in axes],
-        "classes": _by_code(table["classification"]),
-        "several": _by_code(table["classification"][table["number_of_echoes"] > 1]),
+        "classes": counts_by_code(table["classification"]),
+        "several": counts_by_code(table["classification"][table["number_of_echoes"] > 1]),
         "sure": _sure(table),
         "confidence": (figures.get("confidence") or {}).get("mean"),
         "times": [float(time.min()), float(time.max())] if len(time) else None,
@@ -58,7 +58,8 @@ def tile_facts(table: Table) -> dict[str, Any]:
     }
 
 
-def _by_code(classes: NDArray[np.uint8]) -> dict[str, int]:
+def counts_by_code(classes: NDArray[np.uint8]) -> dict[str, int]:
+    """How many of `classes`, (echoes,), have which code, by its text."""
     codes, counts = np.unique(classes, return_counts=True)
     return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
 

@@ -9,6 +9,7 @@ from fwclass.decompose.params import PlausibilityParams
 from fwclass.quality.steps import judge_steps
 from fwclass.quality.strips import judge_strips
 from fwclass.report.ground import judge_halls, judge_pits, judge_sunken
+from fwclass.report.labels import judge_labels
 from fwclass.report.places import judge_place
 from fwclass.report.plausibility import judge_plausibility
 from fwclass.report.radiometry import judge_radiometry
@@ -19,7 +20,7 @@ from fwclass.report.returns import judge_returns
 def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: object) -> None:
     """`QualityError` of the first thing in what a command tells of one file's echoes that is unsound: their
     ``plausibility``, ``place``, ``repeated``, ``returns``, ``ground`` (`sunken_remarks`), ``pits``, ``halls``,
-    ``radiometry``, ``strips``, each where it is known."""
+    ``radiometry``, ``strips``, ``labels``, each where it is known."""
     if judged.get("plausibility"):
         judge_plausibility([judged["plausibility"]], bounds)
     judge_place(judged.get("place"), bounds.accept, where)
@@ -32,3 +33,4 @@ def judge_echoes(judged: Mapping[str, Any], bounds: PlausibilityParams, where: o
     if judged.get("strips"):
         judge_strips(judged["strips"], bounds.accept, where)
         judge_steps(judged["strips"], bounds.max_height_step, bounds.accept, where)
+    judge_labels(judged.get("labels"), bounds, where)

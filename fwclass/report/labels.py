@@ -53,7 +53,7 @@ def label_facts(
     if not labelled and not tiles:
         return None
     elsewhere, far = max(_elsewhere(labelled), _aside(clouds), key=lambda said: said[1])
-    exchanged = _exchanged(tiles)
+    exchanged = exchanged_words(t.meta["facts"] for t in tiles)
     return {
         "remarks": [text for text in (elsewhere, exchanged, _other_heights(clouds)) if text],
         "elsewhere": elsewhere if far > params.max_label_offset else "",
@@ -145,9 +145,12 @@ def _other_heights(clouds: Iterable[Receipt]) -> str:
     )
 
 
-def _exchanged(tiles: Iterable[Receipt]) -> str:
-    """That buildings are pierced by pulses, and plants are not."""
-    facts = [t.meta["facts"] for t in tiles if "several" in t.meta["facts"]]
+def exchanged_words(counts: Iterable[Mapping[str, Any]]) -> str:
+    """That buildings are pierced by pulses, and plants are not; "" for nothing.
+
+    counts : echoes by the text of their code, ``classes``, and those of pulses with ``several``, where that is known.
+    """
+    facts = [f for f in counts if "several" in f]
 
     def share(codes: Iterable[int]) -> tuple[int, float]:
         """Echoes with such a class, and the share of them that are of pulses with several."""

@@ -35,12 +35,14 @@ from fwclass.grid import millimetres
 from fwclass.model import Contextual, Layered, Model, TwoLayer, sample_matrix
 from fwclass.model.density import densities_of, squares_by_count
 from fwclass.publish.strips import LEGACY_MAX, check_records, write_strip_laz
+from fwclass.publish.tile_facts import counts_by_code
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
 from fwclass.read.points import classes_of
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import open_source
 from fwclass.report.drift import drift, with_returns
+from fwclass.report.labels import exchanged_words
 from fwclass.schema import Table
 from fwclass.single_file.features.echoes import (
     OF_ECHOES,
@@ -122,6 +124,9 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     by_code = dict(zip(*(n.tolist() for n in np.unique(own, return_counts=True)), strict=True))
     sure = answered["confidence"][np.isfinite(answered["confidence"])]
     unsure = unsure_facts(by_percent(answered["confidence"]), params, model.card)
+    pierced = {"classes": counts_by_code(results["classification"])}
+    pierced["several"] = counts_by_code(results["classification"][echoes.table["number_of_echoes"] > 1])
+    exchanged = exchanged_words([pierced])
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -138,7 +143,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "kept": {str(code): n for code, n in kept_codes(by_code, kept).items()},
         "confidence": float(sure.mean()) if len(sure) else None,
         "without_value": {n: int(k) for n, k in zip(first.features, without, strict=True) if k},
-        "judged": echoes.judged,
+        "judged": {**echoes.judged, "labels": {"elsewhere": "", "exchanged": exchanged, "uncounted": ""}},
         "drift": drifted,
         "unsure": unsure,
         "filled": sum(one.get("filled", 0) for some in facts.values() for one in some),
@@ -151,6 +156,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
             *line_remarks(facts[walk[-1]]),
             *_drift_notes(drifted),
             *(unsure or {}).get("remarks", ()),
+            *([exchanged] if exchanged else []),
             *class_remarks(by_code, known_codes(model.classes), kept, "points"),
             *(str(n) for n in wrote.get("notes", ())),
         ],

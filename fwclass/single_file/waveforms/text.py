@@ -85,7 +85,7 @@ def _echo_words(echo: dict[str, Any], compared: bool) -> str:
     else:
         by_noise = echo["noise_chance"]
         chance = "" if by_noise is None else f", noise makes one so high with {by_noise:.2g}"
-        back = f"NOISELESS OF THE VENDOR'S{chance}" if echo["missed"] else "none in the file" if compared else ""
+        back = f"NONE OF THE VENDOR'S{chance}" if echo["missed"] else "none in the file" if compared else ""
     return " ".join(cells) + "  " + "; ".join(t for t in (back, ", ".join(echo["flags"])) if t)
 
 
