@@ -103,6 +103,8 @@ def test_echoes_of_the_same_samples_are_one_measured_twice() -> None:
     fit = {"amplitude": [30.0, 30.0, 20.0, 30.0, 30.0], "width": [4.0] * 5, "misfit": [1.1, 1.1, 1.1, 1.1, nan]}
     fitted = table(rows).with_columns({n: np.array(v, np.float32) for n, v in fit.items()})
     assert repeats(fitted) == [[5, 5, 1]] and repeats(table(rows)) == []
+    apart = fitted.with_columns({"x": np.array([1.0, 30.0, 2.0, 3.0, 4.0])})  # another pulse, of times in whole seconds
+    assert repeats(apart) == []
     twice = table([rows[0], rows[0]]).with_columns({n: np.array(v[:2], np.float32) for n, v in fit.items()})
     assert repeats(twice) == [[5, 5, 1]]
     assert repeats(fitted.with_columns({"gps_time": np.full(5, nan)})) == []

@@ -12,8 +12,11 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.units import SIGMA_PER_MAD
 from fwclass.waveforms import Waveforms
 
-COUNTS = ("waveforms", "blank", "downward", "floored", "swapped", "doubled", "stuck", "late")
-"""What `odd_waveforms` counts, and `late_waveforms`."""
+ODD = ("waveforms", "blank", "downward", "floored", "swapped", "doubled", "stuck")
+"""What `odd_waveforms` counts."""
+
+COUNTS = (*ODD, "late")
+"""These, and what `late_waveforms` counts."""
 
 HIGH, FALLS = 8.0, 2
 """Deviations that a first sample stands above the level, and samples behind that are lower, where a record begins
@@ -49,7 +52,7 @@ def odd_waveforms(waves: Waveforms) -> dict[str, int]:
     never changes between such as do (``stuck``)."""
     rows = np.flatnonzero(np.diff(waves.offsets) > 0)
     if len(rows) == 0:
-        return dict.fromkeys(COUNTS[:-1], 0)
+        return dict.fromkeys(ODD, 0)
     samples, first = waves.samples[: waves.offsets[-1]], waves.offsets[rows]
     length = np.diff(waves.offsets)[rows]
     highest, lowest = (f.reduceat(samples, first).astype(np.float64) for f in (np.maximum, np.minimum))

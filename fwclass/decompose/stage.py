@@ -89,7 +89,8 @@ def decompose(
     measured = (own["origin"] == FITTED) & (own["fit_flags"] & (SATURATED | VENDOR_KEPT) == 0)
     lone = returns_without_echo(waves, table, links, params)
     odd = odd_waveforms(waves) | belonging(waves, own, measured)
-    late = late_waveforms(waves, pulse, table.take(table["origin"] == FITTED))
+    fitted = table["origin"] == FITTED
+    late = late_waveforms(waves, pulse, {name: table[name][fitted] for name in ("pulse", "time")})
     return table, links, {**judged, "returns_without_echo": lone, **odd, "late": late}
 
 

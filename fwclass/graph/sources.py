@@ -209,7 +209,9 @@ def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) 
         "widths": width_walk(bright, params) if sampled else [],
         "drift": width_drift(bright, params) if sampled else [],
         "noise_drift": noise_drift(sample) if sampled else [],
-        **{"sampled": sampled, "unsettled": unsettled, **noise.facts},
+        "sampled": sampled,
+        "unsettled": unsettled,
+        **noise.facts,
     }
 
 

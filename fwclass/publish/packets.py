@@ -99,9 +99,8 @@ def publish_packets(head: LasHead, packets: Packets, output: Path) -> tuple[str,
         return ("missing" if head.point_format in WAVE_FORMATS else "none"), None
     if target.exists() and target.samefile(packets.sidecar):
         return "copied", target  # the output lies beside its source, under its name
-    with written_whole(
-        target
-    ) as beside:  # never a link: a delivery that is edited must not change the client's raw data
+    # never a link: a delivery that is edited must not change the client's raw data
+    with written_whole(target) as beside:
         shutil.copyfile(packets.sidecar, beside)
         _compare(packets.sidecar, 0, packets.sidecar.stat().st_size, beside)
     return "copied", target

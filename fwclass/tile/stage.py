@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,38 +110,37 @@ def repeats(table: Table) -> list[list[int]]:
     Returns
     -------
     [strip, strip of the repetition, echoes] in rising order, of echoes that have place (to the millimetre) and GPS time
-    of another, and of others that have GPS time and fit, to the last bit: such are of the same samples. Of n alike
-    n - 1 are repetitions, in the order of their strips.
+    of another, and of others that have GPS time, fit to the last bit and cell of `SAME_CELL`: such are of the same
+    samples. Of n alike n - 1 are repetitions, in the order of their strips.
     """
     time = np.where(np.isfinite(table["gps_time"]), table["gps_time"], -1.0).astype(np.float64)
-    rows, pairs = _alike(table, (*(millimetres(table[n]).astype(np.int64) for n in "xyz"), time), np.arange(table.rows))
+    strips, place = table["strip"].astype(np.int64), [millimetres(table[n]).astype(np.int64) for n in "xyz"]
+    again, pairs = _alike(strips, *place, time)
     if "misfit" in table:
         fitted = np.isfinite(table["misfit"]) & _is_timed(table["gps_time"])
-        fitted[rows] = False
-        fit = (table[n].astype(np.float64) for n in ("amplitude", "width", "misfit"))
-        pairs = np.concatenate([pairs, _alike(table, (*fit, time), np.flatnonzero(fitted))[1]])
+        fitted[again] = False
+        fit = (table[n][fitted].astype(np.float64) for n in ("amplitude", "width", "misfit"))
+        cells = (values[fitted] // SAME_CELL for values in place[:2])
+        pairs = np.concatenate([pairs, _alike(strips[fitted], *fit, *cells, time[fitted])[1]])
     kinds, counts = np.unique(pairs, axis=0, return_counts=True)
     return [[int(a), int(b), int(n)] for (a, b), n in zip(kinds, counts, strict=True)]
 
 
-def _alike(
-    table: Table, columns: Iterable[NDArray[Any]], among: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Those of the rows `among` that agree with another in all `columns`, (rows,) of 64 bits each; and the strips of
-    the first of each group and of every repetition, (repetitions, 2)."""
-    key = np.zeros(len(among), np.uint64)
+def _alike(strips: NDArray[np.int64], *columns: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows that agree with another in all `columns`, (rows,) of 64 bits each; and the strips of the first of each
+    group and of every repetition, (repetitions, 2)."""
+    key = np.zeros(len(strips), np.uint64)
     for values in columns:
-        key = mix(key ^ values[among].view(np.uint64))
+        key = mix(key ^ values.view(np.uint64))
     again = np.sort(key)
     again = again[1:][again[1:] == again[:-1]]
     if not len(again):
         return np.empty(0, np.int64), np.empty((0, 2), np.int64)
-    chosen = np.flatnonzero(np.isin(key, again))
-    chosen = chosen[np.lexsort((table["strip"][among[chosen]], key[chosen]))]
-    same = key[chosen[1:]] == key[chosen[:-1]]
-    strips = table["strip"][among[chosen]].astype(np.int64)
-    first = np.maximum.accumulate(np.where(np.append(False, same), 0, np.arange(len(chosen))))
-    return among[chosen], np.stack([strips[first[1:]], strips[1:]], axis=1)[same]
+    rows = np.flatnonzero(np.isin(key, again))
+    rows = rows[np.lexsort((strips[rows], key[rows]))]
+    same = key[rows[1:]] == key[rows[:-1]]
+    first = np.maximum.accumulate(np.where(np.append(False, same), 0, np.arange(len(rows))))
+    return rows, np.stack([strips[rows[first[1:]]], strips[rows[1:]]], axis=1)[same]
 
 
 def twice_measured(table: Table) -> list[list[int]]:
